@@ -24,7 +24,7 @@ import shutil
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -57,52 +57,45 @@ RESULT_SEED = 2_000_000
 the best checkpoint have seeds there."""
 
 
-@dataclass(frozen=True)
-class RunConfig:
-    """``config.json``."""
+class RunConfig(BaseModel):
+    """``config.json``.
 
-    label: str
-    """What figures call the algorithm: ``ppo``, ``ppo-xl``, ..."""
-    arguments: dict[str, Any]
-    """Every field of :class:`~chemlab.agents.train.arguments.TrainArguments`; in the file they stand beside the
-    others."""
-    scenario: str
-    bench: str
-    """Who learns: a bench's key, an agent's id, or several roles, with commas."""
-    goals: list[str]
-    fingerprint: str
-    """Of the bench's chemistry, options and prices: equal fingerprints are equal tasks."""
-    versions: dict[str, str] = field(default_factory=dict)
-
-    def as_dict(self) -> dict[str, Any]:
-        """As the file has it."""
-        values = asdict(self)
-        return {"label": self.label, **values.pop("arguments"), **values}
-
-
-_EXACT = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""How files are read: nothing that is not meant, and no number that is none."""
-_FILE_BYTES = 64_000_000
-"""What a run's curve comes to after a hundred thousand rounds, several times over."""
-
-
-class _Config(BaseModel):
-    """What every ``config.json`` has, whatever else there is."""
+    Attributes:
+        label: name of the algorithm in figures: ``ppo``, ``ppo-xl``, ...
+        env_id: the environment's id.
+        algo: name of the algorithm.
+        seed: of the run.
+        scenario: name or path.
+        bench: who learns: a bench's key, an agent's id, or several roles, with commas.
+        goals: those trained for.
+        fingerprint: of the bench's chemistry, options and prices; equal fingerprints are equal tasks.
+        versions: of everything that results may depend on.
+        background, starts, rewards: as the arguments have them.
+        arguments: those of :mod:`chemlab.agents.train.arguments` that differ from the defaults, without the seed; None
+            in runs before 0.3, which have them beside the others.
+    """
 
     model_config = ConfigDict(extra="allow", strict=True)
 
     label: str = Field(min_length=1, max_length=200)
+    env_id: str
+    algo: str
+    seed: int
     scenario: str
     bench: str
     goals: list[str]
     fingerprint: str
-    env_id: str
-    algo: str
-    seed: int
     versions: dict[str, str] = {}
     background: str | None = None
     starts: str = "paper"
     rewards: str | None = None
+    arguments: dict[str, Any] | None = None
+
+
+_EXACT = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""How lines and results are read: no unknown key, NaN or infinity."""
+_FILE_BYTES = 64_000_000
+"""Several times the size of a curve of a hundred thousand rounds."""
 
 
 @dataclass(frozen=True)
@@ -161,7 +154,7 @@ def checked_config(values: Any, where: str) -> dict[str, Any]:
     Raises:
         DataError: it is not what a run writes; the message begins with ``where``.
     """
-    validated(_Config, values, where)
+    validated(RunConfig, values, where)
     return dict(values)
 
 
@@ -310,19 +303,23 @@ def _lines(path: Path, kind: type[Line]) -> Iterator[Line]:
         yield validated(kind, parse_json(line, where), where)
 
 
-def differences(saved: Mapping[str, Any], expected: Mapping[str, Any], defaults: Mapping[str, Any]) -> dict[str, str]:
-    """What a run's ``config.json`` says otherwise than is expected, in words, by field.
+def differences(saved: Mapping[str, Any], expected: Mapping[str, Any]) -> dict[str, str]:
+    """Describe where a run's ``config.json`` differs from another, by field; versions may differ.
 
     Args:
-        saved: the file's content. A field that an older version did not know yet had its default.
-        expected: as the file would have it. Versions may differ.
-        defaults: of the run's arguments.
+        saved: the file's content.
+        expected: what the file should have.
     """
-    saved, expected = {**defaults, **saved}, json.loads(to_text(dict(expected)))
+
+    def fields(config: Mapping[str, Any]) -> dict[str, Any]:
+        flat = {**config, **(config.get("arguments") or {})}
+        return {name: value for name, value in flat.items() if name not in ("arguments", "versions")}
+
+    ours, theirs = fields(saved), fields(json.loads(to_text(dict(expected))))
     return {
-        name: f"{name} {saved.get(name)!r} (now {expected.get(name)!r})"
-        for name in {**saved, **expected}
-        if name != "versions" and saved.get(name) != expected.get(name)
+        name: f"{name} {ours.get(name)!r} (now {theirs.get(name)!r})"
+        for name in {**ours, **theirs}
+        if ours.get(name) != theirs.get(name)
     }
 
 

@@ -199,13 +199,11 @@ def _environments() -> dict[str, str]:
     labs = Laboratories(EXAMPLE)
     lab = "chemlab.laboratory"
     same = "## Spaces\n\nThe spaces are those of the [AEC environment](laboratory.md).\n"
-    wrappers = _markdown(_docstring(f"{lab}.wrappers")).split("\n", 1)[1]
     return {
         "laboratory": _environment("Laboratory (AEC)", f"{lab}.aec", _spaces_of_all(labs), ["env", "raw_env"]),
         "parallel": _environment("Laboratory (parallel)", f"{lab}.parallel", same, ["parallel_env"]),
         "focal": _environment("One agent's view", f"{lab}.focal", same, ["FocalEnv", "FocalVectorEnv"]),
-        "benches": _environment("Single benches", f"{lab}.bench_env", _bench_ids(), ["BenchEnv", "BenchVectorEnv"])
-        + "\n".join(["", "## Wrappers", "", f"```{{py:currentmodule}} {lab}.wrappers", "```", wrappers]),
+        "benches": _environment("Single benches", f"{lab}.bench_env", _bench_ids(), ["BenchEnv", "BenchVectorEnv"]),
         "batched": _environment("Many laboratories at once", f"{lab}.batch", same, ["BatchedLaboratory"])
         + "\n## Class\n\n"
         + _autodoc(f".. autoclass:: {lab}.batch.BatchedLaboratory", "   :no-index:"),

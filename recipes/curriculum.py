@@ -12,14 +12,13 @@ Needs the extra ``train``.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, cook, score_run
 
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
-from chemlab.agents.train.arguments import TrainArguments
+from chemlab.agents.train.arguments import training_arguments
 from chemlab.agents.train.learn import train
 
 TARGET = Target(load_scenario("wurtz_dodecane_direct"))
@@ -27,12 +26,12 @@ GOAL = "dodecane"
 
 
 def manager(budget: Budget, staged: bool) -> Outcome:
-    """Train a manager with ``chemlab train manager`` and score its last checkpoint."""
+    """Train a manager with ``chemlab train --roles manager`` and score its last checkpoint."""
     size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {}
-    given = {"env_id": "manager", "preset": "manager-curriculum", "scenario": TARGET.scenario.name, "seed": budget.seed}
-    arguments = TrainArguments.of({**given, "steps": budget.steps, **ONCE, **size})
+    given = {"roles": "manager", "preset": "manager-curriculum", "scenario": TARGET.scenario.name, "seed": budget.seed}
+    arguments = training_arguments({**given, "steps": budget.steps, **ONCE, **size})
     if not staged:
-        arguments = replace(arguments, curriculum=())
+        arguments = arguments.model_copy(update={"curriculum": None})
     return score_run(train, arguments, TARGET, GOAL, budget)
 
 

@@ -19,8 +19,8 @@ from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, coo
 
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
-from chemlab.agents.train.arguments import JointArguments
-from chemlab.agents.train.joint import train_together
+from chemlab.agents.train.arguments import IPPO
+from chemlab.agents.train.learn import train
 
 TARGET = Target(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
@@ -34,8 +34,8 @@ def learned_together(
     """Train roles from scratch, with the other roles played by named policies, and score them."""
     size: dict[str, Any] = {"envs": 8, "rollout": 16} if budget.toy else {"envs": 64, "rollout": 64}
     size |= {"roles": roles, "background": background, "learning_rate": 1e-3}
-    arguments = JointArguments(TARGET.scenario.name, seed=budget.seed, steps=steps, **{**size, **ONCE, **settings})
-    return score_run(train_together, arguments, TARGET, GOAL, budget)
+    arguments = IPPO(scenario=TARGET.scenario.name, seed=budget.seed, steps=steps, **{**size, **ONCE, **settings})
+    return score_run(train, arguments, TARGET, GOAL, budget)
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:

@@ -21,35 +21,35 @@ from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, coo
 
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
-from chemlab.agents.train.arguments import JointArguments
-from chemlab.agents.train.joint import train_together
+from chemlab.agents.train.arguments import IPPO, MAPPO
+from chemlab.agents.train.learn import train
 
 TARGET = Target(load_scenario("wurtz_dodecane_direct"))
 GOAL = "dodecane"
 LEARNING: dict[str, Any] = {
     "rewards": "mixed",
-    "imitate": "scripted",
-    "imitate_steps": 4000,
-    "imitate_rounds": 2,
+    "bc": "scripted",
+    "bc_steps": 4000,
+    "bc_rounds": 2,
     "learning_rate": 1e-4,
 }
 
 
-def team(budget: Budget, **settings: Any) -> Outcome:
-    """Train a team with ``chemlab train-together`` and score it."""
+def team(budget: Budget, algorithm: type[IPPO] = IPPO, **settings: Any) -> Outcome:
+    """Train a team, and score it."""
     size: dict[str, Any] = {"envs": 64, "rollout": 32, "batch_size": 512}
     if budget.toy:
-        size = {"envs": 4, "rollout": 12, "imitate_steps": 50, "imitate_rounds": 1}
+        size = {"envs": 4, "rollout": 12, "bc_steps": 50, "bc_rounds": 1}
     given = {**LEARNING, **ONCE, **size, **settings}
-    arguments = JointArguments(TARGET.scenario.name, seed=budget.seed, steps=budget.steps, **given)
-    return score_run(train_together, arguments, TARGET, GOAL, budget)
+    arguments = algorithm(scenario=TARGET.scenario.name, seed=budget.seed, steps=budget.steps, **given)
+    return score_run(train, arguments, TARGET, GOAL, budget)
 
 
 def recipe(budget: Budget) -> dict[str, Outcome]:
     """Train one seed of both teams and of the manager alone; score the scripted laboratory."""
     return {
         "IPPO": team(budget),
-        "MAPPO": team(budget, critic="state"),
+        "MAPPO": team(budget, MAPPO),
         PLAIN: team(budget, roles=("manager",)),
         SCRIPTED: Outcome.of(TARGET.play("scripted", GOAL, budget.episodes, AUDIT_SEED)),
     }

@@ -41,7 +41,7 @@ PLAIN = "plain PPO"
 SCRIPTED = "scripted"
 _ENVS, _ROLLOUT = 16, 64
 ONCE = {"evaluations": 1, "checkpoints": 1, "eval_episodes": 2, "final_episodes": 2}
-"""Settings of ``chemlab train`` and ``train-together`` runs whose evaluation is done by recipes."""
+"""Arguments of runs of ``chemlab train`` that recipes score."""
 
 
 class Budget(NamedTuple):
@@ -143,7 +143,7 @@ def score(policy: Any, target: Target, goal: str, budget: Budget) -> Outcome:
 
 
 def score_run(train: Callable[..., Any], arguments: Any, target: Target, goal: str, budget: Budget) -> Outcome:
-    """Train with ``chemlab train`` or ``train-together`` and score the last checkpoint, which is not kept.
+    """Train with ``chemlab train`` and score the last checkpoint, which is not kept.
 
     Args:
         train: the function behind the command.

@@ -35,8 +35,9 @@ def write_run(
     run = Run(path)
     path.mkdir(parents=True)
     arguments = {"env_id": "chemlab/Any-v0", "algo": label, "steps": 1000, "seed": seed, "starts": "paper", **settings}
-    config = RunConfig(label, arguments, scenario, bench, list(returns), fingerprint)
-    run.config_file.write_text(json.dumps(config.as_dict()))
+    told = {"scenario": scenario, "bench": bench, "goals": list(returns), "fingerprint": fingerprint}
+    config = RunConfig(label=label, **told, **arguments)
+    run.config_file.write_text(json.dumps(config.model_dump(exclude_none=True)))
     scripted = dict.fromkeys(returns, HEURISTIC)
     for step, value, deviation in curve:
         run.append(CurvePoint(step, value, deviation, 5, 1.0))

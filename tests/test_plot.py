@@ -270,10 +270,9 @@ def test_learning_curves(tmp_path: Path) -> None:
     for seed, slope in ((0, 1.0), (1, 3.0)):
         run = Run(tmp_path / "bench" / "ppo" / f"seed-{seed}")
         run.path.mkdir(parents=True)
-        config = RunConfig(
-            "ppo", {"seed": seed, "env_id": "", "algo": "ppo"}, "wurtz_dodecane", "rxn", ["dodecane", "NaCl"], "0"
-        )
-        run.config_file.write_text(to_text(config.as_dict()))
+        task = {"env_id": "", "scenario": "wurtz_dodecane", "bench": "rxn", "goals": ["dodecane", "NaCl"]}
+        config = RunConfig(label="ppo", algo="ppo", seed=seed, fingerprint="0", **task)
+        run.config_file.write_text(to_text(config.model_dump(exclude_none=True)))
         for step in (0, 500, 1000, *((2000,) if seed else ())):
             run.append(CurvePoint(step, slope * step / 1000.0, 0.0, 5, 1.0))
         run.append(Evaluation(1000, slope, {}, 0.25, None))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import math
 import subprocess
@@ -16,6 +15,7 @@ import pytest
 from helpers import script
 
 from chemlab.agents.demonstrations import demonstrations
+from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.record import read_record
 
 ROOT = Path(__file__).parent.parent
@@ -26,6 +26,7 @@ NEEDS = {
     "planning": (),
     "demonstrations": (*LEARNING, "minari", "h5py"),
     "value_based": (*LEARNING, "benchmarl"),
+    "rllib": (*LEARNING, "ray.rllib"),
 }
 """Packages that a recipe needs, where it is not what most need."""
 pytestmark = pytest.mark.skipif(not RECIPES, reason="not a checkout")
@@ -36,8 +37,7 @@ pytestmark = pytest.mark.skipif(not RECIPES, reason="not a checkout")
 def test_recipes_run(path: Path, tmp_path: Path) -> None:
     """What is kept of a toy run is what it printed, finite, and of everybody it names."""
     for package in NEEDS.get(path.stem, LEARNING):
-        if importlib.util.find_spec(package) is None:
-            pytest.skip(f"needs {package}")
+        pytest.importorskip(package)
     out = tmp_path / "result.json"
     command = [sys.executable, str(path), "--toy", "--seeds", "2", "--out", str(out)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=1800)
@@ -135,3 +135,31 @@ def test_demonstrated_turns_are_the_records_own(monkeypatch: pytest.MonkeyPatch,
         np.testing.assert_array_equal(seen[at], episode.observations[0])
         at += len(told.rewards)
     assert at == len(actions)
+
+
+@pytest.mark.parametrize("limit", [None, 7])
+def test_shaping_keeps_the_order_of_returns(limit: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The sum telescopes: to -phi(s_0), and to gamma^T phi(s_T) - phi(s_0) where the episode is only truncated."""
+    for package in LEARNING:
+        pytest.importorskip(package)
+    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
+    shaping: Any = script("recipes/shaping.py")
+    weights = np.sin(np.arange(BenchEnv("wurtz_dodecane", "ext").observation_space.shape[0], dtype=np.float64))
+    gamma, members = 0.93, 4
+    batches = [BenchVectorEnv(members, "wurtz_dodecane", "ext", autoreset_mode="SameStep") for _ in range(2)]
+    env, plain = shaping.PotentialShaping(batches[0], lambda seen: seen @ weights, gamma), batches[1]
+    first = env.reset(seed=3)[0].copy()
+    plain.reset(seed=3)
+    rng, sums, over = np.random.default_rng(0), np.zeros((2, members)), np.zeros(members, dtype=bool)
+    last, turns = first.copy(), 0
+    while not over.all() and turns != limit:
+        actions = rng.integers(plain.action_count - (limit is not None), size=members)  # the last one ends it
+        seen, shaped, terminated, _, infos = env.step(actions)
+        _, rewards, _, _, _ = plain.step(actions)
+        np.testing.assert_array_equal(infos["unshaped_reward"], rewards)
+        sums += np.where(over, 0.0, gamma**turns * np.stack([shaped, rewards]))
+        over |= terminated
+        last, turns = seen.copy(), turns + 1
+    expected = sums[1] - first @ weights + (0.0 if limit is None else gamma**turns * (last @ weights))
+    np.testing.assert_allclose(sums[0], expected, atol=1e-9)
+    assert not np.allclose(sums[0], sums[1])

@@ -169,7 +169,7 @@ def _played_row(name: str, files: Sequence[Path]) -> Row:
 def _trained_rows(name: str, runs: Sequence[Run]) -> list[Row]:
     configs = [run.config() or {} for run in runs]
     for run, config in zip(runs, configs, strict=True):
-        other = differences(config, configs[0], {})
+        other = differences(config, configs[0])
         other.pop("seed", None)
         if other:
             raise ValueError(

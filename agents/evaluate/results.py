@@ -27,7 +27,6 @@ from chemlab.config.datafile import DataError, parse_json
 from chemlab.kernels.arrays import FloatArray
 
 from ..runs import Evaluation, Run, RunResult, checked_config, checked_result, find_runs
-from ..train.arguments import TrainArguments
 from . import statistics
 from .statistics import interval_text, number_text
 from .tables import markdown_table, number, read_table, write_table
@@ -72,7 +71,6 @@ _NUMBERS: dict[str, type] = (
 _CURVE_DECIMALS, _DECIMALS = 5, 9
 _Rows = list[dict[str, str]]
 _ABBREVIATIONS = ("ppo", "a2c", "dqn", "sac", "td3", "xl")
-_DEFAULTS = vars(TrainArguments())
 _PER_RUN = ("seed", "versions", "label")
 """What may differ between the runs of a cell."""
 
@@ -299,8 +297,7 @@ def cells_of(runs: Sequence[TrainedRun], task_of: Callable[[TrainedRun], str] = 
     left_out = [f"{run.name}: not finished" for run in runs if run.result is None]
     for run in runs:
         if run.result is not None:
-            # What an older version did not know yet, or is not given, had its default.
-            own = {k: v for k, v in run.config.items() if k not in _PER_RUN and v not in (None, _DEFAULTS.get(k))}
+            own = {k: v for k, v in run.config.items() if k not in _PER_RUN and v is not None}
             way = json.dumps(own, sort_keys=True)
             ways.setdefault((task_of(run), run.result.label), {}).setdefault(way, []).append(run)
     cells: Cells = {}

@@ -1,52 +1,446 @@
-"""What a training run is told: dataclasses, checked when they are made, from presets, TOML files and flags.
+"""Arguments of training: one model per algorithm, for the command line, TOML files and Python alike.
 
-Later ones win: the field's default, the preset, the config file, flags. Fields of ``chemlab train`` that are None
-follow the algorithm: Stable-Baselines3's defaults, and the paper's protocol where the paper says something
-(:func:`resolved`).
+>>> from chemlab.agents.train.arguments import PPO, training_arguments
+>>> PPO(scenario="wurtz_dodecane", bench="rxn", steps=300_000).learning_rate
+0.0003
+>>> training_arguments({"scenario": "wurtz_dodecane", "roles": "all"}).algo
+'ippo'
 
-The paper's protocol: 10 environments; gather 256 steps in each, then update. PPO and A2C learn from those 2560 steps
-alone (so A2C makes one gradient step from them). DQN, SAC and TD3 keep 1M steps and sample them: 256 gradient steps of
-DQN after each 2560 steps, 128 of SAC and TD3, whose gradient steps are ten times as expensive. The paper does not say
-how many there were. DQN's exploration falls from 1.0 to 0.01 within the first 30k steps.
+The order of precedence, lowest first, is default, preset, TOML file, flag. Defaults are the paper's protocol where the
+paper states a value, and Stable-Baselines3's otherwise. The paper's protocol: 10 environments; 256 steps in each
+between updates. PPO and A2C learn from those 2560 steps alone. DQN, SAC and TD3 keep 1M steps: 256 gradient steps of
+DQN after each 2560 steps, 128 of SAC and TD3, whose gradient steps are ten times as expensive (the paper does not
+state their number). DQN's exploration falls from 1.0 to 0.01 within the first 30k steps.
 """
 
 from __future__ import annotations
 
 import difflib
-import functools
-import math
 import shlex
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import Field, asdict, dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, TypeVar, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
-from chemlab.config.datafile import read_toml
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
+
+from chemlab.config.datafile import DataError, read_toml, shown
+from chemlab.config.datamodel import validated
+
+from ..names import current_name
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 __all__ = [
     "ALGORITHMS",
+    "OLD_NAMES",
     "PRESETS",
-    "RECURRENT",
     "Arguments",
-    "JointArguments",
-    "RllibArguments",
     "Stage",
-    "TeamArguments",
-    "TrainArguments",
     "curriculum_of",
-    "help_of",
-    "label_of",
-    "resolved",
+    "load_arguments",
+    "training_arguments",
 ]
 
-RECURRENT: tuple[str, ...] = ("recurrent-ppo", "maskable-recurrent-ppo")
-"""Algorithms that remember an episode."""
-_PPO = ("ppo", "maskable-ppo", *RECURRENT)
-_ON_POLICY = (*_PPO, "a2c")
-_VALUES = ("dqn", "qr-dqn")
-_REPLAY = (*_VALUES, "sac", "td3")
-ALGORITHMS: tuple[str, ...] = ("ppo", "a2c", *_REPLAY, "maskable-ppo", *RECURRENT)
-"""What ``algo`` may be."""
+
+def _whole(value: Any) -> Any:
+    """1e6 is a common way to write a million."""
+    return int(value) if type(value) is float and value.is_integer() else value
+
+
+def _several(value: Any) -> Any:
+    """A list as a tuple; a single value, or words separated by commas, as several."""
+    values = list(value) if isinstance(value, (list, tuple)) else [value]
+    split = [part for one in values for part in (one.split(",") if isinstance(one, str) else [one])]
+    return tuple(split)
+
+
+Count = Annotated[int, BeforeValidator(_whole), Field(ge=1, le=100_000)]
+Many = Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**12)]
+Words = Annotated[tuple[str, ...], BeforeValidator(_several), Field(min_length=1)]
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
+Positive = Annotated[float, Field(gt=0.0)]
+Weight = Annotated[float, Field(ge=0.0)]
+Layers = Annotated[tuple[Annotated[int, Field(ge=1, le=16_384)], ...], BeforeValidator(_several), Field(min_length=1)]
+Minibatch = Annotated[int, BeforeValidator(_whole), Field(ge=2, le=10**7)]
+
+
+class Arguments(BaseModel):
+    """Arguments of every algorithm."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
+
+    scenario: str = Field(
+        default="wurtz_dodecane",
+        description="Scenario (name or path), or the id of an environment of one agent (chemlab/WurtzReaction-v0).",
+    )
+    roles: Words | None = Field(
+        default=None, description="Who learns in the laboratory: all, roles (manager, rxn) or agents (rxn_0)."
+    )
+    algo: str = Field(default="", description="Algorithm.")
+    preset: str = Field(default="paper", description="Set of defaults.")
+    background: str | None = Field(
+        default=None, description="Policy of the other roles of the laboratory; default: scripted."
+    )
+    split: str = Field(default="train", description="Hidden parameters to train with, of a scenario that draws some.")
+    steps: Many = Field(
+        default=1_000_000, description="Steps in all environments together; rounded up to whole rollouts."
+    )
+    seed: int = Field(default=0, ge=0, lt=2**32, description="Seed of networks, exploration and environments.")
+    envs: Count = Field(default=10, description="Environments side by side.")
+    rollout: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**7)] = Field(
+        default=256, description="Steps in each environment before each update."
+    )
+    learning_rate: Positive = Field(default=3e-4, description="Learning rate.")
+    gamma: Share = Field(default=0.99, description="Discount.")
+    net_arch: Layers = Field(default=(64, 64), description="Sizes of hidden layers; repeat the option.")
+    evaluations: Count = Field(default=10, description="Evaluations during training, evenly spread.")
+    eval_episodes: Count = Field(default=20, description="Episodes per goal of each of them.")
+    final_episodes: Count = Field(default=100, description="Episodes per goal of the evaluation at the end.")
+    checkpoints: Count = Field(default=40, description="Checkpoints during training, evenly spread.")
+
+    @model_validator(mode="after")
+    def _check_split(self) -> Self:
+        from chemlab.config.draws import Split
+
+        Split.of(self.split)
+        return self
+
+    @property
+    def evaluation_split(self) -> str:
+        """Split of the evaluations."""
+        return "validation" if self.split == "train" else self.split
+
+    @property
+    def env_id(self) -> str:
+        """Environment id, for cards and tables."""
+        return "chemlab/Laboratory-v0"
+
+    @property
+    def label(self) -> str:
+        """Name of the algorithm in figures and tables: the preset's unless that is the paper's, with the algorithm
+        where it is not the preset's."""
+        if self.preset == "paper":
+            return self.algo
+        own = PRESETS[self.preset].get("algo", self.algo)
+        return self.preset if self.algo == own else f"{self.preset}-{self.algo}"
+
+    def folder(self, label: str | None = None) -> Path:
+        """Return a run's place in a folder of results: task, label, seed."""
+        return Path(self._task_name(), label or self.label, f"seed-{self.seed}")
+
+    def _task_name(self) -> str:
+        return "-".join([Path(self.scenario).stem, *(self.roles or ("all",))])
+
+    def changed(self) -> dict[str, Any]:
+        """Return what differs from the defaults, as JSON; the seed stands apart."""
+        return {**self.model_dump(mode="json", exclude_defaults=True, exclude={"seed"}), "algo": self.algo}
+
+    def flags(self) -> list[str]:
+        """Return the options of ``chemlab train`` that give these arguments, but for the scenario."""
+        implied = {name: field.default for name, field in type(self).model_fields.items()} | PRESETS[self.preset]
+        words = []
+        for name in type(self).model_fields:
+            value, option = getattr(self, name), f"--{name.replace('_', '-')}"
+            if name == "scenario" or (value == implied[name] and name not in ("algo", "steps", "seed")):
+                continue
+            if isinstance(value, bool):
+                words += [option]
+                continue
+            for item in value if isinstance(value, tuple) else (value,):
+                words += [option, str(item)]
+        return words
+
+    def command_line(self) -> str:
+        """Return the command that repeats the run."""
+        return shlex.join(["chemlab", "train", self.scenario, *self.flags()])
+
+
+class Cloning(BaseModel):
+    """Behaviour cloning before an on-policy algorithm learns."""
+
+    bc: str | None = Field(default=None, description="Policy to clone before learning (behaviour cloning), by name.")
+    bc_steps: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**9)] = Field(
+        default=20_000, description="Turns of it to learn from, about (of each role)."
+    )
+    bc_rounds: int = Field(
+        default=1,
+        ge=1,
+        le=1000,
+        description="DAgger rounds; after the first the learner acts and the policy labels its turns.",
+    )
+
+    def _shown(self) -> str | None:
+        return self.bc
+
+    @model_validator(mode="after")
+    def _check_cloning(self) -> Self:
+        if self._shown() is None:
+            for name in ("bc_steps", "bc_rounds", "bc_std"):
+                if getattr(self, name, None) not in (None, type(self).model_fields.get(name, Field()).default):
+                    raise ValueError(f"{name}: no policy is cloned; give bc, or leave it out")
+        return self
+
+
+class Exploring(Cloning):
+    """Cloning by learners that also have continuous actions."""
+
+    bc_std: float = Field(
+        default=0.02, gt=0.0, le=1.0, description="Least initial standard deviation of a clone's continuous actions."
+    )
+
+
+class Single(Arguments):
+    """One learner: a bench on its own, or one agent of a laboratory."""
+
+    bench: str | None = Field(
+        default=None, description="Bench of the scenario to train on its own, outside the laboratory."
+    )
+    goals: Words | None = Field(default=None, description="Goals to train for; repeat the option. Default: all.")
+    actions: Literal["native", "discrete"] | None = Field(
+        default=None,
+        description="Actions of benches: native, or discrete (representative ones). Default: the scenario's.",
+    )
+    starts: str = Field(
+        default="paper", description="Initial-state distribution of a bench on its own: paper, lab or both."
+    )
+    curriculum: Words | None = Field(
+        default=None,
+        description="Reverse curriculum in a laboratory: backward (from the last bench to the first), or stages 'STEP: "
+        "BENCH=SHARE ...': until that step such shares of the episodes begin with a vessel on its way to the bench, or "
+        "to submit, the rest with the scenario's shelf; repeat the option.",
+    )
+
+    @model_validator(mode="after")
+    def _check_task(self) -> Self:
+        if self.bench is not None and self.roles is not None:
+            raise ValueError("bench: trains a bench on its own, roles train in the laboratory; give one of them")
+        if self.bench is None and (self.roles is None or len(self.roles) != 1 or self.roles[0] == "all"):
+            given = ", ".join(self.roles or ("all",))
+            raise ValueError(
+                f"roles: {self.algo} trains one agent; give one (manager, rxn_0), or bench for a bench on its own, "
+                f"or algo ippo or mappo for several; given {given}"
+            )
+        curriculum_of(self, ())
+        return self
+
+    @property
+    def agent(self) -> str:
+        """Id of the agent that learns in a laboratory."""
+        (role,) = self.roles or ("manager",)
+        return role if role.rpartition("_")[2].isdigit() else f"{role}_0"
+
+    @property
+    def env_id(self) -> str:
+        """Environment id, for cards and tables."""
+        if self.bench is None:
+            return "chemlab/LabManager-v0" if self.agent == "manager_0" else "chemlab/LabAgent-v0"
+        own = {"scenario": self.scenario, "bench": self.bench}
+        return next((name for name, kwargs in _benches().items() if kwargs == own), "chemlab/Bench-v0")
+
+    def _task_name(self) -> str:
+        name = self.env_id.removeprefix("chemlab/").removesuffix("-v0")
+        known = name not in ("Bench", "LabAgent", "LabManager")
+        return name if known else f"{Path(self.scenario).stem}-{self.bench or self.agent}"
+
+
+class OnPolicy(Single):
+    """PPO and A2C."""
+
+    gae_lambda: Share = Field(default=0.95, description="GAE lambda.")
+    ent_coef: Weight = Field(default=0.0, description="Weight of the entropy.")
+
+
+class A2C(OnPolicy, Exploring):
+    """A2C."""
+
+    algo: Literal["a2c"] = Field(default="a2c", description="Algorithm.")
+    learning_rate: Positive = Field(default=7e-4, description="Learning rate.")
+    gae_lambda: Share = Field(default=1.0, description="GAE lambda.")
+
+
+class Clipped(BaseModel):
+    """What every PPO has."""
+
+    clip_range: Positive = Field(default=0.2, description="Clip range.")
+    epochs: int = Field(default=10, ge=1, le=10_000, description="Passes over a rollout.")
+    batch_size: Minibatch = Field(default=64, description="Minibatch.")
+
+
+class PPO(Clipped, OnPolicy, Exploring):
+    """PPO."""
+
+    algo: Literal["ppo"] = Field(default="ppo", description="Algorithm.")
+
+    @model_validator(mode="after")
+    def _check_rollout(self) -> Self:
+        if self.envs * self.rollout < 2:
+            raise ValueError("rollout: PPO needs at least 2 steps (envs x rollout) before each update, given 1")
+        return self
+
+
+class _Normalized(BaseModel):
+    """Learners that normalize the advantages of a minibatch of any size."""
+
+    @model_validator(mode="after")
+    def _check_minibatch(self) -> Self:
+        steps = self.envs * self.rollout  # type: ignore[attr-defined]
+        if steps % self.batch_size == 1:  # type: ignore[attr-defined]
+            raise ValueError(
+                f"batch_size: of the {steps} steps of a rollout a single one would be left for the last minibatch, "
+                "where advantages are normalized; give another, or another rollout"
+            )
+        return self
+
+
+class _Hinted(BaseModel):
+    """Learners with teacher hints."""
+
+    hints: str | None = Field(
+        default=None,
+        description="Policy whose action a laboratory's manager observes (teacher hints), by name; it is cloned.",
+    )
+
+    def _shown(self) -> str | None:
+        bc: str | None = self.bc  # type: ignore[attr-defined]
+        return bc or self.hints
+
+    @model_validator(mode="after")
+    def _check_hints(self) -> Self:
+        bc = self.bc  # type: ignore[attr-defined]
+        if self.hints is not None and bc not in (None, self.hints):
+            raise ValueError(
+                f"bc: a learner with hints begins as a clone of their policy, {self.hints!r}; leave it out"
+            )
+        return self
+
+
+class MaskablePPO(_Hinted, _Normalized, Clipped, OnPolicy, Cloning):
+    """PPO with masks of discrete actions."""
+
+    algo: Literal["maskable-ppo"] = Field(default="maskable-ppo", description="Algorithm.")
+
+
+class Recurrent(_Normalized, Clipped, OnPolicy):
+    """PPO with an LSTM."""
+
+    batch_size: Minibatch = Field(default=128, description="Minibatch.")
+    memory: int = Field(default=256, ge=1, le=65_536, description="Size of the LSTM.")
+
+
+class RecurrentPPO(Recurrent, Exploring):
+    """PPO with an LSTM."""
+
+    algo: Literal["recurrent-ppo"] = Field(default="recurrent-ppo", description="Algorithm.")
+
+
+class MaskableRecurrentPPO(_Hinted, Recurrent, Cloning):
+    """PPO with an LSTM and masks of discrete actions."""
+
+    algo: Literal["maskable-recurrent-ppo"] = Field(default="maskable-recurrent-ppo", description="Algorithm.")
+
+
+class Replay(Single):
+    """Algorithms with replay memory."""
+
+    batch_size: Minibatch = Field(default=256, description="Minibatch.")
+    gradient_steps: Annotated[int, Field(ge=1, le=10**7)] = Field(
+        default=128, description="Gradient steps after each rollout."
+    )
+    buffer_size: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**9)] = Field(
+        default=1_000_000, description="Steps kept for replay."
+    )
+    learning_starts: Annotated[int, BeforeValidator(_whole), Field(ge=0, le=10**12)] = Field(
+        default=100, description="Random steps before learning."
+    )
+
+
+class DQN(Replay):
+    """DQN."""
+
+    algo: Literal["dqn"] = Field(default="dqn", description="Algorithm.")
+    learning_rate: Positive = Field(default=1e-4, description="Learning rate.")
+    batch_size: Minibatch = Field(default=32, description="Minibatch.")
+    gradient_steps: Annotated[int, Field(ge=1, le=10**7)] = Field(
+        default=256, description="Gradient steps after each rollout."
+    )
+    exploration_steps: Many = Field(default=30_000, description="Steps in which exploration falls to its end.")
+    exploration_final: Share = Field(default=0.01, description="Exploration after that.")
+
+
+class QRDQN(DQN):
+    """DQN with quantiles of returns."""
+
+    algo: Literal["qr-dqn"] = Field(default="qr-dqn", description="Algorithm.")  # type: ignore[assignment]
+    learning_rate: Positive = Field(default=5e-5, description="Learning rate.")
+
+
+class SAC(Replay):
+    """SAC."""
+
+    algo: Literal["sac"] = Field(default="sac", description="Algorithm.")
+    net_arch: Layers = Field(default=(256, 256), description="Sizes of hidden layers; repeat the option.")
+    ent_coef: Weight | None = Field(default=None, description="Weight of the entropy. Default: learned.")
+    ent_coef_start: Positive = Field(default=1.0, description="Initial value of a learned weight of the entropy.")
+
+    @model_validator(mode="after")
+    def _check_entropy(self) -> Self:
+        if self.ent_coef is not None and self.ent_coef_start != 1.0:
+            raise ValueError("ent_coef_start: is the initial value of a learned weight; ent_coef fixes it")
+        return self
+
+
+class TD3(Replay):
+    """TD3."""
+
+    algo: Literal["td3"] = Field(default="td3", description="Algorithm.")
+    learning_rate: Positive = Field(default=1e-3, description="Learning rate.")
+    net_arch: Layers = Field(default=(400, 300), description="Sizes of hidden layers; repeat the option.")
+    action_noise: Weight = Field(default=0.1, description="Standard deviation of exploration, of [-1, 1].")
+
+
+class IPPO(Clipped, Arguments, Exploring):
+    """Roles of a laboratory together, a PPO for each; critics observe what their agent observes."""
+
+    algo: Literal["ippo"] = Field(default="ippo", description="Algorithm.")
+    rewards: str | None = Field(default=None, description="Reward mix. Default: the scenario's.")
+    regime: Literal["together", "in-turns"] = Field(
+        default="together", description="together, or in-turns (round-robin)."
+    )
+    period: Annotated[int, Field(ge=1, le=10**9)] = Field(
+        default=10, description="Updates before the next role's turn."
+    )
+    begin_from: str | None = Field(
+        default=None, description="Start from a run of several roles, a folder of runs by role, or ROLE=RUN,ROLE=RUN."
+    )
+    manager_gamma: Share = Field(default=1.0, description="Discount per decision of the manager.")
+    by_ticks: bool = Field(default=False, description="Discount by elapsed ticks instead of turns.")
+    envs: Count = Field(default=64, description="Environments side by side.")
+    rollout: Annotated[int, Field(ge=1, le=10**7)] = Field(
+        default=64, description="Steps in each environment before each update."
+    )
+    gae_lambda: Share = Field(default=0.95, description="GAE lambda.")
+    ent_coef: Weight = Field(default=0.01, description="Weight of the entropy (of discrete actions).")
+    batch_size: Minibatch = Field(default=256, description="Minibatch.")
+
+    @property
+    def label(self) -> str:
+        """Name of the algorithm in figures and tables."""
+        return super().label + ("" if self.regime == "together" else f"-{self.regime}")
+
+
+class MAPPO(IPPO):
+    """IPPO with critics that observe the laboratory's true state."""
+
+    algo: Literal["mappo"] = Field(default="mappo", description="Algorithm.")  # type: ignore[assignment]
+
+
+ALGORITHMS: dict[str, type[Arguments]] = {
+    str(kind.model_fields["algo"].default): kind
+    for kind in (PPO, A2C, DQN, QRDQN, SAC, TD3, MaskablePPO, RecurrentPPO, MaskableRecurrentPPO, IPPO, MAPPO)
+}
+"""Models of arguments by the algorithm's name."""
 
 _MANAGER: dict[str, Any] = {
     "algo": "maskable-ppo",
@@ -58,525 +452,135 @@ _MANAGER: dict[str, Any] = {
     "gamma": 1.0,
     "eval_episodes": 50,
 }
-
 PRESETS: dict[str, dict[str, Any]] = {
     "paper": {},
     "ppo-entropy": {"algo": "ppo", "ent_coef": 0.01},
-    "manager": {**_MANAGER, "learning_rate": 3e-4, "imitate": "scripted"},
+    "manager": {**_MANAGER, "learning_rate": 3e-4, "bc": "scripted"},
     "manager-curriculum": {**_MANAGER, "learning_rate": 1e-3, "curriculum": ("backward",)},
     "ppo-xl": {"algo": "ppo", "envs": 32, "steps": 2_000_000},
     "sac-cool": {"algo": "sac", "ent_coef_start": 0.01},
 }
-"""Presets: the fields that differ from the defaults, which are the paper's protocol."""
+"""Presets: values that differ from the defaults, which are the paper's protocol."""
 
-_SHORT = {"manager": "chemlab/LabManager-v0"}
-"""What people may call an environment for short."""
-
-_SB3_BATCH = {"maskable-ppo": 64, **dict.fromkeys(RECURRENT, 128)}
-"""Minibatch in SB3 of those that normalize the advantages of a single step."""
-
-_MOST_SEED = 2**32 - 1
-"""NumPy's global generator, which SB3 seeds, takes no larger one."""
-
-
-def _argument(default: Any, text: str, **bounds: Any) -> Any:
-    """A field: its default, what it is, and its bounds.
-
-    ``least``, ``most``, ``above`` bound a number (or each of several), ``known`` lists the choices; ``otherwise`` is
-    what None stands for (:func:`resolved` fills in numbers), ``place`` marks what says where a run is computed and not
-    what it learns.
-    """
-    return field(default=default, metadata={"help": text, **bounds}, kw_only=True)
+OLD_NAMES: dict[str, str] = {
+    "imitate": "bc",
+    "imitate_steps": "bc_steps",
+    "imitate_rounds": "bc_rounds",
+    "imitate_spread": "bc_std",
+    "advice": "hints",
+    "critic": "algo",
+    "env_id": "scenario",
+}
+"""Names of arguments before 0.3; accepted for one release."""
 
 
-def _positional(default: str, text: str) -> Any:
-    """The one field that is given without its name, by a command too."""
-    return field(default=default, metadata={"help": text})
-
-
-def _other_default(name: str, default: Any, kind: type[Any] | None = None) -> Any:
-    """A field of another kind of run (:class:`Arguments`) that begins with another value."""
-    of: Field[Any] = (kind or Arguments).__dataclass_fields__[name]
-    return field(default=default, metadata=of.metadata, kw_only=True)
-
-
-A = TypeVar("A", bound="Arguments")
-
-
-@dataclass(frozen=True)
-class Arguments:
-    """What every training run is told, whoever computes the updates.
+def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> Arguments:
+    """Read arguments from a TOML file and the flags of ``chemlab train``, which win.
 
     Raises:
-        ValueError: a value is out of bounds; which one, its bounds, and what was given.
+        DataError: the file is missing or not TOML, or an argument is unknown or invalid.
     """
+    where, values = ("train", {}) if path is None else (f"train --config {path}", read_toml(path))
+    if {"bench", "roles"} & {*flags}:  # one excludes the other
+        values = {name: value for name, value in values.items() if name not in ("bench", "roles")}
+    return training_arguments({**values, **flags}, where)
 
-    command: ClassVar[str] = ""
-    """The command of ``chemlab`` that takes them."""
 
-    steps: int = _argument(
-        1_000_000, "Steps in all environments together; rounded up to whole rollouts.", least=1, most=10**12
-    )
-    split: str = _argument(
-        "train", "Worlds to train in, of a scenario that draws some; evaluations of train are in validation."
-    )
-    seed: int = _argument(0, "Seed of networks, exploration and environments.", least=0, most=_MOST_SEED)
-    envs: int = _argument(10, "Environments side by side.", least=1, most=100_000)
-    learning_rate: float | None = _argument(None, "Learning rate.", above=0.0)
-    gamma: float | None = _argument(None, "Discount.", least=0.0, most=1.0, otherwise=0.99)
-    gae_lambda: float | None = _argument(None, "GAE lambda of PPO and A2C.", least=0.0, most=1.0)
-    ent_coef: float | None = _argument(
-        None, "Weight of the entropy.", least=0.0, otherwise="0 on policy, learned by SAC"
-    )
-    clip_range: float | None = _argument(None, "PPO's clip range.", above=0.0, otherwise=0.2)
-    batch_size: int | None = _argument(None, "Minibatch of PPO and of replay.", least=2, most=10**7)
-    epochs: int | None = _argument(None, "PPO's passes over a rollout.", least=1, most=10_000, otherwise=10)
-    evaluations: int = _argument(
-        10, "Evaluations during training, evenly spread, beside the scripted policy.", least=1, most=100_000
-    )
-    eval_episodes: int = _argument(20, "Episodes a goal in each of them.", least=1, most=100_000)
-    final_episodes: int = _argument(100, "Episodes a goal in the evaluation at the end.", least=1, most=100_000)
-    checkpoints: int = _argument(
-        40, "Checkpoints during training, evenly spread (a crash loses what is after the last).", least=1, most=100_000
-    )
+def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> Arguments:
+    """Validate arguments, with the model of their algorithm.
 
-    def __post_init__(self) -> None:
-        from chemlab.config.draws import Split
+    Args:
+        values: {name: value} as a TOML table has them; what is missing, or None, has its default.
+        where: file or command, for errors.
 
-        Split.of(self.split)
-        for f in fields(self):
-            value = getattr(self, f.name)
-            for item in value if isinstance(value, tuple) else (value,):
-                _check(f, item)
+    Raises:
+        DataError: an unknown argument, or a value of the wrong type or out of bounds; the message names it.
+    """
+    given = _renamed(values, where)
+    preset = given.get("preset", "paper")
+    if preset not in PRESETS:
+        raise DataError(f"{where}: preset: choose from {', '.join(PRESETS)}; given {shown(preset)}")
+    given = {**PRESETS[preset], **given}
+    roles = _several(given.get("roles", "all"))
+    one = "bench" in given or (len(roles) == 1 and roles != ("all",))
+    algo = given.get("algo", "ppo" if one else "ippo")
+    if algo not in ALGORITHMS:
+        raise DataError(f"{where}: algo: choose from {', '.join(ALGORITHMS)}; given {shown(algo)}")
+    kind, known = ALGORITHMS[algo], {name for model in ALGORITHMS.values() for name in model.model_fields}
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            raise DataError(f"{where}: {name}: unknown argument{f'; did you mean {near[0]}?' if near else ''}")
+        if name not in kind.model_fields:
+            users = ", ".join(own for own, model in ALGORITHMS.items() if name in model.model_fields)
+            raise DataError(f"{where}: {name}: is for {users}, not for {algo}")
+    made: Arguments = validated(kind, {**given, "algo": algo}, where)
+    return made
 
-    @classmethod
-    def of(cls: type[A], values: Mapping[str, Any], where: str = "arguments") -> A:
-        """Arguments from {field: value}; what is not there is the default.
 
-        Args:
-            values: as a TOML table has them; None where a flag was not given.
-            where: file or command, for errors.
+def _renamed(values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Replace names of before 0.3, with a notice, and environment ids by what they stand for."""
+    given = {name: value for name, value in values.items() if value is not None}
+    for old, new in OLD_NAMES.items():
+        if old not in given or old == "env_id":
+            continue
+        value = given.pop(old)
+        print(f"{where}: {old} is now called {new}; the old name ends with this release", file=sys.stderr)
+        if old == "critic":
+            given[new] = {"own": "ippo", "state": "mappo"}.get(value, value)
+        else:
+            given.setdefault(new, value)
+    for name in ("background", "bc", "hints"):
+        if isinstance(given.get(name), str):
+            given[name] = current_name(given[name])
+    return _placed(given, where)
 
-        Raises:
-            ValueError: unknown field, or a value of the wrong type or out of bounds.
-        """
-        given = cls._completed(_given(cls, values, where), where)
-        try:
-            made = cls(**given)
-            _check_imitated(made)
-            return made
-        except ValueError as error:
-            raise ValueError(f"{where}: {error}") from error
 
-    @classmethod
-    def as_recorded(cls: type[A], values: Mapping[str, Any], where: str) -> A:
-        """Arguments as a run's ``config.json`` has them, where presets are filled in; errors as :meth:`of`."""
-        try:
-            return cls(**_given(cls, values, where))
-        except ValueError as error:
-            raise ValueError(f"{where}: {error}") from error
+def _benches() -> dict[str, dict[str, str]]:
+    """Return the registered environments of one agent: what they are made with, by id."""
+    import gymnasium
 
-    @classmethod
-    def load(cls: type[A], path: Path | None, flags: Mapping[str, Any]) -> A:
-        """Arguments from a TOML file and a command's flags, which win.
+    return {
+        name: dict(spec.kwargs)
+        for name, spec in gymnasium.registry.items()
+        if spec.vector_entry_point and "chemlab." in str(spec.entry_point)
+    }
 
-        Raises:
-            DataError: the file is missing or not TOML.
-            ValueError: unknown field, or a value of the wrong type or out of bounds.
-        """
-        if path is None:
-            return cls.of(flags, cls.command)
-        values = _given(cls, read_toml(path), str(path))
-        return cls.of({**values, **flags}, f"{cls.command} --config {path}")
 
-    @classmethod
-    def ordered(cls) -> list[Field[Any]]:
-        """The fields as people read them: what is this kind of run's own, then what every run is told."""
-        common = Arguments.__dataclass_fields__
-        return sorted(fields(cls), key=lambda f: f.name in common)
-
-    @classmethod
-    def _completed(cls, given: dict[str, Any], where: str) -> dict[str, Any]:
-        """What is given, with what it implies."""
+def _placed(given: dict[str, Any], where: str) -> dict[str, Any]:
+    """Replace an environment id by scenario and bench or role."""
+    env_id = given.pop("env_id", None)
+    if env_id is None and str(given.get("scenario", "")).startswith("chemlab/"):
+        env_id = given.pop("scenario")
+    if env_id is None:
         return given
-
-    def folder(self) -> Path:
-        """Where a run stands in a folder of results."""
-        raise NotImplementedError
-
-    def recorded(self) -> dict[str, Any]:
-        """What a run's ``config.json`` says of them: a run may go on in another place."""
-        unsaid = [f.name for f in fields(self) if f.metadata.get("place")]
-        # What there was no other of when the first runs were described.
-        unsaid += ["split"] if self.split == "train" else []
-        unsaid += [name for name in ("actions", "memory", "advice") if getattr(self, name, None) is None]
-        unsaid += ["critic"] if getattr(self, "critic", "own") == "own" else []
-        return {name: value for name, value in asdict(self).items() if name not in unsaid}
-
-    @property
-    def evaluation_split(self) -> str:
-        """Worlds that evaluations are in."""
-        return "validation" if self.split == "train" else self.split
-
-    def flags(self, always: Sequence[str] = (), implied: Arguments | None = None) -> list[str]:
-        """What to give the command after the positional argument to get them.
-
-        Args:
-            always: fields to say even where they are as they would be.
-            implied: what the others are without being said (default: the defaults).
-        """
-        implied = type(self)() if implied is None else implied
-        words = []
-        for f in self.ordered():
-            name, value = f.name, getattr(self, f.name)
-            if not f.kw_only or f.metadata.get("place") or (value == getattr(implied, name) and name not in always):
-                continue
-            for item in value if isinstance(value, tuple) else (value,):
-                words += [f"--{name.replace('_', '-')}", str(item)]
-        return words
-
-    def command_line(self) -> str:
-        """The command that trains it again."""
-        (positional,) = (getattr(self, f.name) for f in fields(self) if not f.kw_only)
-        return shlex.join(["chemlab", self.command, positional, *self.flags()])
-
-
-def _check_imitated(arguments: Arguments) -> None:
-    """Whether there is somebody to imitate where it is said how; runs of before may not have been asked."""
-    somebody = any(getattr(arguments, name, None) is not None for name in ("imitate", "advice"))
-    for name in ("imitate_steps", "imitate_rounds", "imitate_spread"):
-        if not somebody and getattr(arguments, name, None) is not None:
-            raise ValueError(f"{name}: nobody is imitated; give imitate, or leave it out")
-
-
-@dataclass(frozen=True)
-class TrainArguments(Arguments):
-    """Everything that decides what a run of ``chemlab train`` learns."""
-
-    command = "train"
-
-    env_id: str = _positional(
-        "chemlab/WurtzReaction-v0", "Environment to train in, as registered with Gymnasium; manager for short."
-    )
-    algo: str = _argument("ppo", f"Algorithm: {', '.join(ALGORITHMS)}.", known=ALGORITHMS)
-    preset: str = _argument("paper", f"Defaults to start from: {', '.join(PRESETS)}.", known=tuple(PRESETS))
-    scenario: str | None = _argument(
-        None,
-        "Scenario, for chemlab/Bench-v0 and the laboratory's views (others have their own).",
-        otherwise="wurtz_dodecane",
-    )
-    bench: str | None = _argument(
-        None,
-        "Bench of the scenario, for chemlab/Bench-v0; the agent, for chemlab/LabAgent-v0 (others have their own).",
-        otherwise="rxn; manager_0",
-    )
-    background: str | None = _argument(
-        None,
-        "Who plays the other roles of a laboratory, by name.",
-        otherwise="scripted, for the laboratory's views",
-    )
-    goals: tuple[str, ...] | None = _argument(None, "Goals to train for; repeat the option.", otherwise="all")
-    actions: str | None = _argument(
-        None,
-        "Actions of benches: native, or discrete (a choice among some, where they are continuous).",
-        known=("native", "discrete"),
-        otherwise="the scenario's",
-    )
-    starts: str = _argument(
-        "paper", "Starting states: paper, lab (as vessels reach the bench in a laboratory), or both."
-    )
-    curriculum: tuple[str, ...] | None = _argument(
-        None,
-        "Curriculum of a laboratory's role: backward (from the last bench to the first), or stages 'STEP: BENCH=SHARE "
-        "...': until that step such shares of the episodes begin with a vessel on its way to the bench, or to submit, "
-        "the rest with the scenario's shelf; repeat the option.",
-        otherwise="none",
-    )
-    imitate: str | None = _argument(
-        None, "Policy to imitate before learning, by name (scripted, scripted:unsafe, ...).", otherwise="none"
-    )
-    imitate_steps: int | None = _argument(None, "About how many of its turns.", least=1, most=10**9, otherwise="20000")
-    imitate_rounds: int | None = _argument(
-        None,
-        "In how many parts; after the first the learner plays, and is shown what the policy would have played.",
-        least=1,
-        most=1000,
-        otherwise="1",
-    )
-    imitate_spread: float | None = _argument(
-        None,
-        "Standard deviation that a clone's continuous actions begin with at least: how widely it explores.",
-        above=0.0,
-        most=1.0,
-        otherwise="0.02",
-    )
-    advice: str | None = _argument(
-        None,
-        "Policy whose choice a laboratory's manager is shown with each observation, by name; it begins by following "
-        "that, and learns where something else is better.",
-        otherwise="none",
-    )
-    rollout: int = _argument(256, "Steps gathered in each environment before each update.", least=1, most=10**7)
-    ent_coef_start: float | None = _argument(
-        None, "What SAC's learned weight of the entropy begins with.", above=0.0, otherwise="1.0, SB3's"
-    )
-    gradient_steps: int | None = _argument(
-        None, "Gradient steps from replay after each rollout.", least=1, most=10**7, otherwise="256; SAC, TD3 128"
-    )
-    buffer_size: int | None = _argument(None, "Steps kept for replay.", least=1, most=10**9, otherwise=1_000_000)
-    learning_starts: int | None = _argument(
-        None, "Random steps before learning from replay.", least=0, most=10**12, otherwise=100
-    )
-    exploration_steps: int | None = _argument(
-        None, "Steps in which DQN's exploration falls to its end.", least=1, most=10**12, otherwise=30_000
-    )
-    exploration_final: float | None = _argument(
-        None, "DQN's exploration after that.", least=0.0, most=1.0, otherwise=0.01
-    )
-    action_noise: float | None = _argument(
-        None, "Standard deviation of TD3's exploration, of [-1, 1].", least=0.0, otherwise=0.1
-    )
-    net_arch: tuple[int, ...] | None = _argument(None, "Hidden layers; repeat the option.", least=1, most=16_384)
-    memory: int | None = _argument(None, "Size of the LSTM of a recurrent learner.", least=1, most=65_536)
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, algorithms in _ONLY.items():
-            if getattr(self, name) is not None and self.algo not in algorithms:
-                raise ValueError(f"{name}: is for {', '.join(algorithms)}, not for {self.algo}")
-        if self.ent_coef is not None and self.ent_coef_start is not None:
-            raise ValueError("ent_coef_start: is where a learned weight begins; ent_coef fixes it")
-        if self.algo in _PPO and self.envs * self.rollout < 2:
-            raise ValueError("rollout: PPO needs at least 2 steps (envs x rollout) before each update, given 1")
-        minibatch = self.batch_size or _SB3_BATCH.get(self.algo, 0)
-        if minibatch and self.algo in _SB3_BATCH and self.envs * self.rollout % minibatch == 1:
-            raise ValueError(
-                f"batch_size: of the {self.envs * self.rollout} steps of a rollout a single one would be left for the "
-                "last minibatch, where advantages are normalized; give another, or another rollout"
-            )
-        if self.advice is not None and self.imitate not in (None, self.advice):
-            raise ValueError(f"imitate: who is advised begins by following the advice, {self.advice!r}; leave it out")
-        curriculum_of(self, ())
-
-    @classmethod
-    def ordered(cls) -> list[Field[Any]]:
-        """The fields as people read them: what is this kind of run's own, then what every run is told."""
-        common = Arguments.__dataclass_fields__
-        return sorted(fields(cls), key=lambda f: f.name in common)
-
-    @classmethod
-    def _completed(cls, given: dict[str, Any], where: str) -> dict[str, Any]:
-        preset = given.get("preset", "paper")
-        if preset not in PRESETS:
-            raise ValueError(f"{where}: preset: known: {', '.join(PRESETS)}; given {preset!r}")
-        given = {**PRESETS[preset], **given}
-        env_id = given.get("env_id", cls.env_id)
-        return {**given, "env_id": _SHORT.get(env_id, env_id)}
-
-    def folder(self, label: str | None = None) -> Path:
-        """Where a run stands in a folder of results: bench, label (default: :func:`label_of`), seed."""
-        task = self.env_id.rpartition("/")[2].rpartition("-v")[0] or self.env_id
-        other = {"Bench": "rxn", "LabAgent": "manager_0", "LabManager": "manager_0"}.get(task)
-        if other is not None:
-            task = f"{Path(self.scenario or 'wurtz_dodecane').stem}-{self.bench or other}"
-        return Path(task, label or label_of(self), f"seed-{self.seed}")
-
-    def flags(self, always: Sequence[str] = ("algo", "steps", "seed"), implied: Arguments | None = None) -> list[str]:
-        """See :meth:`Arguments.flags`; what the preset implies is not said."""
-        return super().flags(always, TrainArguments(**PRESETS[self.preset]) if implied is None else implied)
-
-
-@dataclass(frozen=True)
-class TeamArguments(Arguments):
-    """What a run is told in which several roles of a laboratory learn, each with a learner of its own."""
-
-    scenario: str = _positional("wurtz_dodecane", "Scenario: a shipped name or a path.")
-    roles: tuple[str, ...] | None = _argument(
-        None, "Roles that learn: manager and bench keys; repeat the option.", otherwise="all"
-    )
-    background: str = _argument("scripted", "Who plays the roles that do not learn, by name.")
-    rewards: str | None = _argument(None, "Another reward mix than the scenario's.", otherwise="the scenario's")
-    manager_gamma: float = _argument(1.0, "Discount a decision of the manager.", least=0.0, most=1.0)
-    steps: int = _argument(1_000_000, "Turns of learning agents, all laboratories together.", least=1, most=10**12)
-    learning_rate: float = _other_default("learning_rate", 3e-4)
-    gamma: float = _argument(0.99, "Discount a turn of a bench's agent.", least=0.0, most=1.0)
-    gae_lambda: float = _other_default("gae_lambda", 0.95)
-    ent_coef: float = _argument(0.01, "Weight of the entropy of discrete actions.", least=0.0)
-    clip_range: float = _other_default("clip_range", 0.2)
-    batch_size: int = _argument(256, "Minibatch of each role.", least=2, most=10**7)
-    epochs: int = _other_default("epochs", 10)
-
-
-@dataclass(frozen=True)
-class JointArguments(TeamArguments):
-    """Everything that decides what a run of ``chemlab train-together`` learns."""
-
-    command = "train-together"
-
-    regime: str = _argument("together", "together, or in-turns (round-robin).", known=("together", "in-turns"))
-    critic: str = _argument(
-        "own",
-        "What critics see: own (their agent's observation), or state (the laboratory's, too).",
-        known=("own", "state"),
-    )
-    period: int = _argument(10, "Updates before the next role's turn (in-turns).", least=1, most=10**9)
-    begin_from: str | None = _argument(
-        None,
-        "Where to start from: a joint run, a folder of runs by role, or ROLE=RUN,ROLE=RUN.",
-        otherwise="scratch",
-    )
-    imitate: str | None = _argument(
-        None, "Policy to imitate before learning, in every role that learns, by name.", otherwise="none"
-    )
-    imitate_steps: int | None = _argument(
-        None, "Turns of it in each role, about.", least=1, most=10**9, otherwise="20000"
-    )
-    imitate_rounds: int | None = _other_default("imitate_rounds", None, TrainArguments)
-    imitate_spread: float | None = _other_default("imitate_spread", None, TrainArguments)
-    envs: int = _argument(64, "Laboratories side by side.", least=1, most=100_000)
-    rollout: int = _argument(64, "Rounds (a manager action, or a tick) before each update.", least=1, most=10**7)
-    by_ticks: bool = _argument(False, "Discount by elapsed ticks instead of turns.")
-    net_arch: tuple[int, ...] | None = _argument(
-        None, "Hidden layers of every role; repeat the option.", least=1, most=16_384
-    )
-
-    def folder(self) -> Path:
-        """Where a run stands in a folder of results: scenario, regime (and critic), seed."""
-        regime = self.regime if self.critic == "own" else f"{self.regime}-{self.critic}"
-        return Path(f"{Path(self.scenario).stem}-joint", regime, f"seed-{self.seed}")
-
-
-@dataclass(frozen=True)
-class RllibArguments(TeamArguments):
-    """Everything that decides what a run of ``chemlab train-rllib`` learns, and where."""
-
-    command = "train-rllib"
-
-    address: str | None = _argument(
-        None,
-        "Ray cluster: HOST:PORT, or auto for the one that runs on this machine.",
-        otherwise="a Ray of its own",
-        place=True,
-    )
-    runners: int = _argument(
-        1, "Env runners: processes that play, anywhere in the cluster, a CPU each.", least=1, most=10_000, place=True
-    )
-    envs: int = _argument(8, "Laboratories in each env runner.", least=1, most=100_000)
-    batch: int = _argument(
-        4096, "Turns gathered before each update, all runners and roles together.", least=1, most=10**8
-    )
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if self.batch < self.runners * self.envs:
-            raise ValueError(
-                f"batch: must be at least a turn in each of the {self.runners * self.envs} laboratories "
-                f"(runners x envs), given {self.batch}"
-            )
-        if self.batch_size > self.batch:
-            raise ValueError(f"batch_size: must be at most batch, {self.batch}, given {self.batch_size}")
-
-    def folder(self) -> Path:
-        """Where a run stands in a folder of results: scenario, who learns, seed."""
-        return Path(f"{Path(self.scenario).stem}-rllib", "-".join(self.roles or ("all",)), f"seed-{self.seed}")
-
-
-_ONLY: dict[str, tuple[str, ...]] = {
-    "imitate": _ON_POLICY,
-    "imitate_steps": _ON_POLICY,
-    "imitate_rounds": _ON_POLICY,
-    "imitate_spread": ("ppo", "a2c", "recurrent-ppo"),
-    "advice": ("maskable-ppo", "maskable-recurrent-ppo"),
-    "gae_lambda": _ON_POLICY,
-    "ent_coef": (*_ON_POLICY, "sac"),
-    "ent_coef_start": ("sac",),
-    "batch_size": (*_PPO, *_REPLAY),
-    "epochs": _PPO,
-    "clip_range": _PPO,
-    "gradient_steps": _REPLAY,
-    "buffer_size": _REPLAY,
-    "learning_starts": _REPLAY,
-    "exploration_steps": _VALUES,
-    "exploration_final": _VALUES,
-    "action_noise": ("td3",),
-    "memory": RECURRENT,
-}
-"""Fields that are some algorithms' own."""
-
-
-def help_of(argument: Field[Any]) -> str:
-    """What a field is and what it is by default, for people."""
-    default = argument.default
-    if default is None:
-        default = argument.metadata.get("otherwise", "the algorithm's in SB3")
-    return f"{argument.metadata['help']} Default: {default}."
-
-
-def _check(argument: Field[Any], value: Any) -> None:
-    """Refuse a value that is out of a field's bounds."""
-    bounds, name = argument.metadata, argument.name
-    if value is not None and "known" in bounds and value not in bounds["known"]:
-        raise ValueError(f"{name}: known: {', '.join(bounds['known'])}; given {value!r}")
-    if not isinstance(value, (int, float)):
-        return
-    if not math.isfinite(value):
-        raise ValueError(f"{name}: must be a finite number, given {value}")
-    least, most, above = (bounds.get(key) for key in ("least", "most", "above"))
-    if above is not None and value <= above:
-        raise ValueError(f"{name}: must be above {above:g}, given {value}")
-    if (least is not None and value < least) or (most is not None and value > most):
-        wanted = f"at least {least:g}" if least is not None and value < least else f"at most {most}"
-        raise ValueError(f"{name}: must be {wanted}, given {value}")
-
-
-def _converted(name: str, hint: Any, value: Any, where: str) -> Any:
-    """The value as the field's type, or a ValueError that says what is wanted."""
-    kinds = [kind for kind in (get_args(hint) or (hint,)) if kind is not type(None)]
-    if get_origin(hint) is tuple:
-        kinds = [hint]
-    kind = kinds[0]
-    if get_origin(kind) is tuple:
-        inner = get_args(kind)[0]
-        items = [value] if isinstance(value, (str, int)) else value
-        if isinstance(items, (list, tuple)) and items and all(type(item) is inner for item in items):
-            return tuple(items)
-        raise ValueError(f"{where}: {name}: needs a list of {inner.__name__}, given {value!r}")
-    if kind is float and type(value) is int:
-        value = float(value)
-    if kind is int and type(value) is float and value.is_integer():
-        value = int(value)  # 1e6 is how people write a million
-    if type(value) is not kind:
-        raise ValueError(f"{where}: {name}: needs {kind.__name__}, given {value!r}")
-    return value
-
-
-@functools.cache
-def _hints(kind: Any) -> dict[str, Any]:
-    return get_type_hints(kind)
-
-
-def _given(kind: type[Arguments], values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """What was given of a dataclass's fields, as the fields' types."""
-    own: Any = kind  # mypy takes a class for as little hashable as it thinks its objects are
-    hints = _hints(own)
-    names = [f.name for f in fields(kind)]
-    given = {}
-    for name, value in values.items():
-        if name not in names:
-            near = difflib.get_close_matches(name, names, 1)
-            raise ValueError(f"{where}: {name}: no such argument{f'; did you mean {near[0]}?' if near else ''}")
-        if value is not None:
-            given[name] = _converted(name, hints[name], value, where)
-    return given
+    env_id = "chemlab/LabManager-v0" if env_id == "manager" else env_id
+    known = _benches()
+    if env_id not in known:
+        raise DataError(f"{where}: scenario: environments are {', '.join(known)}; given {shown(env_id)}")
+    own = known[env_id]
+    for name, value in own.items():
+        asked = given.get("bench" if name == "agent" else name, value)
+        if asked != value:
+            raise DataError(f"{where}: {name}: {env_id} has {value!r}, given {shown(asked)}; name the scenario instead")
+    bench = own.get("bench", own.get("agent", given.pop("bench", None)))
+    given = {**given, "scenario": own.get("scenario", given.get("scenario", "wurtz_dodecane"))}
+    given.pop("bench", None)
+    if "Lab" in env_id:
+        return {**given, "roles": given.get("roles", bench or "manager_0")}
+    return {**given, "bench": bench or "rxn"}
 
 
 class Stage(NamedTuple):
-    """A stage of a curriculum."""
+    """A stage of a curriculum.
+
+    Attributes:
+        until: step at which it is over.
+        shares: share of the episodes by the destination of the vessel that they begin with.
+    """
 
     until: int
-    """The step at which it is over."""
     shares: dict[str, float]
-    """Of the episodes, by what the vessel they begin with is on its way to."""
 
 
 BACKWARD = "backward"
@@ -584,20 +588,19 @@ _WHOLE = 0.6
 """Share of a run after which every episode is a whole one, by ``backward``."""
 
 
-def curriculum_of(arguments: TrainArguments, benches: Sequence[str]) -> list[Stage]:
-    """The stages of a run, in order; after the last all episodes begin with the scenario's own shelf.
+def curriculum_of(arguments: Single, benches: Sequence[str]) -> list[Stage]:
+    """Return the stages of a run, in order; after the last all episodes begin with the scenario's own shelf.
 
-    ``backward`` has a stage for each bench, from the last to the first: whatever is known already and what is new begin
-    equally often.
+    ``backward`` has a stage for each bench, from the last to the first; known and new beginnings are equally frequent.
 
     Args:
         arguments: the run.
         benches: of the scenario, in the order of a workflow.
 
     Raises:
-        ValueError: a stage that is not understood, or stages out of order.
+        ValueError: a stage that cannot be parsed, or stages out of order.
     """
-    stages = []
+    stages: list[Stage] = []
     for text in arguments.curriculum or ():
         if text == BACKWARD:
             for new in range(1, len(benches) + 1):
@@ -617,28 +620,3 @@ def curriculum_of(arguments: TrainArguments, benches: Sequence[str]) -> list[Sta
             )
         stages.append(stage)
     return stages
-
-
-def resolved(arguments: TrainArguments) -> TrainArguments:
-    """The same with every default of ours that depends on the algorithm filled in (SB3's own stay None)."""
-    ours: dict[str, Any] = {
-        f.name: f.metadata["otherwise"]
-        for f in fields(TrainArguments)
-        if type(f.metadata.get("otherwise")) in (int, float)
-    }
-    ours["gradient_steps"] = 256 if arguments.algo in _VALUES else 128
-    values = {
-        name: value
-        for name, value in ours.items()
-        if getattr(arguments, name) is None and arguments.algo in _ONLY.get(name, ALGORITHMS)
-    }
-    return replace(arguments, **values)
-
-
-def label_of(arguments: TrainArguments) -> str:
-    """What figures and tables call it: the preset's name if it is not the paper's, else the algorithm's; both where
-    the algorithm is not the preset's."""
-    if arguments.preset == "paper":
-        return arguments.algo
-    own = PRESETS[arguments.preset].get("algo", arguments.algo)
-    return arguments.preset if arguments.algo == own else f"{arguments.preset}-{arguments.algo}"

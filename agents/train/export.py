@@ -5,7 +5,7 @@ Needs the extra: ``pip install ".[train]"``.
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from ..advice import with_advice
 from ..policies import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..runs import RESULT_SEED, Run
-from .arguments import Arguments, JointArguments, TrainArguments, resolved
+from .arguments import Arguments, Single, training_arguments
 from .tasks import Task, find_task, task_of
 
 try:
@@ -32,7 +32,7 @@ try:
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install ".[train]"') from error
 
-__all__ = ["export_run", "largest_difference", "training_command"]
+__all__ = ["export_run", "largest_difference", "recorded_arguments"]
 
 _TOLERANCE = 1e-5
 
@@ -125,23 +125,20 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
         raise ValueError(f"{folder}: holds no training run (no config.json)")
     if best is None:
         raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
-    team = config["algo"] == "joint"
+    arguments = recorded_arguments(config, str(run.config_file))
+    team = not isinstance(arguments, Single)
     if team != (role is not None) or (role is not None and not (best / f"{role}.safetensors").exists()):
         known = f"give one of its roles: {', '.join(sorted(f.stem for f in best.glob('*.safetensors')))}"
         raise ValueError(f"role: {folder}: {known if team else 'is a run of one role: give none'}; given {role!r}")
-    arguments: Arguments
-    if role is None:
-        arguments = _arguments(config, str(run.config_file))
+    if isinstance(arguments, Single):
         task, trained = find_task(arguments), config["fingerprint"]
     else:
-        values = {f.name: config[f.name] for f in fields(JointArguments) if f.name in config}
-        arguments = JointArguments.as_recorded(values, str(run.config_file))
-        card = load_pretrained(best / role).card
+        card = load_pretrained(best / str(role)).card
         task, trained = task_of(card), card.fingerprint
     if trained != task.fingerprint:
         raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
     model = _learner(best, str(config["algo"]), role)
-    policy = _player(best, config, task, model)
+    policy = _player(best, arguments, config, task, model)
     if model is not None:
         difference = largest_difference(model, policy, _observations(task, policy.card.advice is not None))
         if not difference <= _TOLERANCE:
@@ -177,7 +174,7 @@ def _learner(best: Path, algo: str, role: str | None = None) -> Any:
         return None
 
 
-def _player(best: Path, config: dict[str, Any], task: Task, model: Any) -> PretrainedPolicy:
+def _player(best: Path, arguments: Arguments, config: dict[str, Any], task: Task, model: Any) -> PretrainedPolicy:
     """What plays in a checkpoint."""
     role = task.workplace.key
     if (best / f"{role}.safetensors").exists():
@@ -195,38 +192,23 @@ def _player(best: Path, config: dict[str, Any], task: Task, model: Any) -> Pretr
         label=config["label"],
         seed=config["seed"],
         step=int(best.name.rpartition("-")[2]),
-        command=training_command(config),
+        command=arguments.command_line(),
         versions=config.get("versions", {}),
         evaluation={},
         background=task.background,
     )
 
 
-def _arguments(config: dict[str, Any], where: str = "config") -> TrainArguments:
-    """The arguments a run was begun with; the file has what scenario, bench and goals stand for where not given.
-
-    Raises:
-        ValueError: the file has others than a run of this version.
-    """
-    given = {f.name: config[f.name] for f in fields(TrainArguments) if f.name in config}
-    env_id = str(given.get("env_id"))
-    if env_id in gymnasium.registry and "scenario" in gymnasium.spec(env_id).kwargs:
-        given["scenario"] = None
-    if env_id not in ("chemlab/Bench-v0", "chemlab/LabAgent-v0"):
-        given["bench"] = None
-    return TrainArguments.as_recorded(given, where)
-
-
-def training_command(config: dict[str, Any]) -> str:
-    """What trains a run again: the arguments that are not what the others imply.
+def recorded_arguments(config: dict[str, Any], where: str) -> Arguments:
+    """Return the arguments of a run.
 
     Args:
-        config: a run's ``config.json``.
+        config: its ``config.json``.
+        where: the file, for errors.
+
+    Raises:
+        DataError: they are not those of this version.
     """
-    given = vars(_arguments(config))
-    if given["goals"] == tuple(find_task(_arguments({**config, "goals": None})).goals):
-        given = {**given, "goals": None}
-    implied = vars(resolved(TrainArguments.of({name: given[name] for name in ("env_id", "algo", "preset")})))
-    own = {name: value for name, value in given.items() if value != implied[name]}
-    own |= {name: given[name] for name in ("env_id", "algo", "preset")}
-    return TrainArguments.of(own).command_line()
+    if not isinstance(config.get("arguments"), dict):
+        raise DataError(f"{where}: is of chemlab before 0.3; train it again")
+    return training_arguments({**config["arguments"], "seed": config.get("seed")}, where)

@@ -24,13 +24,10 @@ from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray
 from ..advice import Advisor, with_advice
 from ..policies import Policy
 
-__all__ = ["IMITATED", "LEAST_SPREAD", "fit", "imitate"]
+__all__ = ["fit", "imitate"]
 
-IMITATED = 20_000
-"""Turns to learn from, where nobody says how many."""
-LEAST_SPREAD = 0.02
-"""Standard deviation of a clone's continuous actions, where it hits what it is shown better than that and nobody says
-how widely it is to explore."""
+_SPREAD = 0.02
+"""Least standard deviation of a clone's continuous actions."""
 
 _EPOCHS = 10
 _UPDATES = 1_100
@@ -54,7 +51,7 @@ def imitate(
     seed: int,
     advised: bool = False,
     rounds: int = 1,
-    spread: float = LEAST_SPREAD,
+    spread: float = _SPREAD,
 ) -> float:
     """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns they had.
 
@@ -95,7 +92,7 @@ def fit(
     returns: npt.NDArray[np.float32],
     seed: int,
     lengths: IntArray | None = None,
-    spread: float = LEAST_SPREAD,
+    spread: float = _SPREAD,
 ) -> float:
     """Fit an on-policy learner's actor to the actions of T turns, and its critic to the returns they had.
 
@@ -303,7 +300,7 @@ def _examples(
         following = rewards[t] + gamma * np.where(ends[t], 0.0, following)
         returns[t], kept[t] = following, whole
     if not kept.any():
-        raise ValueError(f"imitate_steps: no episode ended within {steps} turns of {n} environments; give more")
+        raise ValueError(f"bc_steps: no episode ended within {steps} turns of {n} environments; give more")
 
     def in_order(column: list[Any]) -> npt.NDArray[Any]:
         return np.stack(column).swapaxes(0, 1)[kept.T]

@@ -7,8 +7,7 @@ role's reward, elapsed time and episodes are its own.
 Two regimes: ``together`` (all learners are updated after every rollout) and ``in-turns`` (round-robin: one role learns
 for a while, the others play as they are).
 
-Critics see what their agent sees, or the laboratory's true state, too (``critic="state"``: MAPPO where all learn
-together); actors never do.
+Critics observe what their agent observes (IPPO), or the laboratory's true state, too (MAPPO); actors never do.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -24,7 +23,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import load_scenario
 from chemlab.envs.global_state import GlobalState
 from chemlab.envs.players import Players, as_policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
@@ -33,11 +32,12 @@ from chemlab.lab.starts import goals_met
 from chemlab.roles.manager_state import RUNNING
 
 from ..advice import Advisor
+from ..episodes import play_laboratory
 from ..policies import Policy, agent_policy
 from ..pretrained import PretrainedPolicy, load_pretrained
-from ..roles import MANAGER_ROLE, role_of
-from ..runs import Evaluation, Run, RunConfig, RunResult
-from .arguments import JointArguments
+from ..roles import MANAGER_ROLE, chosen_roles, role_of
+from ..runs import Evaluation, Run
+from .arguments import IPPO, MAPPO
 from .experience import Experience
 
 try:
@@ -52,22 +52,14 @@ try:
     from ..centralised import CentralisedPolicy, MaskableCentralisedPolicy
     from ..learners import load_learner, load_team, save_team
     from .checkpoints import load_state, random_state, restore_random_state, save_state
-    from .imitate import IMITATED, LEAST_SPREAD, fit
-    from .loop import (
-        LaboratoryTrainee,
-        Progress,
-        Watcher,
-        described_team,
-        open_run,
-        reached,
-        train_in_rounds,
-        training_versions,
-    )
+    from .imitate import fit
+    from .loop import Progress, Trainee, reached
     from .networks import save_learned
+    from .tasks import rewarded, task_fingerprint
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["JointArguments", "train_together"]
+__all__ = ["Team"]
 
 
 class _Spaces(VecEnv):
@@ -194,19 +186,65 @@ class _Acting:
         return played
 
 
-class _Team(LaboratoryTrainee):
-    """All roles in one batch of laboratories: who learns, who plays, and what comes of it."""
+class Team(Trainee):
+    """Roles of a laboratory in one batch of laboratories; a policy by name plays those that do not learn.
 
-    def __init__(self, arguments: JointArguments, scenario: Scenario, roles: list[str], config: RunConfig) -> None:
-        super().__init__(arguments, scenario)
+    Raises:
+        DataError: unknown scenario.
+        ValueError: unknown role or reward mix, or the policies of the background do not fit.
+    """
+
+    arguments: IPPO
+
+    def __init__(self, arguments: IPPO) -> None:
         a = self.arguments = arguments
-        self._config = config
+        self.steps, self._background = a.steps, a.background or "scripted"
+        self.scenario = rewarded(a.scenario, a.rewards)
+        labs = Laboratories(load_scenario(a.scenario), 1)
+        # A run may reward a role otherwise than the scenario does: it is the same task.
+        self._workplaces = {role_of(agent): labs.role(number) for number, agent in reversed([*enumerate(labs.agents)])}
+        labs = Laboratories(self.scenario, 1)
+        self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
+        for number, agent in enumerate(labs.agents):
+            if role_of(agent) not in self.learning:
+                agent_policy(self._background, labs, number)
+        roles, goals = ",".join(self.learning), list(self.scenario.lab_goals)
+        self.config = self.described(a.scenario, roles, goals, task_fingerprint(a))
+        self.config = self.config.model_copy(update={"background": self._background})
         self._taken: dict[str, PretrainedPolicy] | None = None
+
+    def check(self) -> None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        labs = Laboratories(self.scenario, 1)
+        for number, agent in enumerate(labs.agents):
+            if self.arguments.bc is not None and role_of(agent) in self.learning:
+                agent_policy(self.arguments.bc, labs, number)
+        if self.arguments.begin_from is not None:
+            self.make()
+            self._begin_from(self.arguments.begin_from)
+
+    def begin(self, run: Run) -> Progress:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        a, last = self.arguments, run.checkpoint("last")
+        self.make()
+        if last is not None:
+            return self._load(last)
+        progress = Progress()
+        if a.bc is not None:
+            begun = time.perf_counter()
+            self.imitate(a.bc, a.bc_steps, a.bc_rounds)
+            progress.seconds = time.perf_counter() - begun
+        if a.begin_from is not None:
+            self._begin_from(a.begin_from)
+        return progress
+
+    def make(self) -> None:
+        """Make the laboratories, and learners that have learned nothing yet."""
+        a = self.arguments
         self.labs = labs = Laboratories(self.scenario, a.envs, split=a.split)
         # A share of the laboratory's result comes long after the experiment: then an episode is the laboratory's.
         self._shared = self.scenario.rewards.bench_team > 0.0
-        self._whole = GlobalState(labs) if a.critic == "state" else None
-        self.learning = roles
+        self._whole = GlobalState(labs) if isinstance(a, MAPPO) else None
         self.learners: dict[str, _Learner] = {}
         for role in self.learning:
             number = next(i for i, agent in enumerate(labs.agents) if role_of(agent) == role)
@@ -234,7 +272,7 @@ class _Team(LaboratoryTrainee):
             "gae_lambda": a.gae_lambda,
             "seed": a.seed,
             "device": "cpu",
-            "policy_kwargs": {} if a.net_arch is None else {"net_arch": list(a.net_arch)},
+            "policy_kwargs": {"net_arch": list(a.net_arch)},
         }
         network: Any = "MlpPolicy"
         if self._whole is not None:
@@ -277,7 +315,7 @@ class _Team(LaboratoryTrainee):
             teacher = None if shown is None else Advisor(agent_policy(shown, labs, number, seed))
             own = as_policy(learner.model) if tried else None
             return _Acting(learner, self._stream(number), labs.state.ticks, self._whole, teacher, own)
-        return agent_policy(self.arguments.background, labs, number, seed)
+        return agent_policy(self._background, labs, number, seed)
 
     def imitate(self, shown: str, turns: int, rounds: int = 1) -> dict[str, float]:
         """Make every learner the clone of a policy that plays its role in these laboratories, which then begin anew.
@@ -319,8 +357,7 @@ class _Team(LaboratoryTrainee):
         returns = e.advantages(model.gamma, 1.0, a.by_ticks)[rows].astype(np.float32)  # of values that are zero
         masks = e.mask[rows] if isinstance(model, MaskablePPO) else None
         actions = e.action[rows].astype(np.int64 if masks is not None else np.float32)
-        spread = a.imitate_spread or LEAST_SPREAD
-        return fit(model, e.observation[rows], masks, actions, returns, a.seed, spread=spread)
+        return fit(model, e.observation[rows], masks, actions, returns, a.seed, spread=a.bc_std)
 
     def collect(self) -> None:
         """One rollout: every laboratory plays ``rollout`` rounds, and begins anew where its episode ends."""
@@ -370,9 +407,24 @@ class _Team(LaboratoryTrainee):
         returns, self.returns = self.returns, []
         return turns, returns
 
-    def learned(self) -> Mapping[str, Policy]:
-        """See :class:`~chemlab.agents.train.loop.LaboratoryTrainee`."""
-        return self._taken or {role: as_policy(learner.model) for role, learner in self.learners.items()}
+    def scores(self, episodes: int, seed: int) -> dict[str, float]:
+        """See :class:`~chemlab.agents.train.loop.Trainee`: scores of the laboratory."""
+        own = {role: as_policy(learner.model) for role, learner in self.learners.items()}
+        return self._played(self._taken or own, episodes, seed)
+
+    def scripted(self, episodes: int, seed: int) -> dict[str, float]:
+        """See :class:`~chemlab.agents.train.loop.Trainee`: the background plays every role."""
+        return self._played({}, episodes, seed)
+
+    def _played(self, learned: Mapping[str, Policy], episodes: int, seed: int) -> dict[str, float]:
+        labs = Laboratories(self.scenario, episodes, split=self.arguments.evaluation_split)
+        policies = {
+            agent: learned.get(role_of(agent)) or agent_policy(self._background, labs, number, seed)
+            for number, agent in enumerate(labs.agents)
+        }
+        return {
+            goal: float(play_laboratory(labs, policies, goal, seed).returns.mean()) for goal in self.scenario.lab_goals
+        }
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
@@ -384,18 +436,18 @@ class _Team(LaboratoryTrainee):
                 save_learned(
                     folder,
                     self.learners[role].model,
-                    self.workplaces[role],
-                    self._config,
+                    self._workplaces[role],
+                    self.config,
                     goals=goals_met(self.scenario, role) if number else list(self.scenario.lab_goals),
                     starts="lab",
                     step=progress.step,
                     command=self.arguments.command_line(),
                     evaluation=reached(self.arguments, evaluation),
-                    background=self.arguments.background,
+                    background=self._background,
                 )
 
-    def load(self, folder: Path) -> Progress:
-        """Go on from a checkpoint."""
+    def _load(self, folder: Path) -> Progress:
+        """Resume from a checkpoint."""
         state = load_state(folder)
         for role, model in load_team(folder).items():
             mine = self.learners[role].model
@@ -409,6 +461,9 @@ class _Team(LaboratoryTrainee):
     def take(self, folder: Path) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         self._taken = {role: load_pretrained(folder / role) for role in self.learners}
+
+    def close(self) -> None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`: there is nothing to release."""
 
     def get_state(self) -> dict[str, Any]:
         """Everything that changes but the learners' networks."""
@@ -425,72 +480,39 @@ class _Team(LaboratoryTrainee):
             learner.experience.set_state(state["experience"][role])
         self._players.set_memory(state["memories"])
 
-
-def train_together(arguments: JointArguments, out: Path, watcher: Watcher | None = None) -> RunResult:
-    """Train, or go on training, or return the result of a run that is finished.
-
-    Args:
-        arguments: who learns what.
-        out: the run's folder; what is in it is described in :mod:`chemlab.agents.runs`, and a checkpoint has
-            a model for each role.
-        watcher: is told how it goes.
-
-    Raises:
-        ValueError: the folder holds another run, another process trains it, or an argument is wrong.
-        DataError: unknown scenario.
-    """
-    run, label = Run(out), f"joint-{arguments.regime}"
-    scenario, roles, described = described_team(arguments, label, "joint", training_versions())
-
-    def check() -> None:
-        labs = Laboratories(scenario, 1)
-        for number, agent in enumerate(labs.agents):
-            if arguments.imitate is not None and role_of(agent) in roles:
-                agent_policy(arguments.imitate, labs, number)
-        if arguments.begin_from is not None:
-            _begin_from(arguments.begin_from, _Team(arguments, scenario, roles, described))
-
-    def go_on() -> RunResult:
-        team, last = _Team(arguments, scenario, roles, described), run.checkpoint("last")
-        progress = Progress() if last is None else team.load(last)
-        if last is None and arguments.imitate is not None:
-            begun = time.perf_counter()
-            team.imitate(arguments.imitate, arguments.imitate_steps or IMITATED, arguments.imitate_rounds or 1)
-            progress.seconds = time.perf_counter() - begun
-        if last is None and arguments.begin_from is not None:
-            _begin_from(arguments.begin_from, team)
-        return train_in_rounds(run, described, team, arguments, progress, watcher)
-
-    return open_run(run, described, arguments, go_on, check)
-
-
-def _begin_from(text: str, team: _Team) -> None:
-    """Start from the best models of another joint run, or of single runs: in folders of the roles' names, or given as
-    ``ROLE=FOLDER``, separated by commas."""
-    pairs = [part.partition("=") for part in text.split(",")]
-    named = {role: Path(folder) for role, equals, folder in pairs if equals}
-    unknown = [role for role in named if role not in team.learners]
-    if unknown:
-        raise ValueError(f"begin_from: nobody called {', '.join(unknown)} learns; roles: {', '.join(team.learners)}")
-    whole = None if named else Run(Path(text)).checkpoint("best")
-    found = {} if whole is None else load_team(whole)
-    for role, learner in team.learners.items():
-        if role not in found:
-            single = Run(named[role] if role in named else Path(text) / role)
-            best, config = single.checkpoint("best"), single.config()
-            if best is None or config is None:
-                if role in named:
-                    raise ValueError(f"begin_from: {single.path}: holds no training run with a checkpoint")
-                continue
-            found[role] = load_learner(best, str(config["algo"]))
-        model, mine = found[role], learner.model
-        if (model.observation_space, model.action_space) != (mine.observation_space, mine.action_space):
-            raise ValueError(f"begin_from: {text}: {role} was trained for other spaces ({model.observation_space})")
-        learned, own = model.policy.state_dict(), mine.policy.state_dict()
-        if {name.partition(".")[0] for name in learned} != {name.partition(".")[0] for name in own}:
-            raise ValueError(f"begin_from: {text}: {role} was trained by an algorithm that has other networks")
-        if {name: layer.shape for name, layer in learned.items()} != {name: layer.shape for name, layer in own.items()}:
-            raise ValueError(f"begin_from: {text}: {role} has other hidden layers; give them with --net-arch")
-        mine.policy.load_state_dict(learned)
-    if not found:
-        raise ValueError(f"begin_from: {text}: holds neither a joint run nor runs of {', '.join(team.learners)}")
+    def _begin_from(self, text: str) -> None:
+        """Start from the best models of another run of several roles, or of runs of one role: a folder with folders of
+        the roles' names, or ``ROLE=FOLDER``, separated by commas."""
+        pairs = [part.partition("=") for part in text.split(",")]
+        named = {role: Path(folder) for role, equals, folder in pairs if equals}
+        unknown = [role for role in named if role not in self.learners]
+        if unknown:
+            raise ValueError(
+                f"begin_from: nobody called {', '.join(unknown)} learns; roles: {', '.join(self.learners)}"
+            )
+        whole = None if named else Run(Path(text)).checkpoint("best")
+        found = {} if whole is None else load_team(whole)
+        for role, learner in self.learners.items():
+            if role not in found:
+                single = Run(named[role] if role in named else Path(text) / role)
+                best, config = single.checkpoint("best"), single.config()
+                if best is None or config is None:
+                    if role in named:
+                        raise ValueError(f"begin_from: {single.path}: holds no training run with a checkpoint")
+                    continue
+                found[role] = load_learner(best, str(config["algo"]))
+            model, mine = found[role], learner.model
+            if (model.observation_space, model.action_space) != (mine.observation_space, mine.action_space):
+                raise ValueError(f"begin_from: {text}: {role} was trained for other spaces ({model.observation_space})")
+            learned, own = model.policy.state_dict(), mine.policy.state_dict()
+            if {name.partition(".")[0] for name in learned} != {name.partition(".")[0] for name in own}:
+                raise ValueError(f"begin_from: {text}: {role} was trained by an algorithm that has other networks")
+            if {name: layer.shape for name, layer in learned.items()} != {
+                name: layer.shape for name, layer in own.items()
+            }:
+                raise ValueError(f"begin_from: {text}: {role} has other hidden layers; give them with --net-arch")
+            mine.policy.load_state_dict(learned)
+        if not found:
+            raise ValueError(
+                f"begin_from: {text}: holds neither a run of several roles nor runs of {', '.join(self.learners)}"
+            )

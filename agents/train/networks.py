@@ -60,8 +60,8 @@ def save_learned(folder: Path, model: Any, workplace: Workplace, config: RunConf
         config: of the run.
         card: what the card says besides: ``goals``, ``starts``, ``step``, ``command``, ``evaluation``, ``background``.
     """
-    told, role = config.as_dict(), workplace.key
-    own = {name: told[name] for name in ("env_id", "algo", "label", "seed", "versions")}
+    role = workplace.key
+    own = {name: getattr(config, name) for name in ("env_id", "algo", "label", "seed", "versions")}
     policy = learned_policy(model, workplace, name=role, **own, **card)
     save_policy(folder / role, policy.card, policy.weights)
 

@@ -1,18 +1,18 @@
 """Many training runs as jobs of an executor, each in a process of its own.
 
-A sweep file is TOML: any number of ``[[runs]]``, first come first served. Each names environments (``env_id``,
-``scenario``), algorithms or presets (``algo``, ``preset``) and ``seeds`` (a list, or how many), one or several of each,
-and may set any other argument of ``chemlab train`` for all of them; ``[defaults]`` sets them for the whole file::
+A sweep file is TOML with any number of ``[[runs]]``, which run in their order. Each names scenarios or environments
+(``scenario``), algorithms or presets (``algo``, ``preset``) and ``seeds`` (a list, or their number), one or several of
+each, and may set any other argument of ``chemlab train``; ``[defaults]`` sets them for the whole file::
 
     [[runs]]
-    env_id = ["chemlab/WurtzReaction-v0", "chemlab/FictitiousReaction-v0"]
+    scenario = ["chemlab/WurtzReaction-v0", "chemlab/FictitiousReaction-v0"]
     algo = ["ppo", "sac"]
     seeds = 5
     steps = 300_000
 
-Within a table the first seed of everything comes first. A run stands in ``OUT/BENCH/LABEL/seed-N``, where the label is
-the algorithm (or preset), or the table's ``name``. A run that is finished is not run again, an interrupted one goes on
-from its checkpoint, a failed one is tried again by the next sweep; what runs say is in ``log.txt`` in their folders.
+Within a table the first seed of every combination runs first. A run's folder is ``OUT/TASK/LABEL/seed-N``; the label
+is the algorithm (or preset), or the table's ``name``. A finished run is not repeated, an interrupted one resumes from
+its checkpoint, a failed one is tried again by the next sweep; each run's output is in ``log.txt`` in its folder.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from chemlab.config.parts import may_run
 
 from ..executors import WorkerLost, run_chemlab
 from ..runs import Run, RunBusy, differences, to_text
-from .arguments import TrainArguments, label_of, resolved
+from .arguments import Arguments, training_arguments
 from .tasks import task_fingerprint
 
 __all__ = ["STATES", "Planned", "Status", "plan", "run_sweep", "status_of"]
@@ -54,7 +54,7 @@ class Planned:
     """One run of a sweep."""
 
     name: str
-    arguments: TrainArguments
+    arguments: Arguments
     run: Run
 
     @property
@@ -99,8 +99,8 @@ def plan(file: Path, out: Path) -> list[Planned]:
         for turn, seed in enumerate(_seeds(values.get("seeds", 1), where)):
             for chosen in itertools.product(*(_several(values, key) for key in _LISTS)):
                 own = {k: v for k, v in values.items() if k not in _OWN}
-                arguments = TrainArguments.of({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
-                label = str(values.get("name", label_of(arguments)))
+                arguments = training_arguments({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
+                label = str(values.get("name", arguments.label))
                 path = out / _folder(arguments, label, where)
                 one = Planned(path.relative_to(out).as_posix(), arguments, Run(path))
                 if path in found and found[path].arguments != arguments:
@@ -112,7 +112,7 @@ def plan(file: Path, out: Path) -> list[Planned]:
     return [found[path] for path in sorted(found, key=turns.__getitem__)]
 
 
-def _folder(arguments: TrainArguments, label: str, where: str) -> Path:
+def _folder(arguments: Arguments, label: str, where: str) -> Path:
     """Where a run stands, below the folder of results and nowhere else."""
     folder = arguments.folder(label)
     if len(folder.parts) != 3 or not all(_FOLDER.fullmatch(part) for part in folder.parts):
@@ -147,16 +147,12 @@ def status_of(planned: Planned) -> Status:
     config = run.config()
     if config is None:
         return _unfinished(planned, 0, None, "waiting")
-    given = {
-        name: value
-        for name, value in vars(resolved(planned.arguments)).items()
-        # The file has what these stand for where they are not given.
-        if value is not None or name not in ("scenario", "bench", "goals")
-    }
-    now = {"fingerprint": task_fingerprint(planned.arguments)}
-    found = differences(config, {**config, **given, **now}, vars(TrainArguments()))
-    if found:
-        return Status("other", 0, steps, None, f"{', '.join(found.values())}: {run.path}")
+    now = planned.arguments
+    expected = {"arguments": now.changed(), "seed": now.seed, "fingerprint": task_fingerprint(now)}
+    found = differences(config, {**config, **expected})
+    if config.get("arguments") is None or found:
+        what = ", ".join(found.values()) if config.get("arguments") is not None else "of chemlab before 0.3"
+        return Status("other", 0, steps, None, f"{what}: {run.path}")
     result = run.result()
     if result is not None:
         return Status("done", result.steps, result.steps, result.mean)
@@ -225,7 +221,7 @@ def run_sweep(
 
 def _words(one: Planned) -> list[str]:
     """The command that trains a run."""
-    words = ["train", one.arguments.env_id, *one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
+    words = ["train", one.arguments.scenario, *one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
     return [*words, "--trust"] if may_run(otherwise=False) else words
 
 

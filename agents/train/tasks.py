@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import gymnasium
 import numpy as np
 from gymnasium.vector import AutoresetMode
 
@@ -26,9 +25,9 @@ from ..episodes import play_bench, play_laboratory
 from ..policies import Policy, agent_policy, bench_policy, is_scripted
 from ..pretrained import Card, Workplace, fingerprint, given_as
 from ..roles import MANAGER_ROLE
-from .arguments import TrainArguments
+from .arguments import PPO, Arguments, Single
 
-__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "task_fingerprint", "task_of"]
+__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "rewarded", "task_fingerprint", "task_of"]
 
 
 class Task(ABC):
@@ -81,7 +80,7 @@ class Task(ABC):
             ValueError: unknown name, or it is not a laboratory's manager that learns.
         """
         if self.workplace.key != MANAGER_ROLE:
-            raise ValueError(f"advice: is for a laboratory's manager; {self.agent} learns here")
+            raise ValueError(f"hints: are for a laboratory's manager; {self.agent} learns here")
         return Advisor(self.policy(name), self.workplace.action_count)
 
     def advised(self, policy: Policy, advice: str | None) -> Policy:
@@ -251,47 +250,39 @@ def task_of(card: Card) -> Task:
     return LaboratoryTask(card.scenario, agent, card.background or "scripted", goals)
 
 
-def task_fingerprint(arguments: TrainArguments) -> str:
-    """The fingerprint of what the arguments' environment id stands for; errors as :func:`find_task`."""
-    # Whoever asks has hundreds of runs of a few tasks.
-    return _fingerprint(arguments.env_id, arguments.scenario, arguments.bench, arguments.actions)
+def task_fingerprint(arguments: Arguments) -> str:
+    """Return the fingerprint of the arguments' task; errors as :func:`find_task`."""
+    # A sweep has hundreds of runs of a few tasks.
+    names = ("scenario", "bench", "roles", "actions", "rewards")
+    return _fingerprint(*(getattr(arguments, name, None) for name in names), isinstance(arguments, Single))
 
 
 @cache
-def _fingerprint(env_id: str, scenario: str | None, bench: str | None, actions: str | None) -> str:
-    return find_task(TrainArguments(env_id=env_id, scenario=scenario, bench=bench, actions=actions)).fingerprint
+def _fingerprint(scenario: str, bench: str | None, roles: Any, actions: Any, rewards: str | None, one: bool) -> str:
+    if one:
+        return find_task(PPO(scenario=scenario, bench=bench, roles=roles, actions=actions)).fingerprint
+    return fingerprint(Laboratories(rewarded(scenario, rewards), 1).role(0))
 
 
-def find_task(arguments: TrainArguments) -> Task:
-    """What the arguments' environment id stands for.
+def rewarded(scenario: str, rewards: str | None) -> Scenario:
+    """Load a scenario, with another reward mix if one is named."""
+    loaded = load_scenario(scenario)
+    return loaded if rewards is None else loaded.with_rewards(rewards)
+
+
+def find_task(arguments: Single) -> Task:
+    """Return the task of a run's arguments.
 
     Raises:
         DataError: unknown scenario, bench, goal or starting states.
-        ValueError: not an environment of chemlab's, or a scenario, bench or agent for one that has its own.
+        ValueError: an argument is for the other kind of task.
     """
-    env_id = arguments.env_id
-    known = {
-        name: spec.kwargs
-        for name, spec in gymnasium.registry.items()
-        if spec.vector_entry_point and "chemlab." in str(spec.entry_point)
-    }
-    if env_id not in known:
-        raise ValueError(f"env_id: known: {', '.join(known)}; given {env_id!r}")
-    own = known[env_id]
-    laboratory = ".background:" in str(gymnasium.spec(env_id).entry_point)
-    asked = {"scenario": arguments.scenario, ("agent" if laboratory else "bench"): arguments.bench}
-    for name, value in asked.items():
-        if value is not None and own.get(name, value) != value:
-            other = "chemlab/LabAgent-v0" if laboratory else "chemlab/Bench-v0"
-            raise ValueError(f"{name}: {env_id} has {own[name]!r}; another needs {other}, given {value!r}")
-    task = {**own, **{name: value for name, value in asked.items() if value is not None}}
-    scenario = load_scenario(task.get("scenario", "wurtz_dodecane")).with_actions(arguments.actions)
-    splits = arguments.split, arguments.evaluation_split
-    if not laboratory:
-        if arguments.background is not None:
-            raise ValueError(f"background: {env_id} is a bench on its own, given {arguments.background!r}")
-        return BenchTask(scenario, task.get("bench", "rxn"), arguments.goals, arguments.starts, splits)
-    if arguments.starts != "paper":
-        raise ValueError(f"starts: {env_id} begins with the scenario's own shelf, given {arguments.starts!r}")
-    agent = task.get("agent", MANAGER_AGENT)
-    return LaboratoryTask(scenario, agent, arguments.background or "scripted", arguments.goals, splits)
+    a, splits = arguments, (arguments.split, arguments.evaluation_split)
+    scenario = load_scenario(a.scenario).with_actions(a.actions)
+    if a.bench is not None:
+        if a.background is not None:
+            raise ValueError(f"background: {a.bench} is a bench on its own, given {a.background!r}")
+        return BenchTask(scenario, a.bench, a.goals, a.starts, splits)
+    if a.starts != "paper":
+        raise ValueError(f"starts: a laboratory begins with the scenario's own shelf, given {a.starts!r}")
+    return LaboratoryTask(scenario, a.agent, a.background or "scripted", a.goals, splits)

@@ -14,7 +14,7 @@ __all__ = ["PANELS", "app", "main"]
 
 PANELS: dict[str, tuple[str, ...]] = {
     "Play": ("run", "play", "list", "describe"),
-    "Train": ("train", "train-together", "train-rllib", "sweep", "export", "starts"),
+    "Train": ("train", "sweep", "export", "starts"),
     "Compare": ("evaluate", "benchmark", "crossplay", "audit"),
     "Author": ("check", "new", "generate", "data"),
     "Records": ("verify", "replay", "plot", "demos"),

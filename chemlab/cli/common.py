@@ -90,17 +90,23 @@ FORMER_COMMANDS: dict[str, tuple[str, ...]] = {
     "compare": ("evaluate",),
     "plan": ("audit", "plan"),
     "difficulty": ("audit", "difficulty"),
+    "demos": ("export", "demos"),
     "figures": ("plot", "runs"),
     "material": ("data", "material"),
     "pairs": ("data", "pairs"),
     "reactions": ("data", "reactions"),
+    "starts": ("export", "starts"),
+    "train-together": ("train", "--algo", "ippo"),
 }
 """Former commands with the words that replace them; they work for one release, with a notice on stderr."""
+REMOVED_COMMANDS: dict[str, str] = {"train-rllib": "recipes/rllib.py in the repository trains with RLlib"}
 
 
 def _current_command(args: list[str]) -> list[str]:
     """Replace a former command by its present words."""
     at = next((i for i, word in enumerate(args) if not word.startswith("-")), None)
+    if at is not None and args[at] in REMOVED_COMMANDS:
+        raise typer.BadParameter(f"chemlab {args[at]} is no longer a command; {REMOVED_COMMANDS[args[at]]}")
     if at is None or args[at] not in FORMER_COMMANDS:
         return args
     words = FORMER_COMMANDS[args[at]]

@@ -8,15 +8,15 @@ import signal
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Optional, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Optional
 
 import typer
 from rich.box import SIMPLE
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
+from typer.core import TyperCommand
 
-from ..agents.train.arguments import Arguments, JointArguments, RllibArguments, TrainArguments, help_of
 from ..config.files import check_apart, check_target
 from .common import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out, readable_errors
 from .screen import page, plain
@@ -114,96 +114,119 @@ def _number(value: float | None) -> str:
     return "" if value is None else f"{value:.3f}"
 
 
-def _single() -> Any:
-    from ..agents.train.learn import train
-
-    return train
-
-
-def _joint() -> Any:
-    from ..agents.train.joint import train_together
-
-    return train_together
+_FIRST = ("roles", "bench", "algo")
+_OLD_OPTIONS = {"imitate": str, "imitate_steps": int, "imitate_rounds": int, "imitate_spread": float}
+_OLD_OPTIONS |= {"advice": str, "critic": str, "scenario": str}
 
 
-def _rllib() -> Any:
-    from ..agents.rllib.train import train_rllib
+def _options() -> list[Any]:
+    """Make an option for each argument of each algorithm."""
+    from ..agents.train.arguments import ALGORITHMS, PRESETS, Arguments, Single
 
-    return train_rllib
-
-
-def _command(kind: type[Arguments], trainer: Callable[[], Any], about: str, folder_help: str) -> None:
-    """Add a command with one option for each field of a dataclass: there is one list of arguments.
-
-    ``trainer`` imports, when it is needed, the function of (arguments, folder, watcher) that trains.
-    """
-    hints = get_type_hints(kind)
-    parameters: list[tuple[str, Any, Any]] = []
-    for f in kind.ordered():
-        kinds = [k for k in (get_args(hints[f.name]) or (hints[f.name],)) if k is not type(None)]
-        taken: Any = list[get_args(kinds[0])[0]] if get_origin(kinds[0]) is tuple else kinds[0]  # type: ignore[misc]
-        if not f.kw_only:
-            text = typer.Argument(help=f.metadata["help"])
-            parameters.append((f.name, Annotated[taken, text], inspect.Parameter.empty))
-            continue
-        # No flag is None, so that what was given wins over file and preset, which win over the field's default.
-        option = typer.Option(f"--{f.name.replace('_', '-')}", help=help_of(f), show_default=False)
-        parameters.append((f.name, Annotated[Optional[taken], option], None))  # noqa: UP045 - made at run time
-    config = typer.Option("--config", help="TOML file with any of these arguments; flags win.", show_default=False)
-    folder = typer.Option("--out", help=folder_help, show_default=False)
-    quiet = typer.Option("--quiet", help="No progress bar; a line for each evaluation.")
-    parameters.append(("config", Annotated[Optional[Path], config], None))  # noqa: UP045
-    parameters.append(("out", Annotated[Optional[Path], folder], None))  # noqa: UP045
-    parameters.append(("quiet", Annotated[bool, quiet], False))
-    parameters.append(("trust", TrustOption, False))
-    parameters.append(("as_json", JsonOption, False))
-
-    def run(**given: Any) -> None:
-        config, folder, quiet, as_json, _ = (given.pop(name) for name in ("config", "out", "quiet", "as_json", "trust"))
-        flags = {name: value for name, value in given.items() if value is not None and value != []}
-        with readable_errors():
-            arguments = kind.load(config, flags)
-            train, place = trainer(), folder or Path("runs") / arguments.folder()
-            _watched(place, quiet, as_json, lambda watcher: train(arguments, place, watcher))
-
-    run.__doc__ = about
+    found: dict[str, dict[str, Any]] = {name: {} for name in (*_FIRST, *Arguments.model_fields)}
+    for algo, model in ALGORITHMS.items():
+        for name, field in model.model_fields.items():
+            found.setdefault(name, {})[algo] = field
+    del found["scenario"]
+    one = [algo for algo, model in ALGORITHMS.items() if issubclass(model, Single)]
+    choices = {"algo": ", ".join(ALGORITHMS), "preset": ", ".join(PRESETS)}
+    hints = {name: _hint(name, kind, "", hidden=True) for name, kind in _OLD_OPTIONS.items()}
+    for name, fields in found.items():
+        field, algos = list(fields.values())[-1], list(fields)
+        text = f"{str(field.description).rstrip('.')}: {choices[name]}." if name in choices else str(field.description)
+        text += _default_text(fields) if name != "algo" else " Default: ppo for one agent, ippo for several."
+        panel = {len(ALGORITHMS): "Every algorithm", len(one): "One agent" if algos == one else None}.get(len(algos))
+        shape = str(field.annotation)
+        kind: Any = int if "int" in shape else float if "float" in shape else bool if "bool" in shape else str
+        hints[name] = _hint(name, list[kind] if "tuple" in shape else kind, text, panel or ", ".join(algos))
     keyword = inspect.Parameter.KEYWORD_ONLY
-    run.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
-        [inspect.Parameter(name, keyword, default=default, annotation=hint) for name, hint, default in parameters]
+    made, options = typer.Typer(add_completion=False), lambda **_: None
+    options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [inspect.Parameter(name, keyword, default=None, annotation=hint) for name, hint in hints.items()]
     )
-    run.__annotations__ = {name: hint for name, hint, _ in parameters}
-    app.command(kind.command)(run)
+    options.__annotations__ = hints
+    made.command()(options)
+    return list(typer.main.get_command(made).params)
 
 
-_command(
-    TrainArguments,
-    _single,
-    """Train a bench's agent, or one role of a laboratory; a run that was interrupted goes on where it was.
+def _hint(name: str, kind: Any, text: str, panel: str = "", hidden: bool = False) -> Any:
+    flag = f"--{name.replace('_', '-')}"
+    # An option that is not given is None, so that what was given wins over file and preset.
+    option = typer.Option(flag, help=text, hidden=hidden, show_default=False, rich_help_panel=panel or None)
+    return Annotated[Optional[kind], option]  # noqa: UP045 - made at run time
 
+
+def _default_text(fields: dict[str, Any]) -> str:
+    """Describe the default of an argument, which may depend on the algorithm."""
+    defaults: dict[str, list[str]] = {}
+    for algo, field in fields.items():
+        value = field.default
+        shown = " ".join(map(str, value)) if isinstance(value, tuple) else "" if value is None else str(value)
+        defaults.setdefault(shown, []).append(algo)
+    (usual, _), *others = sorted(defaults.items(), key=lambda item: -len(item[1]))
+    apart = "; ".join(f"{', '.join(algos)}: {value}" for value, algos in others if value)
+    return f" Default: {usual}{f' ({apart})' if apart else ''}." if usual else ""
+
+
+class _Train(TyperCommand):
+    """The command with the options of every algorithm, added when they are first needed: pydantic is slow to import."""
+
+    _more: tuple[str, ...] = ()
+
+    def get_params(self, ctx: Any) -> list[Any]:
+        if not self._more:
+            options = _options()
+            self._more = tuple(option.name for option in options)
+            self.params += options
+        return super().get_params(ctx)
+
+    def invoke(self, ctx: Any) -> Any:
+        ctx.obj = {name: ctx.params.pop(name) for name in self._more}
+        return super().invoke(ctx)
+
+
+def _given(values: dict[str, Any], target: str) -> dict[str, Any]:
+    """Return the arguments that were given; an old ``--scenario`` says the scenario of an environment id."""
+    flags = {name: value for name, value in values.items() if value not in (None, (), [], False)}
+    return {**flags, "env_id": target} if "scenario" in flags else {**flags, "scenario": target}
+
+
+@app.command(cls=_Train)
+def train(
+    ctx: typer.Context,
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENARIO",
+            help="A scenario (name or path), or the id of an environment of one agent (chemlab/WurtzReaction-v0).",
+        ),
+    ],
+    config: Annotated[
+        Optional[Path],  # noqa: UP045 - read at run time
+        typer.Option("--config", help="TOML file with any of these arguments; flags win.", show_default=False),
+    ] = None,
+    folder: Annotated[
+        Optional[Path],  # noqa: UP045
+        typer.Option("--out", help="The run's folder. Default: runs/TASK/ALGO/seed-SEED.", show_default=False),
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar; a line for each evaluation.")] = False,
+    trust: TrustOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Train a bench, an agent of a laboratory, or several roles together; an interrupted run resumes.
+
+    --bench trains a bench on its own, --roles one agent in its laboratory, or several (algorithms ippo and mappo).
     Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations beside the
     scripted policy, checkpoints, TensorBoard logs, and at the end result.json.
-    """,
-    "The run's folder. Default: runs/BENCH/ALGO/seed-SEED.",
-)
-_command(
-    JointArguments,
-    _joint,
-    """Train several roles of a laboratory together, a learner for each; an interrupted run goes on where it was.
+    """
+    with readable_errors():
+        from ..agents.train.arguments import load_arguments
 
-    Returns are the laboratory's scores. The run's folder is like that of train, with a model for each role.
-    """,
-    "The run's folder. Default: runs/SCENARIO-joint/REGIME/seed-SEED.",
-)
-_command(
-    RllibArguments,
-    _rllib,
-    """Train roles of a laboratory with Ray RLlib, here or on a cluster; an interrupted run goes on where it was.
+        arguments = load_arguments(config, _given(ctx.obj, target))
+        from ..agents.train import learn
 
-    Returns are the laboratory's scores. A lost env runner is replaced. The run's folder is like that of train, with
-    a policy for each role that plays without Ray: chemlab evaluate SCENARIO --policy FOLDER.
-    """,
-    "The run's folder. Default: runs/SCENARIO-rllib/ROLES/seed-SEED.",
-)
+        place = folder or Path("runs") / arguments.folder()
+        _watched(place, quiet, as_json, lambda watcher: learn.train(arguments, place, watcher))
 
 
 # -- sweep ------------------------------------------------------------------------------------------------------------

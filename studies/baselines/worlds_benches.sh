@@ -9,7 +9,7 @@ results=${1:-results}
 seeds=${*:2}
 
 bench() { # SCENARIO STEPS EPISODES ARGUMENT ...
-    chemlab train-together "$1" --steps "$2" --imitate scripted --rewards mixed --envs 128 --rollout 64 --batch-size 1024 \
+    chemlab train "$1" --algo ippo --steps "$2" --bc scripted --rewards mixed --envs 128 --rollout 64 --batch-size 1024 \
         --ent-coef 0 --eval-episodes "$3" --final-episodes 100 --seed "$seed" --out "$results/$1-joint/benches/seed-$seed" \
         --quiet "${@:4}"
 }
@@ -19,7 +19,7 @@ learn() { # SCENARIO STEPS SPREAD ROLE ...: how widely clones explore at least
     for role in "${@:4}"; do
         roles+=(--roles "$role")
     done
-    bench "$1" "$2" 60 "${roles[@]}" --imitate-steps 60000 --imitate-spread "$3" --evaluations 20
+    bench "$1" "$2" 60 "${roles[@]}" --bc-steps 60000 --bc-std "$3" --evaluations 20
 }
 
 for seed in ${seeds:-0 1 2 3 4}; do
@@ -31,6 +31,6 @@ for seed in ${seeds:-0 1 2 3 4}; do
     learn campaign 500000 0.3 rxn
     learn failing 500000 0.02 east west # more widely exploring they lose what they were shown
     # With the settings above, benches of crude come to less than the scripted ones.
-    bench crude 100000 100 --roles ext --roles dit --imitate-steps 40000 --imitate-rounds 5 --epochs 6 --net-arch 128 \
+    bench crude 100000 100 --roles ext --roles dit --bc-steps 40000 --bc-rounds 5 --epochs 6 --net-arch 128 \
         --net-arch 128 --learning-rate 1e-4 --evaluations 10
 done

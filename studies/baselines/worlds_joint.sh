@@ -6,22 +6,22 @@ set -euo pipefail
 results=${1:-results}
 seeds=${*:2}
 
-together() { # SCENARIO CRITIC STEPS ARGUMENT ...
-    folder=together$([ "$2" = own ] || echo "-$2")
-    chemlab train-together "$1" --critic "$2" --steps "$3" --envs 128 --evaluations 8 --eval-episodes 100 --final-episodes 200 \
+together() { # SCENARIO ALGORITHM STEPS ARGUMENT ...
+    folder=together$([ "$2" = ippo ] || echo "-state")
+    chemlab train "$1" --algo "$2" --steps "$3" --envs 128 --evaluations 8 --eval-episodes 100 --final-episodes 200 \
         --seed "$seed" --out "$results/$1-joint/$folder/seed-$seed" --quiet "${@:4}"
 }
 
 learn() { # SCENARIO TURNS STEPS: turns of each scripted agent that are shown
-    for critic in own state; do
-        together "$1" "$critic" "$3" --imitate scripted --imitate-steps "$2" --imitate-rounds 5 --rewards mixed --net-arch 128 \
+    for algo in ippo mappo; do
+        together "$1" "$algo" "$3" --bc scripted --bc-steps "$2" --bc-rounds 5 --rewards mixed --net-arch 128 \
             --net-arch 128 --learning-rate 1e-4 --rollout 128 --batch-size 2048 --epochs 6 --ent-coef 0 --gae-lambda 0.98 --checkpoints 2
     done
 }
 
 from_nothing() { # SCENARIO
-    for critic in own state; do
-        together "$1" "$critic" 200000 --rollout 32 --batch-size 1024 --checkpoints 8
+    for algo in ippo mappo; do
+        together "$1" "$algo" 200000 --rollout 32 --batch-size 1024 --checkpoints 8
     done
 }
 

@@ -14,21 +14,23 @@ import argparse
 import json
 import os
 import statistics
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import gymnasium
 import torch
+from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED, NUM_EPISODES
 
 from chemlab import load_scenario
 from chemlab.agents.executors import connected
-from chemlab.agents.rllib.train import _Team
 from chemlab.agents.roles import chosen_roles
-from chemlab.agents.train.arguments import RllibArguments
-from chemlab.agents.train.loop import Progress
 from chemlab.config.files import replace_between
 from chemlab.lab.engine import Laboratories
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "recipes"))
+from rllib import algorithm_config
 
 STILL = 1e-9
 """A learning rate without effect."""
@@ -36,17 +38,17 @@ VIEW, LABORATORIES = "chemlab/LabManager-v0", 64
 
 
 class Timed:
-    """A team and its rounds: (turns, seconds of gathering, seconds of learning, episodes)."""
+    """An algorithm and its rounds: (turns, seconds of gathering, seconds of learning, episodes)."""
 
     clock = staticmethod(time.perf_counter)
 
-    def __init__(self, arguments: RllibArguments) -> None:
-        scenario = load_scenario(arguments.scenario)
-        roles = chosen_roles(Laboratories(scenario, 1), arguments.roles)
-        self.team = _Team(arguments, scenario, roles, 0)
+    def __init__(self, scenario: str, roles: tuple[str, ...] | None, runners: int, batch: int) -> None:
+        chosen = chosen_roles(Laboratories(scenario, 1), roles)
+        settings: Any = {"runners": runners, "batch": batch, "learning_rate": STILL}
+        self.algorithm = algorithm_config(load_scenario(scenario), chosen, **settings).build_algo()
         self.rounds: list[tuple[int, float, float, int]] = []
         self._learning = 0.0
-        group: Any = self.team.algorithm.learner_group
+        group: Any = self.algorithm.learner_group
         update = group.update
 
         def timed(*given: Any, **named: Any) -> Any:
@@ -59,9 +61,10 @@ class Timed:
 
     def round(self) -> None:
         self._learning, begun = 0.0, self.clock()
-        turns, scores = self.team.learn(Progress())
+        found = self.algorithm.train()[ENV_RUNNER_RESULTS]
         seconds = self.clock() - begun
-        self.rounds.append((turns, seconds - self._learning, self._learning, len(scores)))
+        turns, episodes = int(found[NUM_ENV_STEPS_SAMPLED]), int(found.get(NUM_EPISODES, 0))
+        self.rounds.append((turns, seconds - self._learning, self._learning, episodes))
 
 
 def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ...], rounds: int, batch: int) -> Any:
@@ -70,10 +73,7 @@ def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ..
     # Ray gives its workers a low priority, so that other load on the machine would be measured.
     os.environ.setdefault("RAY_worker_niceness", "0")
     with connected(None, sum(runners)):
-        runs = {
-            n: Timed(RllibArguments(scenario, roles=roles, runners=n, batch=batch, learning_rate=STILL))
-            for n in runners
-        }
+        runs = {n: Timed(scenario, roles, n, batch) for n in runners}
         for _ in range(rounds + 1):
             for run in runs.values():
                 run.round()
@@ -87,7 +87,7 @@ def measure(scenario: str, roles: tuple[str, ...] | None, runners: tuple[int, ..
             for n, run in runs.items()
         ]
         for run in runs.values():
-            run.team.stop()
+            run.algorithm.stop()
     return rows
 
 

@@ -24,12 +24,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from rllib_scaling import STILL, Timed
+from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED
+from rllib_scaling import Timed
 
 from chemlab.agents.executors import connected
-from chemlab.agents.rllib.env import LaboratoryMultiAgentEnv
-from chemlab.agents.train.arguments import RllibArguments
-from chemlab.agents.train.loop import Progress
+from chemlab.agents.rllib import LaboratoryMultiAgentEnv
 from chemlab.config.files import replace_between
 
 RUNNERS = (1, 2, 8, 64, 512)
@@ -56,14 +55,14 @@ class Clocked(Timed):
 
     clock = staticmethod(time.process_time)
 
-    def __init__(self, arguments: RllibArguments) -> None:
-        super().__init__(arguments)
+    def __init__(self, scenario: str, runners: int, batch: int) -> None:
+        super().__init__(scenario, None, runners, batch)
         self.seconds: list[tuple[float, float, float]] = []
         self.each: list[float] = []
 
     def of_runners(self, function: Any) -> list[float]:
         """Return a number of each runner."""
-        group = self.team.algorithm.env_runner_group
+        group = self.algorithm.env_runner_group
         found: list[float] = group.foreach_env_runner(function, local_env_runner=False)
         return found
 
@@ -71,7 +70,7 @@ class Clocked(Timed):
         """Play and learn once."""
         self._learning = 0.0
         runners, mine = self.of_runners(processor_seconds), time.process_time()
-        turns, _ = self.team.learn(Progress())
+        turns = int(self.algorithm.train()[ENV_RUNNER_RESULTS][NUM_ENV_STEPS_SAMPLED])
         own = time.process_time() - mine
         taken = [after - before for before, after in zip(runners, self.of_runners(processor_seconds), strict=True)]
         share = turns / len(taken)
@@ -102,7 +101,7 @@ def measure(scenario: str, rounds: int, batch: int) -> dict[str, Any]:
     """Return seconds per turn and bytes, with one runner and with two."""
     torch.set_num_threads(1)
     with connected(None, 3):
-        runs = {n: Clocked(RllibArguments(scenario, runners=n, batch=batch, learning_rate=STILL)) for n in RUNNERS[:2]}
+        runs = {n: Clocked(scenario, n, batch) for n in RUNNERS[:2]}
         for _ in range(rounds + 1):
             for run in runs.values():
                 run.round()
@@ -112,12 +111,12 @@ def measure(scenario: str, rounds: int, batch: int) -> dict[str, Any]:
             "apart_s": median(row[1] for row in one.seconds[1:]),
             "update_s": median(row[2] for row in one.seconds[1:]),
             "turn_bytes": median(one.of_runners(bytes_a_turn)),
-            "weights_bytes": len(pickle.dumps(one.team.algorithm.learner_group.get_weights())),
+            "weights_bytes": len(pickle.dumps(one.algorithm.learner_group.get_weights())),
             "round_s": {n: median(sum(row) for row in run.seconds[1:]) for n, run in runs.items()},
             "gathering_s": {n: median(row[0] for row in run.seconds[1:]) for n, run in runs.items()},
         }
         for run in runs.values():
-            run.team.stop()
+            run.algorithm.stop()
     return {**found, "environment_s": environment_alone(scenario, batch)}
 
 

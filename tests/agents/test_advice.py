@@ -170,14 +170,14 @@ def test_the_scheduler_goes_on_from_what_somebody_else_has_begun() -> None:
 
 def arguments(**more: Any) -> Any:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.arguments import training_arguments
 
     small = {
         "env_id": "manager",
         "scenario": "rush",
         "algo": "maskable-ppo",
-        "advice": "scripted",
-        "imitate_steps": 600,
+        "hints": "scripted",
+        "bc_steps": 600,
         "envs": 4,
         "rollout": 16,
         "steps": 256,
@@ -186,7 +186,7 @@ def arguments(**more: Any) -> Any:
         "eval_episodes": 2,
         "final_episodes": 2,
     }
-    return TrainArguments.of({**small, **more})
+    return training_arguments({**small, **more})
 
 
 def test_a_batch_shows_the_advice_and_goes_on_alike() -> None:
@@ -289,7 +289,7 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(algo: str,
     from chemlab.agents.train.learn import train
 
     memory = None if algo == "maskable-ppo" else 16
-    enough = {"imitate_steps": 2400, "final_episodes": 20} if memory is None else {}
+    enough = {"bc_steps": 2400, "final_episodes": 20} if memory is None else {}
     result = train(arguments(algo=algo, learning_rate=1e-12, memory=memory, **enough), tmp_path / "run")
     if algo == "maskable-ppo":  # one with a memory takes longer to see it
         assert result.mean == pytest.approx(result.scripted_mean, abs=0.1)
@@ -326,10 +326,6 @@ def test_a_run_that_stops_comes_to_the_same_end(tmp_path: Path) -> None:
             if not self.rounds:
                 raise Stopped
 
-        def evaluated(self, evaluation: Any, best: bool) -> None: ...
-
-        def finishing(self) -> None: ...
-
     whole = train(arguments(), tmp_path / "whole")
     with pytest.raises(Stopped):
         train(arguments(), tmp_path / "cut", Stop())
@@ -346,11 +342,8 @@ def test_a_run_that_stops_comes_to_the_same_end(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"algo": "a2c"}, "advice: is for maskable-ppo, maskable-recurrent-ppo, not for a2c"),
-        (
-            {"imitate": "scripted:unsafe"},
-            "imitate: who is advised begins by following the advice, 'scripted'; leave it out",
-        ),
+        ({"algo": "a2c"}, "hints: is for maskable-ppo, maskable-recurrent-ppo, not for a2c"),
+        ({"bc": "scripted:unsafe"}, "bc: hints are cloned, so it must be 'scripted'; leave it out"),
     ],
 )
 def test_what_does_not_go_with_advice(values: dict[str, Any], message: str) -> None:
@@ -359,8 +352,8 @@ def test_what_does_not_go_with_advice(values: dict[str, Any], message: str) -> N
 
 
 def test_advice_is_for_managers(tmp_path: Path) -> None:
-    own = arguments(env_id="chemlab/WurtzDistillation-v0", scenario=None)
+    own = arguments(env_id=None, scenario="wurtz_dodecane", bench="dit")
     from chemlab.agents.train.learn import train
 
-    with pytest.raises(ValueError, match="advice: is for a laboratory's manager; dit learns here"):
+    with pytest.raises(ValueError, match="hints: are for a laboratory's manager; dit learns here"):
         train(own, tmp_path / "run")

@@ -484,15 +484,14 @@ def test_what_is_no_leaderboard_is_said_before_anything_is_played(tmp_path: Path
 
 def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.arguments import MaskablePPO
     from chemlab.agents.train.learn import train
 
     small: dict[str, Any] = {"steps": 32, "envs": 4, "rollout": 8, "batch_size": 16, "evaluations": 2, "checkpoints": 2}
     for seed in (0, 1):
-        arguments = TrainArguments(
-            "chemlab/LabManager-v0", algo="maskable-ppo", scenario="unlabelled", seed=seed, eval_episodes=1,
-            final_episodes=1, **small,
-        )  # fmt: skip
+        arguments = MaskablePPO(
+            scenario="unlabelled", roles=("manager",), seed=seed, eval_episodes=1, final_episodes=1, **small
+        )
         train(arguments, tmp_path / "runs" / f"seed-{seed}")
     rows = find_rows([str(tmp_path / "runs")])
     assert [row.name.rpartition(" ")[2] for row in rows] == ["(best)", "(last)"]

@@ -122,16 +122,15 @@ def test_partners_that_learning_had_are_played_too() -> None:
 def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     """Two managers with scripted benches behind them, and a run in which everybody has learned."""
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import JointArguments, TrainArguments
-    from chemlab.agents.train.joint import train_together
+    from chemlab.agents.train.arguments import IPPO, MaskablePPO
     from chemlab.agents.train.learn import train
 
     small: dict[str, Any] = {"steps": 32, "envs": 4, "rollout": 8, "batch_size": 16, "evaluations": 2, "checkpoints": 2}
     small |= {"scenario": "unlabelled", "eval_episodes": 1, "final_episodes": 1}
     for seed in (0, 1):
-        arguments = TrainArguments("chemlab/LabManager-v0", algo="maskable-ppo", seed=seed, **small)
+        arguments = MaskablePPO(roles=("manager",), seed=seed, **small)
         train(arguments, tmp_path / "runs" / f"seed-{seed}")
-    train_together(JointArguments(**small), tmp_path / "team")
+    train(IPPO(**small), tmp_path / "team")
     spec, team = load_scenario("unlabelled"), str(tmp_path / "team")
     managers, benches = find_players(spec, [str(tmp_path / "runs"), team], ["scripted:unsafe", team])
     first = tmp_path / "runs" / "seed-0"

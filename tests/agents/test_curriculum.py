@@ -18,9 +18,10 @@ from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.runs import Run
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.start_recorder import record_starts
-from chemlab.agents.train.arguments import Stage, TrainArguments, curriculum_of
+from chemlab.agents.train.arguments import Stage, curriculum_of, training_arguments
 from chemlab.agents.train.imitate import _examples, fit, imitate
 from chemlab.agents.train.learn import train
+from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.tasks import LaboratoryTask
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.materials import DataError
@@ -29,7 +30,7 @@ from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import SUBMIT, lab_starts
 
 SMALL: dict[str, Any] = {
-    "env_id": "manager",
+    "roles": "manager",
     "preset": "manager",
     "envs": 8,
     "rollout": 8,
@@ -165,7 +166,9 @@ def test_either_kind_of_start_is_drawn_as_often() -> None:
 
 
 def test_backward_adds_a_bench_at_a_time() -> None:
-    stages = curriculum_of(TrainArguments.of({"steps": 1000, "curriculum": ["backward"]}), ("rxn", "ext", "dit"))
+    stages = curriculum_of(
+        training_arguments({"steps": 1000, "roles": "manager", "curriculum": ["backward"]}), ("rxn", "ext", "dit")
+    )
     assert [list(stage.shares) for stage in stages] == [
         ["submit", "dit"],
         ["submit", "dit", "ext"],
@@ -176,48 +179,42 @@ def test_backward_adds_a_bench_at_a_time() -> None:
 
 
 def test_stages_of_ones_own() -> None:
-    arguments = TrainArguments.of({"curriculum": ["1_000: submit=1", "3000: dit=0.5 ext=0.25"]})
+    arguments = training_arguments({"roles": "manager", "curriculum": ["1_000: submit=1", "3000: dit=0.5 ext=0.25"]})
     assert curriculum_of(arguments, ()) == [Stage(1000, {"submit": 1.0}), Stage(3000, {"dit": 0.5, "ext": 0.25})]
 
 
 @pytest.mark.parametrize("text", ["soon: dit=1", "100 dit=1", "100:", "100: dit", "100: dit=many", "forward"])
 def test_stages_that_are_not_understood(text: str) -> None:
     with pytest.raises(ValueError, match=r"curriculum: stages are .*given"):
-        TrainArguments.of({"curriculum": [text]})
+        training_arguments({"roles": "manager", "curriculum": [text]})
 
 
 def test_stages_have_growing_steps() -> None:
     with pytest.raises(ValueError, match="growing steps"):
-        TrainArguments.of({"curriculum": ["100: dit=1", "100: ext=1"]})
+        training_arguments({"roles": "manager", "curriculum": ["100: dit=1", "100: ext=1"]})
 
 
 def test_a_bench_on_its_own_has_no_curriculum(tmp_path: Path) -> None:
-    arguments = TrainArguments.of({"env_id": "chemlab/WurtzDistillation-v0", "curriculum": ["100: dit=1"]})
+    arguments = training_arguments({"scenario": "chemlab/WurtzDistillation-v0", "curriculum": ["100: dit=1"]})
     with pytest.raises(ValueError, match="curriculum: is for a laboratory"):
         train(arguments, tmp_path / "run")
 
 
-class _Stop:
+class _Stop(Watcher):
     """Stops a run after some rollouts, as a signal would."""
 
     def __init__(self, rounds: int) -> None:
         self.rounds = rounds
-
-    def begun(self, step: int, steps: int) -> None: ...
 
     def advanced(self, step: int, mean: float | None) -> None:
         self.rounds -= 1
         if not self.rounds:
             raise KeyboardInterrupt
 
-    def evaluated(self, evaluation: Any, best: bool) -> None: ...
-
-    def finishing(self) -> None: ...
-
 
 @pytest.mark.slow
 def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
-    arguments = TrainArguments.of({**SMALL, "scenario": "wurtz_any", "imitate": "scripted", "imitate_steps": 200})
+    arguments = training_arguments({**SMALL, "scenario": "wurtz_any", "bc": "scripted", "bc_steps": 200})
     train(arguments, tmp_path / "whole")
     for rounds in (1, 2):
         with pytest.raises(KeyboardInterrupt):
@@ -236,10 +233,10 @@ def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: P
     """256 steps teach nobody a workflow: what the manager knows then is what it was shown."""
     scores = {}
     for name, example in (
-        ("clone", {"imitate": "scripted", "imitate_steps": 4000}),
+        ("clone", {"bc": "scripted", "bc_steps": 4000}),
         ("scratch", {"preset": "manager-curriculum"}),
     ):
-        arguments = TrainArguments.of({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
+        arguments = training_arguments({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
         result = train(arguments, tmp_path / name)
         scores[name] = result.last_mean
         assert result.scripted_mean is not None
@@ -248,11 +245,12 @@ def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: P
 
 
 def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
-    arguments = TrainArguments.of(
+    arguments = training_arguments(
         {
-            **{name: value for name, value in SMALL.items() if name not in ("preset", "env_id")},
-            "imitate": "scripted",
-            "imitate_steps": 3000,
+            **{name: value for name, value in SMALL.items() if name not in ("preset", "roles")},
+            "bench": "rxn",
+            "bc": "scripted",
+            "bc_steps": 3000,
             "learning_rate": 1e-6,
         }
     )
@@ -314,24 +312,24 @@ def test_a_clone_of_rounds_knows_what_to_do_after_its_own_mistakes() -> None:
 
 
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
-    arguments = TrainArguments.of({**SMALL, "imitate": "scripted", "imitate_steps": 1})
-    with pytest.raises(ValueError, match="imitate_steps: no episode ended"):
+    arguments = training_arguments({**SMALL, "bc": "scripted", "bc_steps": 1})
+    with pytest.raises(ValueError, match="bc_steps: no episode ended"):
         train(arguments, tmp_path / "run")
     assert Run(tmp_path / "run").config() is None, "more turns are not refused as other arguments"
 
 
 @pytest.mark.parametrize("algo", ["recurrent-ppo", "maskable-recurrent-ppo"])
 def test_recurrent_managers_imitate(algo: str, tmp_path: Path) -> None:
-    values = {**SMALL, "preset": "paper", "algo": algo, "memory": 8, "imitate": "scripted", "imitate_steps": 200}
-    train(TrainArguments.of(values), tmp_path / "run")
-    assert (Run(tmp_path / "run").config() or {})["memory"] == 8
+    values = {**SMALL, "preset": "paper", "algo": algo, "memory": 8, "bc": "scripted", "bc_steps": 200}
+    train(training_arguments(values), tmp_path / "run")
+    assert (Run(tmp_path / "run").config() or {})["arguments"]["memory"] == 8
     with pytest.raises(ValueError, match="memory: is for recurrent-ppo"):
-        TrainArguments.of({**SMALL, "memory": 8})
+        training_arguments({**SMALL, "memory": 8})
 
 
 def test_only_learners_with_a_policy_can_imitate() -> None:
-    with pytest.raises(ValueError, match="imitate: is for ppo"):
-        TrainArguments.of({"algo": "dqn", "imitate": "scripted"})
+    with pytest.raises(ValueError, match="bc: is for ppo"):
+        training_arguments({"algo": "dqn", "bench": "rxn", "bc": "scripted"})
 
 
 # -- who plays --------------------------------------------------------------------------------------------------------
@@ -340,7 +338,7 @@ def test_only_learners_with_a_policy_can_imitate() -> None:
 @pytest.mark.slow
 def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    train(TrainArguments.of({**SMALL, "background": "scripted:unsafe"}), run)
+    train(training_arguments({**SMALL, "background": "scripted:unsafe"}), run)
     labs = Laboratories("wurtz_dodecane")
     policies = make_policies(str(run), labs)
     assert not hasattr(policies["manager_0"], "_careful"), "it is the learner, not the scripted manager"
@@ -362,10 +360,10 @@ def test_exceptions_are_for_roles_and_agents() -> None:
     assert (kinds["ext_0"], kinds["ext_1"], kinds["dit_0"]) == (
         "RandomPolicy",
         "RandomPolicy",
-        "ScriptedDistillation",
+        "DistillationHeuristic",
     )
     one = make_policies("scripted,ext_1=random", labs)
-    assert type(one["ext_0"]).__name__ == "ScriptedExtraction"
+    assert type(one["ext_0"]).__name__ == "ExtractionHeuristic"
     assert type(one["ext_1"]).__name__ == "RandomPolicy"
 
 

@@ -21,11 +21,10 @@ from chemlab.agents.policies import agent_policy, as_policy
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import Run
 from chemlab.agents.train import joint
-from chemlab.agents.train.arguments import JointArguments, TrainArguments
+from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
-from chemlab.agents.train.joint import train_together
 from chemlab.agents.train.learn import train
-from chemlab.agents.train.loop import described_team
+from chemlab.agents.train.loop import Watcher
 from chemlab.lab.engine import Laboratories
 
 BOX = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
@@ -41,10 +40,14 @@ SMALL: dict[str, Any] = {
 }
 
 
-def team_of(arguments: JointArguments) -> joint._Team:
+CRITICS = {"own": IPPO, "state": MAPPO}
+
+
+def team_of(arguments: IPPO) -> joint.Team:
     """What a run with these arguments begins with."""
-    scenario, roles, config = described_team(arguments, "joint", "joint", {})
-    return joint._Team(arguments, scenario, roles, config)
+    team = joint.Team(arguments)
+    team.make()
+    return team
 
 
 def turn(experience: Experience, stream: int, value: float, tick: int, action: int = 0) -> None:
@@ -121,7 +124,7 @@ def test_returns_of_whole_episodes() -> None:
 def test_no_reward_is_lost_or_another_agents(scenario: str, rewards: str | None) -> None:
     """What all laboratories paid a role is what its experience holds; only shares of a result to which an agent has
     done nothing are nobody's."""
-    team = team_of(JointArguments(scenario, envs=6, rollout=120, rewards=rewards))
+    team = team_of(IPPO(scenario=scenario, envs=6, rollout=120, rewards=rewards))
     labs, paid = team.labs, dict.fromkeys(team.learning, 0.0)
     after = team._after
 
@@ -161,29 +164,20 @@ class _Stop(Exception):
     pass
 
 
-class _Stopping:
+class _Stopping(Watcher):
     """Ends the process's training right after the first checkpoint."""
-
-    def begun(self, step: int, steps: int) -> None:
-        pass
-
-    def advanced(self, step: int, mean: float | None) -> None:
-        pass
 
     def evaluated(self, evaluation: Any, best: bool) -> None:
         raise _Stop
 
-    def finishing(self) -> None:
-        pass
-
 
 @pytest.mark.parametrize(("regime", "critic"), [("together", "own"), ("in-turns", "own"), ("together", "state")])
 def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -> None:
-    arguments = JointArguments(**SMALL, regime=regime, critic=critic, period=1)
-    whole = train_together(arguments, tmp_path / "whole")
+    arguments = CRITICS[critic](**SMALL, regime=regime, period=1)
+    whole = train(arguments, tmp_path / "whole")
     with pytest.raises(_Stop):
-        train_together(arguments, tmp_path / "stopped", _Stopping())
-    resumed = train_together(arguments, tmp_path / "stopped")
+        train(arguments, tmp_path / "stopped", _Stopping())
+    resumed = train(arguments, tmp_path / "stopped")
     assert (resumed.steps, resumed.mean, resumed.last_mean) == (whole.steps, whole.mean, whole.last_mean)
     runs = [Run(tmp_path / name) for name in ("whole", "stopped")]
     assert [p.return_mean for p in runs[0].curve()] == [p.return_mean for p in runs[1].curve()]
@@ -192,39 +186,39 @@ def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -
     assert first, "a model for every role"
     for name, array in first.items():
         np.testing.assert_array_equal(array, second[name], err_msg=name)
-    assert train_together(arguments, tmp_path / "whole") == whole, "what is finished is not run again"
+    assert train(arguments, tmp_path / "whole") == whole, "what is finished is not run again"
 
 
 def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> None:
-    first = JointArguments(**{**SMALL, "steps": 60}, roles=("rxn",))
-    train_together(first, tmp_path / "first")
-    second = JointArguments(**{**SMALL, "steps": 40}, roles=("rxn", "dit"), begin_from=str(tmp_path / "first"))
-    result = train_together(second, tmp_path / "second")
+    first = IPPO(**{**SMALL, "steps": 60}, roles=("rxn",))
+    train(first, tmp_path / "first")
+    second = IPPO(**{**SMALL, "steps": 40}, roles=("rxn", "dit"), begin_from=str(tmp_path / "first"))
+    result = train(second, tmp_path / "second")
     assert result.steps >= 40
     assert {name.partition(" ")[0] for name in weights(tmp_path / "second")} == {"rxn", "dit"}
-    nowhere = JointArguments(**SMALL, begin_from=str(tmp_path))
-    with pytest.raises(ValueError, match="neither a joint run nor runs"):
-        train_together(nowhere, tmp_path / "third")
+    nowhere = IPPO(**SMALL, begin_from=str(tmp_path))
+    with pytest.raises(ValueError, match="neither a run of several roles nor runs"):
+        train(nowhere, tmp_path / "third")
     assert not (tmp_path / "third").exists(), "another name may be given for the same folder"
 
 
 def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     """Each role does what the policy does, in laboratories that have begun anew; a run of it can be exported."""
     small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn", "dit"), "rewards": "mixed"}
-    team = team_of(JointArguments(**small))
+    team = team_of(IPPO(**small))
     hit = team.imitate("scripted", 300)
     assert hit["dit"] > 0.8, "share of turns"
     assert hit["rxn"] < 0.1, "mean difference of numbers from 0 to 1"
     assert not any(len(learner.experience) for learner in team.learners.values())
     assert not team.returns
     assert (team.labs.state.ticks == 0).all()
-    arguments = JointArguments(**{**small, "steps": 40}, imitate="scripted", imitate_steps=50)
-    train_together(arguments, tmp_path / "run")
+    arguments = IPPO(**{**small, "steps": 40}, bc="scripted", bc_steps=50)
+    train(arguments, tmp_path / "run")
     card = export_run(tmp_path / "run", tmp_path / "mine", "dit")
     best = Run(tmp_path / "run").checkpoint("best")
     assert best is not None
     assert (card.name, card.bench, card.background) == ("mine", "dit", "scripted")
-    assert "--imitate scripted --imitate-steps 50" in card.command
+    assert "--bc scripted --bc-steps 50" in card.command
     model, policy = load_team(best)["dit"], load_pretrained(tmp_path / "mine")
     seen = np.random.default_rng(0).random((20, card.observation_size), dtype=np.float32)
     legal = np.ones((20, card.action_size), dtype=np.int8)
@@ -239,7 +233,7 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
 def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: Path) -> None:
     """What it was rewarded for is no part of the task that its card names."""
     small = {**SMALL, "scenario": "relay", "roles": ("manager",), "steps": 40, "rewards": "mixed"}
-    train_together(JointArguments(**small), tmp_path / "run")
+    train(IPPO(**small), tmp_path / "run")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         card = export_run(tmp_path / "run", tmp_path / "mine", "manager")
@@ -248,7 +242,7 @@ def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: P
 
 
 def test_a_bench_that_has_not_all_goals_is_exported(tmp_path: Path) -> None:
-    train_together(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("fin",), "steps": 40}), tmp_path / "run")
+    train(IPPO(**{**SMALL, "scenario": "relay", "roles": ("fin",), "steps": 40}), tmp_path / "run")
     assert export_run(tmp_path / "run", tmp_path / "mine", "fin").goals == ["E"]
 
 
@@ -256,7 +250,7 @@ def test_a_bench_that_has_not_all_goals_is_exported(tmp_path: Path) -> None:
 def test_clones_that_explore_still_do_what_they_were_shown(critic: str) -> None:
     """Numbers are drawn about as far from the shown ones as the clone misses them; the state does not make it worse."""
     small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn", "dit"), "rewards": "mixed"}
-    team = team_of(JointArguments(**small, critic=critic))
+    team = team_of(CRITICS[critic](**small))
     hit = team.imitate("scripted", 600, 2)
     spread = team.learners["rxn"].model.policy.log_std.exp()
     assert hit["dit"] > 0.95, "share of turns"
@@ -269,7 +263,7 @@ def test_clones_that_explore_still_do_what_they_were_shown(critic: str) -> None:
 def test_a_clone_explores_as_widely_as_it_is_told() -> None:
     """What it is most likely to play stays what it was shown."""
     small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn",), "rewards": "mixed"}
-    team = team_of(JointArguments(**small, imitate="scripted", imitate_spread=0.3))
+    team = team_of(IPPO(**small, bc="scripted", bc_std=0.3))
     hit = team.imitate("scripted", 600)
     np.testing.assert_allclose(team.learners["rxn"].model.policy.log_std.exp().detach(), 0.3, rtol=1e-6)
     assert hit["rxn"] < 0.05
@@ -277,7 +271,7 @@ def test_a_clone_explores_as_widely_as_it_is_told() -> None:
 
 def test_in_rounds_learners_play_and_the_policy_is_asked() -> None:
     """What becomes experience then is what the policy would have played, not what was."""
-    team = team_of(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("manager",)}))
+    team = team_of(IPPO(**{**SMALL, "scenario": "relay", "roles": ("manager",)}))
     shown = agent_policy("scripted", team.labs, 0)
     team._begin_anew("scripted", tried=True)
     for _ in range(3):
@@ -293,7 +287,7 @@ def test_in_rounds_learners_play_and_the_policy_is_asked() -> None:
 
 def test_rounds_go_on_until_every_laboratory_has_been_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """A manager that knows no end plays longer than whom it is to learn from, and it is such play that it lacks."""
-    team = team_of(JointArguments(**{**SMALL, "scenario": "relay", "roles": ("manager",), "rollout": 2}))
+    team = team_of(IPPO(**{**SMALL, "scenario": "relay", "roles": ("manager",), "rollout": 2}))
     ended: list[bool] = []
 
     def clone(learner: object) -> float:
@@ -308,7 +302,7 @@ def test_rounds_go_on_until_every_laboratory_has_been_to_an_end(monkeypatch: pyt
 
 def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
     """In the state are what the world hides, too; what plays was given the same at whatever state, and is exported."""
-    arguments = JointArguments(**SMALL, scenario="rush", critic="state", net_arch=(48, 24))
+    arguments = MAPPO(**SMALL, scenario="rush", net_arch=(48, 24))
     team = team_of(arguments)
     for _ in range(6):
         team.collect()
@@ -329,8 +323,8 @@ def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
         assert (values - others).abs().max() > 1e-3
         for name in ("mean",) if role == "rxn" else ("logits",):
             torch.testing.assert_close(getattr(actor, name), getattr(unaware, name))
-    train_together(arguments, tmp_path / "run")
-    assert (Run(tmp_path / "run").config() or {})["critic"] == "state"
+    train(arguments, tmp_path / "run")
+    assert (Run(tmp_path / "run").config() or {})["algo"] == "mappo"
     best = Run(tmp_path / "run").checkpoint("best")
     assert best is not None
     policies, models = (load_pretrained(best / "manager"), load_pretrained(best / "rxn")), load_team(best)
@@ -341,14 +335,14 @@ def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
         np.testing.assert_allclose(policy.act(seen_now, None, nobody, nobody), expected, atol=1e-5)
     card = export_run(tmp_path / "run", tmp_path / "mine", "manager")
     assert card.observation_size == team.labs.observation_space(0).shape[0]
-    assert arguments.folder() != JointArguments(**SMALL, scenario="rush").folder()
+    assert arguments.folder() != IPPO(**SMALL, scenario="rush").folder()
     with pytest.raises(ValueError, match="manager was trained for other spaces"):
-        train_together(JointArguments(**SMALL, scenario="rush", begin_from=str(tmp_path / "run")), tmp_path / "next")
+        train(IPPO(**SMALL, scenario="rush", begin_from=str(tmp_path / "run")), tmp_path / "next")
 
 
 def test_a_last_minibatch_of_one_does_no_harm() -> None:
     """The spread of one advantage is not a number, and neither is a network that has learned from it."""
-    team = team_of(JointArguments(**{**SMALL, "batch_size": 16}, roles=("dit",)))
+    team = team_of(IPPO(**{**SMALL, "batch_size": 16}, roles=("dit",)))
     learner = team.learners["dit"]
     space = learner.model.observation_space.shape[0]
     for turn_of in range(33):
@@ -373,10 +367,10 @@ def test_runs_of_single_benches_go_on_together(tmp_path: Path) -> None:
         ("dit", "chemlab/WurtzDistillation-v0", "ppo"),
         ("ext", "chemlab/WurtzExtraction-v0", "maskable-ppo"),
     ):
-        train(TrainArguments.of({**short, "env_id": env_id, "algo": algo}), tmp_path / role)
+        train(training_arguments({**short, "env_id": env_id, "algo": algo}), tmp_path / role)
     begin = ",".join(f"{role}={tmp_path / role}" for role in ("rxn", "dit", "ext"))
-    team = team_of(JointArguments(**SMALL))
-    joint._begin_from(begin, team)
+    team = team_of(IPPO(**SMALL))
+    team._begin_from(begin)
     for role in ("rxn", "dit", "ext"):
         best = Run(tmp_path / role).checkpoint("best")
         assert best is not None
@@ -390,20 +384,20 @@ def test_runs_of_single_benches_go_on_together(tmp_path: Path) -> None:
         (f"ext={tmp_path / 'dit'}", "ext was trained for other spaces"),
     ):
         with pytest.raises(ValueError, match=message):
-            joint._begin_from(wrong, team)
-    larger = team_of(JointArguments(**SMALL, net_arch=(32,)))
+            team._begin_from(wrong)
+    larger = team_of(IPPO(**SMALL, net_arch=(32,)))
     with pytest.raises(ValueError, match="rxn has other hidden layers; give them with --net-arch"):
-        joint._begin_from(begin, larger)
+        larger._begin_from(begin)
 
 
 def test_bad_arguments_are_named(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"):
-        train_together(JointArguments(roles=("cook",)), tmp_path / "a")
-    with pytest.raises(ValueError, match="regime: known: together, in-turns; given 'chaos'"):
-        train_together(JointArguments(regime="chaos"), tmp_path / "b")
+        train(IPPO(roles=("cook",)), tmp_path / "a")
+    with pytest.raises(ValueError, match=r"regime\s.*'together' or 'in-turns'"):
+        train(IPPO(regime="chaos"), tmp_path / "b")
     with pytest.raises(ValueError, match="heuristc"):
-        train_together(JointArguments(**SMALL, imitate="heuristc"), tmp_path / "b")
+        train(IPPO(**SMALL, bc="heuristc"), tmp_path / "b")
     assert not (tmp_path / "b").exists()
-    train_together(JointArguments(**{**SMALL, "steps": 10}), tmp_path / "c")
+    train(IPPO(**{**SMALL, "steps": 10}), tmp_path / "c")
     with pytest.raises(ValueError, match="holds a run with other arguments: seed 0"):
-        train_together(JointArguments(**{**SMALL, "steps": 10}, seed=1), tmp_path / "c")
+        train(IPPO(**{**SMALL, "steps": 10}, seed=1), tmp_path / "c")

@@ -38,12 +38,12 @@ from chemlab.lab.engine import Laboratories
 
 runner = CliRunner()
 SMALL: dict[str, Any] = {
-    "env_id": "manager",
+    "roles": "manager",
     "preset": "manager",
     "envs": 8,
     "rollout": 8,
     "steps": 128,
-    "imitate": None,
+    "bc": None,
     "curriculum": ["64: submit=0.5"],
     "evaluations": 1,
     "checkpoints": 1,
@@ -294,12 +294,12 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results with a run of a manager with benches that are not the default ones."""
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.arguments import training_arguments
     from chemlab.agents.train.learn import train
 
     folder = tmp_path_factory.mktemp("results")
     train(
-        TrainArguments.of({**SMALL, "background": "pretrained-isolated"}),
+        training_arguments({**SMALL, "background": "pretrained-isolated"}),
         folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0",
     )
     return folder
@@ -354,12 +354,12 @@ def test_a_lost_run_stands_beside_one_that_was_played_again(trained: Path, tmp_p
 def test_benches_that_learned_play_with_the_scripted_manager_too(tmp_path: Path) -> None:
     """A joint run is compared over its own benches, not over the background's."""
     pytest.importorskip("sb3_contrib")
-    from chemlab.agents.train.arguments import JointArguments
-    from chemlab.agents.train.joint import train_together
+    from chemlab.agents.train.arguments import IPPO
+    from chemlab.agents.train.learn import train
 
     small = {"envs": 4, "rollout": 12, "steps": 200, "batch_size": 32, "epochs": 1, "evaluations": 1}
     path, tables = tmp_path / "runs" / "joint" / "seed-0", tmp_path / "tables"
-    train_together(JointArguments(roles=("manager", "dit"), eval_episodes=1, final_episodes=2, **small), path)
+    train(IPPO(roles=("manager", "dit"), eval_episodes=1, final_episodes=2, **small), path)
     assert collect(tmp_path / "runs", tables, episodes=2) == []
     scores = {(row["policy"], row["run"]): float(row["score"]) for row in stored(tables)}
     result = Run(path).result()

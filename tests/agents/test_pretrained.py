@@ -7,7 +7,7 @@ import shlex
 import subprocess
 import sys
 import warnings
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -98,15 +98,17 @@ def act(policy: PretrainedPolicy, seen: Any, mask: Any = None) -> Any:
 
 def test_card_says_the_preset() -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import TrainArguments
-    from chemlab.agents.train.export import training_command
-    from chemlab.agents.train.tasks import find_task
+    from chemlab.agents.train.arguments import training_arguments
+    from chemlab.agents.train.export import recorded_arguments
 
-    arguments = TrainArguments.of({"env_id": "chemlab/WurtzExtraction-v0", "preset": "ppo-entropy", "seed": 4})
-    config = {**asdict(arguments), "goals": list(find_task(arguments).goals), "label": "ppo-entropy"}
-    assert training_command(config) == (
-        "chemlab train chemlab/WurtzExtraction-v0 --algo ppo --preset ppo-entropy --steps 1000000 --seed 4"
+    arguments = training_arguments({"scenario": "chemlab/WurtzExtraction-v0", "preset": "ppo-entropy", "seed": 4})
+    config = {"arguments": json.loads(json.dumps(arguments.changed())), "seed": 4}
+    assert recorded_arguments(config, "config.json") == arguments
+    assert arguments.command_line() == (
+        "chemlab train wurtz_dodecane --bench ext --algo ppo --preset ppo-entropy --steps 1000000 --seed 4"
     )
+    with pytest.raises(ValueError, match=r"config.json: is of chemlab before 0\.3; train it again"):
+        recorded_arguments({"env_id": "chemlab/WurtzExtraction-v0", "seed": 4, "gamma": 0.9}, "config.json")
 
 
 @pytest.mark.parametrize(
@@ -117,14 +119,14 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.learners import load_learner
     from chemlab.agents.runs import Run
-    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.arguments import training_arguments
     from chemlab.agents.train.export import export_run
     from chemlab.agents.train.learn import train
 
-    values: dict[str, Any] = {"env_id": env_id, "algo": algo, "envs": 2, "rollout": 16, "steps": 64, "memory": 16}
+    values: dict[str, Any] = {"scenario": env_id, "algo": algo, "envs": 2, "rollout": 16, "steps": 64, "memory": 16}
     values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 1, "learning_rate": 0.003, "epochs": 2}
     run = Run(tmp_path / "run")
-    train(TrainArguments.of(values), run.path)
+    train(training_arguments(values), run.path)
     card = export_run(run.path, tmp_path / "mine")
     assert card.memory == 16
     masked = algo.startswith("maskable")
@@ -162,24 +164,27 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.learners import load_learner
     from chemlab.agents.runs import Run
-    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.arguments import training_arguments
     from chemlab.agents.train.export import export_run, largest_difference
     from chemlab.agents.train.learn import train
 
-    values: dict[str, Any] = {"env_id": env_id, "algo": algo, "envs": 2, "rollout": 40, "steps": 240}
+    values: dict[str, Any] = {"scenario": env_id, "algo": algo, "envs": 2, "rollout": 40, "steps": 240}
     values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 2, "learning_rate": 0.003}
     if algo in ("dqn", "qr-dqn", "sac", "td3"):
         values |= {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
     run = Run(tmp_path / "run")
-    train(TrainArguments.of(values), run.path)
+    train(training_arguments(values), run.path)
     card = export_run(run.path, tmp_path / "models" / "mine")
     assert {path.name for path in (tmp_path / "models").iterdir()} == {"mine.json", "mine.safetensors"}
     policy = load_pretrained(tmp_path / "models" / "mine.json")
     assert policy.card == card
     words = shlex.split(policy.card.command)
-    assert words[:5] == ["chemlab", "train", env_id, "--algo", algo]
+    assert words[:2] == ["chemlab", "train"]
     told = dict(zip(words[3::2], words[4::2], strict=True))
-    assert [told[flag] for flag in ("--steps", "--seed", "--envs")] == ["240", "0", "2"]
+    assert words[2] == policy.card.scenario
+    assert [told[flag] for flag in ("--bench", "--algo", "--steps", "--seed", "--envs")] == [
+        *(policy.card.bench, algo, "240", "0", "2")
+    ]
     assert "--gamma" not in policy.card.command
     policy.check(bench_of(env_id))
     folder = run.checkpoint("best")

@@ -43,20 +43,19 @@ def test_order_and_folders(tmp_path: Path) -> None:
         tmp_path,
         """
         [[runs]]
-        env_id = "chemlab/WurtzReaction-v0"
+        scenario = "chemlab/WurtzReaction-v0"
         algo = "ppo"
         seeds = [3]
         [[runs]]
-        env_id = ["chemlab/WurtzExtraction-v0", "chemlab/WurtzDistillation-v0"]
+        scenario = ["chemlab/WurtzExtraction-v0", "chemlab/WurtzDistillation-v0"]
         algo = ["ppo", "dqn"]
         seeds = 2
         steps = 1e5
         [[runs]]
-        env_id = "chemlab/WurtzExtraction-v0"
+        scenario = "chemlab/WurtzExtraction-v0"
         preset = "ppo-xl"
         [[runs]]
         name = "ppo-lab"
-        env_id = "chemlab/Bench-v0"
         scenario = "salt_from_oil"
         bench = "ext"
         starts = "lab"
@@ -77,7 +76,7 @@ def test_order_and_folders(tmp_path: Path) -> None:
     [
         ("", r"needs \[\[runs\]\]"),
         ("[[runs]]\nseeds = 0", "seeds: needs a list"),
-        ('[[runs]]\nsedes = 3\nalgo = "ppo"', "sedes: no such argument; did you mean seed"),
+        ('[[runs]]\nsedes = 3\nalgo = "ppo"', "sedes: unknown argument; did you mean seed"),
         ('[[runs]]\nalgo = "ppo"\n[[runs]]\nalgo = "ppo"\ngamma = 0.9', "another run above; give this table a name"),
         *(
             (f"[[runs]]\nname = {json.dumps(name)}", "a run's folder cannot be called")
@@ -96,12 +95,12 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
         tmp_path,
         """
         [[runs]]
-        env_id = "chemlab/FictitiousReaction-v0"
+        scenario = "chemlab/FictitiousReaction-v0"
         algo = ["dqn", "ppo"]
         [[runs]]
         name = "clone"
-        env_id = "chemlab/FictitiousReaction-v0"
-        imitate = "heuristc"
+        scenario = "chemlab/FictitiousReaction-v0"
+        bc = "heuristc"
         """,
     )
     out, runner = tmp_path / "out", CliRunner()
@@ -147,7 +146,7 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
         tmp_path,
         """
         [[runs]]
-        env_id = "chemlab/FictitiousReaction-v0"
+        scenario = "chemlab/FictitiousReaction-v0"
         algo = "ppo"
         steps = 1600
         checkpoints = 50
@@ -183,7 +182,7 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
 def test_a_run_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
     """And comes to what one comes to that nobody has killed."""
     pytest.importorskip("stable_baselines3")
-    text = '[[runs]]\nenv_id = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\nsteps = 640\ncheckpoints = 20\n'
+    text = '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\nsteps = 640\ncheckpoints = 20\n'
     one, other = (plan(sweep_file(tmp_path, text), tmp_path / name)[0] for name in ("out", "other"))
     killed: list[int] = []
 
@@ -203,7 +202,7 @@ def test_a_run_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
 def test_two_sweeps_at_once_leave_a_good_result_alone(tmp_path: Path) -> None:
     """Whose process comes second waits for the first one's run, and calls nothing failed."""
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, '[[runs]]\nenv_id = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
+    file = sweep_file(tmp_path, '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
     (one,) = plan(file, tmp_path / "out")
     command = [sys.executable, "-m", "chemlab", "sweep", str(file), "--processes", "1", "--out", str(tmp_path / "out")]
     for _ in range(2):
@@ -217,7 +216,7 @@ def test_two_sweeps_at_once_leave_a_good_result_alone(tmp_path: Path) -> None:
 
 def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, '[[runs]]\nenv_id = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
+    file = sweep_file(tmp_path, '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
     (one,) = plan(file, tmp_path / "out")
     # It was free when the sweep looked, and taken when its process came.
     busy = one.run.busy

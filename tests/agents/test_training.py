@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import inspect
 import json
 import os
 import pickle
@@ -12,7 +13,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ pytest.importorskip("stable_baselines3")
 import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate.play import Target
-from chemlab.agents.learners import load_learner
+from chemlab.agents.learners import LEARNERS, load_learner
 from chemlab.agents.policies import make_policies, scripted_bench
 from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
 from chemlab.agents.sb3 import ChemlabVecEnv
@@ -33,14 +34,17 @@ from chemlab.agents.seals import seal_file
 from chemlab.agents.train import learn as training
 from chemlab.agents.train.arguments import (
     ALGORITHMS,
+    IPPO,
+    PPO,
     Arguments,
-    JointArguments,
-    RllibArguments,
-    TrainArguments,
-    label_of,
-    resolved,
+    MaskablePPO,
+    Single,
+    load_arguments,
+    training_arguments,
 )
 from chemlab.agents.train.learn import train
+from chemlab.agents.train.loop import Watcher
+from chemlab.agents.train.single import _learner
 from chemlab.agents.train.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
@@ -59,16 +63,18 @@ SMALL: dict[str, Any] = {
 RXN, DIT = "chemlab/FictitiousReaction-v0", "chemlab/WurtzDistillation-v0"
 
 
-def small(algo: str, **more: Any) -> TrainArguments:
+def small(algo: str, **more: Any) -> Single:
     """Arguments of a run of a second."""
     discrete = ("dqn", "qr-dqn", "maskable-ppo", "maskable-recurrent-ppo", "a2c")
-    values = {"env_id": DIT if algo in discrete else RXN, "algo": algo, **SMALL, **more}
+    values = {"scenario": DIT if algo in discrete else RXN, "algo": algo, **SMALL, **more}
     if algo in ("dqn", "qr-dqn", "sac", "td3"):
         # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
         values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
     if "recurrent" in algo:
         values = {"memory": 16, **values}
-    return TrainArguments.of(values)
+    made = training_arguments(values)
+    assert isinstance(made, Single)
+    return made
 
 
 def weights(run: Run, algo: str, kind: str = "last") -> Any:
@@ -83,7 +89,7 @@ class Killed(BaseException):
     """As a signal would, it stops a run where it is."""
 
 
-class Stop:
+class Stop(Watcher):
     """Stops a run at its n-th rollout, before or after that rollout's checkpoint."""
 
     def __init__(self, rounds: int) -> None:
@@ -98,10 +104,6 @@ class Stop:
         if self.rounds == 0:
             raise Killed
 
-    def evaluated(self, evaluation: Any, best: bool) -> None: ...
-
-    def finishing(self) -> None: ...
-
 
 def without_times(run: Run) -> list[Any]:
     """Everything a run writes but how long it took."""
@@ -110,7 +112,7 @@ def without_times(run: Run) -> list[Any]:
     return [curve, run.evaluations(), {**result, "seconds": 0, "frames_per_second": 0}]
 
 
-@pytest.mark.parametrize("algo", ALGORITHMS)
+@pytest.mark.parametrize("algo", LEARNERS)
 def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path) -> None:
     # Checkpoints at rollouts 2, 4 and 6, so that the first stop loses a rollout.
     arguments = small(algo, checkpoints=3)
@@ -169,8 +171,8 @@ def test_lines_that_were_lost_before_the_checkpoint_come_back(tmp_path: Path) ->
 COMMAND = [sys.executable, "-m", "chemlab", "train"]
 
 
-def start(arguments: TrainArguments, out: Path) -> subprocess.Popen[str]:
-    command = [*COMMAND, arguments.env_id, *arguments.flags(), "--out", str(out), "--quiet"]
+def start(arguments: Single, out: Path) -> subprocess.Popen[str]:
+    command = [*COMMAND, arguments.scenario, *arguments.flags(), "--out", str(out), "--quiet"]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
@@ -300,13 +302,13 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     runner = CliRunner()
-    flags = ["train", RXN, *small("ppo").flags(), "--out", str(tmp_path / "run")]
+    flags = ["train", "fictitious", *small("ppo").flags(), "--out", str(tmp_path / "run")]
     first = runner.invoke(app, [*flags, "--json"])
     assert first.exit_code == 0, first.output
     result = Run(tmp_path / "run").result()
     assert result is not None
     assert json.loads(first.stdout)["mean"] == result.mean
-    monkeypatch.setattr(training, "_Agent", None)
+    monkeypatch.setattr(training, "train_in_rounds", None)
     again = runner.invoke(app, flags)
     assert again.exit_code == 0, again.output
     assert "is finished" in again.output
@@ -356,10 +358,10 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
     (run,) = find_runs(tmp_path)
     config = run.config()
     assert config is not None
-    # These go without saying, as they did before there were others.
-    assert {f.name for f in fields(TrainArguments)} - {"split", "actions", "memory", "advice"} <= set(config)
+    given = {**config["arguments"], "seed": config["seed"]}
+    assert training_arguments(given) == arguments
+    assert "gamma" not in given, "defaults go without saying"
     assert [config[key] for key in ("scenario", "bench", "goals", "label")] == ["fictitious", "rxn", ["F", "E"], "ppo"]
-    assert config["gamma"] == 0.99
     assert {"chemlab", "torch", "stable-baselines3"} <= set(config["versions"])
     assert result.steps == 384
     assert list(result.by_goal) == ["F", "E"]
@@ -393,16 +395,16 @@ def test_evaluations_are_single_environments_with_the_same_seeds() -> None:
 def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -> None:
     for arguments, start in ((small("sac"), 1.0), (small("sac", ent_coef_start=0.01), 0.01)):
         venv = ChemlabVecEnv(2, scenario="fictitious", bench="rxn")
-        model: Any = training._learner(resolved(arguments), venv, 1000)
+        model: Any = _learner(arguments, venv, 1000)
         assert model.log_ent_coef.exp().item() == pytest.approx(start)
-    assert TrainArguments.of({"preset": "sac-cool"}).algo == "sac"
+    assert training_arguments({"preset": "sac-cool", "bench": "rxn"}).algo == "sac"
     for values, message in (
         ({"algo": "ppo", "ent_coef_start": 0.1}, "is for sac"),
-        ({"algo": "sac", "ent_coef_start": 0.0}, "must be above 0"),
+        ({"algo": "sac", "ent_coef_start": 0.0}, "greater than 0"),
         ({"algo": "sac", "ent_coef_start": 0.1, "ent_coef": 0.1}, "ent_coef fixes it"),
     ):
         with pytest.raises(ValueError, match=message):
-            TrainArguments.of(values)
+            training_arguments({"bench": "rxn", **values})
 
 
 # -- arguments --------------------------------------------------------------------------------------------------------
@@ -410,20 +412,50 @@ def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -
 
 def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
     file = tmp_path / "train.toml"
-    file.write_text('preset = "ppo-xl"\nsteps = 1e5\nseed = 4\nnet_arch = [32, 32]\n')
-    arguments = TrainArguments.load(file, {"seed": 7, "gamma": None})
+    file.write_text('bench = "rxn"\npreset = "ppo-xl"\nsteps = 1e5\nseed = 4\nnet_arch = [32, 32]\n')
+    arguments = load_arguments(file, {"seed": 7, "gamma": None})
     assert (arguments.steps, arguments.seed, arguments.envs, arguments.net_arch) == (100_000, 7, 32, (32, 32))
-    assert label_of(arguments) == "ppo-xl"
-    assert label_of(replace(arguments, algo="a2c")) == "ppo-xl-a2c"
+    assert arguments.label == "ppo-xl"
+    assert load_arguments(file, {"algo": "a2c"}).label == "ppo-xl-a2c"
+    assert load_arguments(file, {"roles": "manager"}).folder().parts[0] == "wurtz_dodecane-manager_0"
     assert arguments.folder() == Path("WurtzReaction", "ppo-xl", "seed-7")
-    assert TrainArguments.of({}) == TrainArguments()
+    assert training_arguments({}) == IPPO()
 
 
 def test_the_papers_protocol_is_the_default() -> None:
-    ppo, dqn = resolved(TrainArguments.of({})), resolved(TrainArguments.of({"algo": "dqn"}))
+    ppo, dqn = (ALGORITHMS[algo](bench="rxn") for algo in ("ppo", "dqn"))
     assert (ppo.envs, ppo.rollout, ppo.steps) == (10, 256, 1_000_000)
-    assert (dqn.buffer_size, dqn.exploration_steps, dqn.exploration_final) == (1_000_000, 30_000, 0.01)
-    assert ppo.buffer_size is None
+    assert (dqn.buffer_size, dqn.exploration_steps, dqn.exploration_final) == (1_000_000, 30_000, 0.01)  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("algo", LEARNERS)
+def test_other_defaults_are_those_of_stable_baselines3(algo: str) -> None:
+    """Except for what the paper states."""
+    arguments: Any = ALGORITHMS[algo](bench="rxn")
+    theirs = inspect.signature(LEARNERS[algo].__init__).parameters
+    named = {"epochs": "n_epochs", "exploration_final": "exploration_final_eps"}
+    paper = ("gradient_steps", "exploration_final", "action_noise")
+    paper += ("ent_coef",) if algo == "sac" else ()  # "auto", as ent_coef_start says
+    compared = 0
+    for name in type(arguments).model_fields:
+        parameter = theirs.get(named.get(name, name))
+        if parameter is not None and name not in (*paper, "seed"):
+            assert getattr(arguments, name) == parameter.default, name
+            compared += 1
+    assert compared >= 3
+    venv = ChemlabVecEnv(2, scenario="fictitious", bench="rxn" if algo in ("sac", "td3", "ppo") else "dit")
+    kind = "MlpLstmPolicy" if "recurrent" in algo else "MlpPolicy"
+    own = LEARNERS[algo](kind, venv, device="cpu", **({"buffer_size": 10} if "buffer_size" in theirs else {}))
+    made = LEARNERS[algo](
+        kind,
+        venv,
+        device="cpu",
+        policy_kwargs={"net_arch": list(arguments.net_arch)}
+        | ({"lstm_hidden_size": arguments.memory} if "recurrent" in algo else {}),
+        **({"buffer_size": 10} if "buffer_size" in theirs else {}),
+    )
+    shapes = [[tuple(array.shape) for array in one.policy.state_dict().values()] for one in (own, made)]
+    assert shapes[0] == shapes[1]
 
 
 def test_dqn_explores_as_the_paper_says(tmp_path: Path) -> None:
@@ -447,24 +479,69 @@ def test_flags_say_the_same_as_arguments() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"algo": "reinforce"}, "known: ppo, a2c"),
-        ({"preset": "huge"}, "known: paper, .*ppo-xl"),
-        ({"stepz": 3}, "did you mean steps"),
-        ({"steps": "many"}, "needs int, given 'many'"),
-        ({"steps": True}, "needs int, given True"),
-        ({"steps": 0}, "at least 1, given 0"),
-        ({"goals": [1]}, "list of str"),
+        ({"algo": "reinforce"}, "algo: choose from ppo, a2c"),
+        ({"preset": "huge"}, "preset: choose from paper, .*ppo-xl"),
+        ({"stepz": 3}, "stepz: unknown argument; did you mean steps"),
+        ({"steps": "many"}, "steps: Input should be a valid integer, given 'many'"),
+        ({"steps": True}, "steps: Input should be a valid integer, given True"),
+        ({"steps": 0}, "steps: Input should be greater than or equal to 1, given 0"),
+        ({"goals": [1]}, "goals.0: Input should be a valid string, given 1"),
+        ({"roles": "manager"}, "bench: trains a bench on its own, roles train in the laboratory"),
+        ({"bench": None, "algo": "ppo"}, "roles: ppo trains one agent; .* given all"),
         ({"buffer_size": 10}, "is for dqn, qr-dqn, sac, td3, not for ppo"),
-        ({"learning_rate": -1.0}, "above 0"),
-        ({"imitate_rounds": 3}, "nobody is imitated"),
+        ({"learning_rate": -1.0}, "learning_rate: Input should be greater than 0, given -1.0"),
+        ({"bc_rounds": 3}, "bc_rounds: no policy is cloned"),
     ],
 )
 def test_wrong_arguments(values: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        TrainArguments.of(values)
+        training_arguments({"bench": "rxn", **values})
 
 
-KINDS: tuple[type[Arguments], ...] = (TrainArguments, JointArguments, RllibArguments)
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ({"imitate": "random", "imitate_steps": 9}, {"bc": "random", "bc_steps": 9}),
+        ({"imitate": "random", "imitate_rounds": 2}, {"bc": "random", "bc_rounds": 2}),
+        ({"imitate": "random", "imitate_spread": 0.3}, {"bc": "random", "bc_std": 0.3}),
+        ({"algo": "maskable-ppo", "advice": "random"}, {"algo": "maskable-ppo", "hints": "random"}),
+    ],
+)
+def test_old_names_are_accepted_with_a_notice(old: dict[str, Any], new: dict[str, Any], capsys: Any) -> None:
+    expected = training_arguments({"bench": "rxn", **new})
+    assert capsys.readouterr().err == ""
+    assert training_arguments({"bench": "rxn", **old}) == expected
+    assert "is now called" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ({"env_id": RXN}, {"scenario": "fictitious", "bench": "rxn"}),
+        ({"env_id": "chemlab/Bench-v0", "scenario": "crude", "bench": "ext"}, {"scenario": "crude", "bench": "ext"}),
+        ({"env_id": "chemlab/LabAgent-v0", "bench": "rxn_0"}, {"roles": "rxn_0"}),
+        ({"env_id": "manager", "scenario": "crude"}, {"scenario": "crude", "roles": "manager_0"}),
+    ],
+)
+def test_environment_ids_stand_for_scenario_and_role(old: dict[str, Any], new: dict[str, Any]) -> None:
+    made = training_arguments(new)
+    assert training_arguments(old) == made
+    assert isinstance(made, PPO)
+    assert made.env_id == str(old["env_id"]).replace("manager", "chemlab/LabManager-v0")
+
+
+def test_old_commands_are_accepted_with_a_notice(tmp_path: Path) -> None:
+    wrong = ["--steps", "0", "--out", str(tmp_path / "run")]
+    joint = CliRunner().invoke(app, ["train-together", "wurtz_dodecane", "--critic", "state", *wrong])
+    assert "chemlab train-together is now chemlab train --algo ippo" in joint.output.replace("\n", " ")
+    assert "critic is now called algo" in joint.output.replace("\n", " ")
+    assert "train: steps: Input should be greater than or equal to 1" in joint.output.replace("\n", " ")
+    gone = CliRunner().invoke(app, ["train-rllib", "wurtz_dodecane"])
+    assert gone.exit_code == 2
+    assert "recipes/rllib.py" in gone.output
+
+
+KINDS: tuple[type[Arguments], ...] = tuple(ALGORITHMS.values())
 NAN, INFINITY = float("nan"), float("inf")
 NONSENSE: dict[str, tuple[Any, ...]] = {
     "steps": (0, -1),
@@ -483,9 +560,9 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "eval_episodes": (0,),
     "final_episodes": (0,),
     "checkpoints": (0,),
-    "imitate_steps": (0,),
-    "imitate_rounds": (0,),
-    "imitate_spread": (0.0, -0.1, 1.5, NAN, INFINITY),
+    "bc_steps": (0,),
+    "bc_rounds": (0,),
+    "bc_std": (0.0, -0.1, 1.5, NAN, INFINITY),
     "rollout": (0,),
     "gradient_steps": (0, -1),
     "buffer_size": (0,),
@@ -496,8 +573,6 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "net_arch": ((64, 0), (-1,)),
     "memory": (0,),
     "period": (0,),
-    "runners": (0,),
-    "batch": (0,),
 }
 EDGES: dict[str, tuple[Any, ...]] = {
     "seed": (0, 2**32 - 1),
@@ -514,25 +589,25 @@ EDGES: dict[str, tuple[Any, ...]] = {
 
 def fitting(kind: type[Arguments], name: str) -> dict[str, Any]:
     """Arguments among which a field may be given at all."""
-    if kind is not TrainArguments:
-        return {}
-    others = {"exploration_steps": "dqn", "exploration_final": "dqn", "action_noise": "td3", "ent_coef_start": "sac"}
-    others["memory"] = "recurrent-ppo"
-    replay = ("gradient_steps", "buffer_size", "learning_starts")
-    return {"algo": others.get(name, "sac" if name in replay else "ppo")}
+    cloned = {"bc": "scripted"} if name.startswith("bc_") else {}
+    return {"bench": "rxn", **cloned} if issubclass(kind, Single) else cloned
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
-    """Every number of every kind of run, however it is given, and nothing that is no number."""
-    numbers = {f.name for f in fields(kind) if {"int", "float"} & set(re.findall(r"\w+", str(f.type)))}
+    """Every number of every algorithm."""
+    numbers = {
+        name for name, f in kind.model_fields.items() if {"int", "float"} & set(re.findall(r"\w+", str(f.annotation)))
+    }
     assert numbers <= set(NONSENSE)
+    algo = str(kind.model_fields["algo"].default)
     for name in numbers:
         for value in NONSENSE[name]:
-            with pytest.raises(ValueError, match=f"{name}: must be "):
-                kind(**fitting(kind, name), **{name: value})
-            with pytest.raises(ValueError, match=f"{kind.command}: {name}: must be "):
-                kind.load(None, {**fitting(kind, name), name: value})
+            given = {**fitting(kind, name), name: value}
+            with pytest.raises(ValueError, match=f"(?m)^{name}"):
+                kind(**given)
+            with pytest.raises(ValueError, match=rf"train: {name}(\.\d)?: Input should be "):
+                load_arguments(None, {"algo": algo, **given})
         for value in EDGES.get(name, ()):
             kind(**fitting(kind, name), **{name: value})
 
@@ -540,21 +615,30 @@ def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
 def test_nonsense_in_a_file_and_on_the_command_line(tmp_path: Path) -> None:
     file = tmp_path / "train.toml"
     file.write_text("clip_range = nan\n")
-    with pytest.raises(ValueError, match=f"^{re.escape(str(file))}: clip_range: must be a finite number, given nan$"):
-        TrainArguments.load(file, {})
-    for command in (["train", RXN], ["train-together", "wurtz_dodecane"], ["train-rllib", "wurtz_dodecane"]):
-        result = CliRunner().invoke(app, [*command, "--gae-lambda", "nan", "--out", str(tmp_path / "run")])
+    with pytest.raises(ValueError, match=f"^train --config {re.escape(str(file))}: clip_range: Input should be a f"):
+        load_arguments(file, {})
+    for target in (RXN, "wurtz_dodecane"):
+        result = CliRunner().invoke(app, ["train", target, "--gae-lambda", "nan", "--out", str(tmp_path / "run")])
         assert result.exit_code == 2
-        assert f"{command[0]}: gae_lambda: must be a finite number, given nan" in result.output.replace("\n", " ")
+        assert "train: gae_lambda: Input should be a finite number, given nan" in result.output.replace("\n", " ")
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_of_an_older_version_is_refused(tmp_path: Path) -> None:
+    """Its arguments stand beside the others."""
+    values = {"env_id": RXN, "label": "ppo", "algo": "ppo", "seed": 0, "scenario": "fictitious", "bench": "rxn"}
+    (tmp_path / "config.json").write_text(json.dumps({**values, "goals": ["E"], "fingerprint": "0", "steps": 384}))
+    with pytest.raises(ValueError, match=r"holds a run of chemlab before 0\.3; give another --out, or delete"):
+        train(small("ppo"), tmp_path)
+    assert find_runs(tmp_path)[0].config() is not None, "it can still be read"
 
 
 def test_a_minibatch_of_one_is_refused_where_it_would_make_weights_that_are_no_numbers() -> None:
     with pytest.raises(ValueError, match="batch_size: of the 65 steps of a rollout a single one would be left"):
-        TrainArguments(DIT, algo="maskable-ppo", envs=5, rollout=13)
-    TrainArguments(DIT, algo="maskable-ppo", envs=5, rollout=13, batch_size=33)
+        MaskablePPO(bench="dit", envs=5, rollout=13)
+    MaskablePPO(bench="dit", envs=5, rollout=13, batch_size=33)
     with pytest.raises(ValueError, match="rollout: PPO needs at least 2 steps"):
-        TrainArguments(RXN, envs=1, rollout=1)
+        PPO(bench="rxn", envs=1, rollout=1)
 
 
 def test_training_on_an_empty_vessel_is_spoken_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -566,7 +650,7 @@ def test_training_on_an_empty_vessel_is_spoken_of(tmp_path: Path, monkeypatch: p
     short = {**SMALL, "env_id": "chemlab/Bench-v0", "scenario": str(file), "bench": "fil", "steps": 64}
     said = r"'fil' of wurtz_dodecane: .* empty vessel, .* no \[benches.fil.start\]; give it contents .moles by mat"
     with pytest.warns(UserWarning, match=said):
-        result = train(TrainArguments.of(short), tmp_path / "empty")
+        result = train(training_arguments(short), tmp_path / "empty")
     assert result.scripted_mean is None
     assert Run(tmp_path / "empty").evaluations()[0].scripted_by_goal is None
 
@@ -584,26 +668,26 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"env_id": "chemlab/Nothing-v0"}, "known: chemlab/WurtzReaction-v0"),
-        ({"env_id": "CartPole-v1"}, "env_id: known"),
-        ({"scenario": "fictitious"}, "has 'wurtz_dodecane'"),
+        ({"scenario": "chemlab/Nothing-v0"}, "environments are chemlab/WurtzReaction-v0"),
+        ({"scenario": "CartPole-v1"}, "CartPole-v1"),
+        ({"env_id": "chemlab/WurtzReaction-v0", "scenario": "fictitious"}, "has 'wurtz_dodecane'"),
         ({"goals": ["gold"]}, "goals: wurtz_dodecane has"),
         ({"algo": "dqn"}, "actions are continuous"),
-        ({"env_id": DIT, "algo": "sac"}, "actions are discrete"),
+        ({"bench": "dit", "algo": "sac"}, "actions are discrete"),
     ],
 )
 def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
-        train(TrainArguments.of(values), tmp_path / "run")
+        train(training_arguments({"bench": "rxn", **values}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
-@pytest.mark.parametrize("wrong", [{"imitate": "heuristc"}, {"imitate": "nowhere/at/all"}, {"advice": "heuristc"}])
+@pytest.mark.parametrize("wrong", [{"bc": "heuristc"}, {"bc": "nowhere/at/all"}, {"hints": "heuristc"}])
 def test_a_mistyped_policy_leaves_nothing_behind(wrong: dict[str, str], tmp_path: Path) -> None:
     """Whom to learn from is looked up before anything is written; the right name may follow in the same folder."""
     values = {**SMALL, "env_id": "chemlab/LabManager-v0", "algo": "maskable-ppo", "scenario": "wurtz_any"}
     with pytest.raises(ValueError, match=next(iter(wrong.values()))):
-        train(TrainArguments.of({**values, **wrong}), tmp_path / "run")
+        train(training_arguments({**values, **wrong}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -620,18 +704,18 @@ def test_a_run_that_fails_before_its_first_checkpoint_does_not_hold_its_folder(
         with monkeypatch.context() as patch:
             patch.setattr(training, "train_in_rounds", fail)
             with pytest.raises(type(error)):
-                train(TrainArguments.of(values), run.path)
+                train(training_arguments(values), run.path)
         assert run.config_file.exists() is holds
         if not holds:
             values |= {"seed": 7}
     with pytest.raises(ValueError, match="holds a run with other arguments: seed 7"):
-        train(TrainArguments.of({**values, "seed": 8}), run.path)
+        train(training_arguments({**values, "seed": 8}), run.path)
 
 
 def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(tmp_path: Path) -> None:
     """What DQN has learned of the discretised bench comes to the same where it plays the continuous one."""
-    result = train(small("dqn", actions="discrete", env_id=RXN), tmp_path / "run")
-    assert Run(tmp_path / "run").config()["actions"] == "discrete"
+    result = train(small("dqn", actions="discrete", scenario=RXN), tmp_path / "run")
+    assert (Run(tmp_path / "run").config() or {})["arguments"]["actions"] == "discrete"
     scenario = load_scenario("fictitious")
     ours, theirs = (
         Target(scenario.with_actions(kind), "rxn").play(str(tmp_path / "run"), "G", 3, 7).returns
@@ -639,20 +723,20 @@ def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(
     )
     np.testing.assert_array_equal(ours, theirs)
     assert set(result.by_goal) == set(scenario.goals)
-    assert train(small("dqn", actions="discrete", env_id=RXN), tmp_path / "run") == result
+    assert train(small("dqn", actions="discrete", scenario=RXN), tmp_path / "run") == result
     with pytest.raises(ValueError, match="or with --actions discrete dqn or qr-dqn or maskable-ppo"):
-        train(small("dqn", env_id=RXN), tmp_path / "other")
+        train(small("dqn", scenario=RXN), tmp_path / "other")
 
 
 def test_a_recurrent_learner_is_not_for_benches_that_a_laboratory_begins_anew(tmp_path: Path) -> None:
     values = {"env_id": "chemlab/LabAgent-v0", "bench": "rxn_0", "algo": "recurrent-ppo"}
     with pytest.raises(ValueError, match="begins anew with each experiment"):
-        train(TrainArguments.of(values), tmp_path / "run")
+        train(training_arguments(values), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
 def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("learn", "loop"):
+    for module in ("learn", "loop", "single", "joint"):
         monkeypatch.delitem(sys.modules, f"chemlab.agents.train.{module}")
     monkeypatch.setitem(sys.modules, "sb3_contrib", None)
     result = CliRunner().invoke(app, ["train", RXN, "--steps", "1", "--out", str(tmp_path)])

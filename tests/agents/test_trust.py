@@ -23,8 +23,7 @@ pytest.importorskip("stable_baselines3")
 from chemlab.agents.runs import Run
 from chemlab.agents.saved import find_saved
 from chemlab.agents.seals import read_sealed, seal_file
-from chemlab.agents.train.arguments import JointArguments, TrainArguments
-from chemlab.agents.train.joint import train_together
+from chemlab.agents.train.arguments import training_arguments
 from chemlab.agents.train.learn import train
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
@@ -32,8 +31,8 @@ from chemlab.config.parts import strangers_code
 
 SCENARIO = "wurtz_dodecane"
 TINY = {"envs": 2, "rollout": 16, "evaluations": 1, "checkpoints": 1, "eval_episodes": 1, "final_episodes": 1}
-MANAGER = TrainArguments.of({"env_id": "manager", "algo": "maskable-ppo", "scenario": SCENARIO, "steps": 32, **TINY})
-JOINT = JointArguments.of({"scenario": SCENARIO, "roles": ("dit", "ext"), "steps": 16, **TINY})
+MANAGER = training_arguments({"roles": "manager", "algo": "maskable-ppo", "scenario": SCENARIO, "steps": 32, **TINY})
+JOINT = training_arguments({"scenario": SCENARIO, "roles": ("dit", "ext"), "steps": 16, **TINY})
 PARTS = """
 from pathlib import Path
 Path({marker!r}).write_text("ran")
@@ -94,7 +93,7 @@ def strangers(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CHEMLAB_STATE_DIR", str(folder / "state"))
         train(MANAGER, folder / "manager")
-        train_together(JOINT, folder / "joint")
+        train(JOINT, folder / "joint")
     return folder
 
 
@@ -216,9 +215,9 @@ def test_figures_play_weights_and_leave_pickles_out(bait: Path) -> None:
 
 
 def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None:
-    single = ["train", "manager", *MANAGER.flags(), "--out", no_end(bait / "manager")]
-    together = ["train-together", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]
-    begin = ["train-together", SCENARIO, *JOINT.flags(), "--begin-from", bait / "joint", "--out", bait / "new"]
+    single = ["train", SCENARIO, *MANAGER.flags(), "--out", no_end(bait / "manager")]
+    together = ["train", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]
+    begin = ["train", SCENARIO, *JOINT.flags(), "--begin-from", bait / "joint", "--out", bait / "new"]
     for words in (single, together, begin):
         code, said = chemlab(*words)
         assert code == 2, said
@@ -260,8 +259,8 @@ SCENARIOS = {
     "starts": ["starts", "bait.toml", "--episodes", 1, "--out", "starts.json"],
     "evaluate": ["evaluate", "bait.toml", "--episodes", 1],
     "plan": ["audit", "plan", "bait.toml", "--budget", 1, "--episodes", 1],
-    "train": ["train", "manager", "--scenario", "bait.toml", "--algo", "maskable-ppo", "--steps", 32, "--out", "new"],
-    "train-together": ["train-together", "bait.toml", "--steps", 32, "--out", "new"],
+    "train one": ["train", "bait.toml", "--roles", "manager", "--algo", "maskable-ppo", "--steps", 32, "--out", "new"],
+    "train all": ["train", "bait.toml", "--steps", 32, "--out", "new"],
     "sweep": ["sweep", "sweep.toml", "--status"],
 }
 
@@ -270,7 +269,7 @@ SCENARIOS = {
 def test_a_scenarios_code_waits_for_the_flag(way: str, bait: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(bait)
     if way == "sweep":  # its status needs the task of a folder that has a run
-        run = '[[runs]]\nenv_id = "manager"\nalgo = "maskable-ppo"\nscenario = "bait.toml"\n'
+        run = '[[runs]]\nroles = "manager"\nalgo = "maskable-ppo"\nscenario = "bait.toml"\n'
         (bait / "sweep.toml").write_text(run)
         folder = bait / "results" / "bait-manager_0" / "maskable-ppo" / "seed-0"
         folder.mkdir(parents=True)
@@ -285,7 +284,7 @@ def test_a_scenarios_code_waits_for_the_flag(way: str, bait: Path, monkeypatch: 
 
 def test_children_of_a_sweep_import_nothing_from_where_it_is_started(bait: Path) -> None:
     sweep = "[defaults]\n" + "".join(f"{key} = {value}\n" for key, value in TINY.items())
-    sweep += '[[runs]]\nenv_id = "chemlab/WurtzDistillation-v0"\nalgo = "ppo"\nsteps = 32\n'
+    sweep += '[[runs]]\nscenario = "chemlab/WurtzDistillation-v0"\nalgo = "ppo"\nsteps = 32\n'
     (bait / "sweep.toml").write_text(sweep)
     for module in ("typer", "json", "chemlab", "numpy"):
         (bait / f"{module}.py").write_text(PARTS.format(marker=str(bait / "ran")))

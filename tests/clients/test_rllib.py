@@ -1,15 +1,12 @@
-"""Ray RLlib: the same laboratory turn by turn, masks, lost env runners, checkpoints that play elsewhere."""
+"""Ray RLlib: the same laboratory turn by turn; masks and discounts of the recipe."""
 
 from __future__ import annotations
 
 import copy
-import itertools
 import os
 import pickle
 import shutil
-import signal
 import tempfile
-import time
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,28 +20,29 @@ pytest.importorskip("ray.rllib", reason='needs the extra: pip install ".[rllib]"
 
 import ray
 import torch
-from helpers import mapping
+from helpers import mapping, script
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
 from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
 from ray.tune.registry import register_env
 
-from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
-from chemlab.agents.pretrained import load_pretrained
-from chemlab.agents.rllib import train as training
-from chemlab.agents.rllib.env import LaboratoryMultiAgentEnv
-from chemlab.agents.rllib.module import RoleModule, policy_weights
-from chemlab.agents.rllib.train import algorithm_config, train_rllib
+from chemlab.agents.rllib import LaboratoryMultiAgentEnv
 from chemlab.agents.roles import role_of
-from chemlab.agents.runs import RESULT_SEED, Evaluation, Run
-from chemlab.agents.train.arguments import RllibArguments
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import raw_env
 
 ROLES = ["manager", "rxn", "ext", "dit"]
+
+
+@pytest.fixture
+def recipe(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The recipe: networks and settings."""
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "recipes"))
+    return script("recipes/rllib.py")
+
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore::DeprecationWarning", "ignore::FutureWarning", "ignore::ResourceWarning"
@@ -278,12 +276,12 @@ class _Taped(LaboratoryMultiAgentEnv):
         return found
 
 
-def test_rllib_collects_what_was_played(cluster: None) -> None:
+def test_rllib_collects_what_was_played(cluster: None, recipe: Any) -> None:
     """Through RLlib's env runner, which cuts episodes wherever a batch is full: every agent's observations, actions and
     rewards, in order, are those of the environment; no illegal action in 2000 turns; continuous ones are clipped."""
     TAPES.clear()
     scenario = load_scenario("wurtz_dodecane")
-    config = algorithm_config(RllibArguments(envs=3), scenario, ROLES, 11).environment(_Taped)
+    config = recipe.algorithm_config(scenario, ROLES, seed=11, envs=3).environment(_Taped)
     runner = MultiAgentEnvRunner(config=config, worker_index=1)
     chunks = [chunk for _ in range(60) for chunk in runner.sample(num_timesteps=37)]
     collected: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))
@@ -373,12 +371,12 @@ def alike(tape: dict[str, list[Any]], collected: dict[str, list[Any]]) -> bool:
     return True
 
 
-def test_illegal_actions_have_no_probability() -> None:
+def test_illegal_actions_have_no_probability(recipe: Any) -> None:
     labs = Laboratories("wurtz_dodecane", 1)
     env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane"})
     for number, agent in enumerate(labs.agents):
         space, actions = env.observation_spaces[agent], env.action_spaces[agent]
-        module = RoleModule(observation_space=space, action_space=actions)
+        module = recipe.RoleModule(observation_space=space, action_space=actions)
         seen = torch.rand(64, labs.observation_sizes[number])
         if not labs.action_counts[number]:
             batch = {Columns.OBS: seen}
@@ -396,10 +394,10 @@ def test_illegal_actions_have_no_probability() -> None:
         assert module.compute_values(batch).shape == (64,)
 
 
-def test_every_role_has_its_own_discount(cluster: None) -> None:
+def test_every_role_has_its_own_discount(cluster: None, recipe: Any) -> None:
     """RLlib's own learner has one for all; here the manager's returns are plain sums, and the benches' discounted."""
-    arguments = RllibArguments(envs=2, gamma=0.5, manager_gamma=1.0, gae_lambda=1.0)
-    config = algorithm_config(arguments, load_scenario("wurtz_dodecane"), ROLES, 0)
+    settings = {"envs": 2, "gamma": 0.5, "manager_gamma": 1.0, "gae_lambda": 1.0}
+    config = recipe.algorithm_config(load_scenario("wurtz_dodecane"), ROLES, **settings)
     runner = MultiAgentEnvRunner(config=config, worker_index=1)
     learner = config.build_learner(spaces=runner.get_spaces())
     # lambda 1 makes the targets discounted sums of rewards, whatever the value network says, where episodes are whole.
@@ -421,136 +419,3 @@ def test_every_role_has_its_own_discount(cluster: None) -> None:
             expected += sums[::-1]
         real = batch[role]["loss_mask"]
         np.testing.assert_allclose(batch[role]["value_targets"][real].numpy(), expected, rtol=1e-4, atol=1e-5)
-
-
-# -- runs -----------------------------------------------------------------------------------------------------------
-
-
-class _Stop(Exception):
-    pass
-
-
-class _Killing:
-    """Kills an env runner's process after the first round, and stops the run when another has taken its place."""
-
-    def __init__(self) -> None:
-        self.team: Any = None
-        self.killed: int | None = None
-        self.rounds_without = 0
-
-    def pids(self) -> list[int]:
-        found: list[int] = self.team.algorithm.env_runner_group.foreach_env_runner(
-            lambda _: os.getpid(), local_env_runner=False
-        )
-        return found
-
-    def begun(self, step: int, steps: int) -> None:
-        pass
-
-    def advanced(self, step: int, mean: float | None) -> None:
-        group = self.team.algorithm.env_runner_group
-        if self.killed is None:
-            self.killed = self.pids()[0]
-            os.kill(self.killed, signal.SIGKILL)
-        elif group.num_healthy_remote_workers() < 2:
-            self.rounds_without += 1
-            time.sleep(0.5)  # a process needs its time to start
-        elif self.rounds_without:
-            assert len(self.pids()) == 2
-            assert self.killed not in self.pids()
-            raise _Stop
-
-    def evaluated(self, evaluation: Evaluation, best: bool) -> None:
-        pass
-
-    def finishing(self) -> None:
-        raise AssertionError("the lost env runner was not replaced")
-
-
-def test_a_killed_env_runner_is_replaced_and_a_stopped_run_goes_on(
-    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    arguments = RllibArguments(
-        steps=40_000, runners=2, envs=2, batch=200, batch_size=100, epochs=1, evaluations=200, eval_episodes=1
-    )
-    watcher, make = _Killing(), training._Team
-
-    def watched(*given: Any) -> Any:
-        watcher.team = make(*given)
-        return watcher.team
-
-    monkeypatch.setattr(training, "_Team", watched)
-    with pytest.raises(_Stop):
-        train_rllib(arguments, tmp_path, watcher)
-    assert watcher.rounds_without >= 1, "training went on while an env runner was missing"
-    run = Run(tmp_path)
-    points, last = run.curve(), run.checkpoint("last")
-    assert last is not None
-    assert len(points) >= 3
-    assert all(after.step >= before.step + 200 for before, after in itertools.pairwise(points))
-    # What it had learned is there: the policies in the checkpoint are those of RLlib's networks.
-    weights = training.load_state(last)["learner_group"]["learner"]["rl_module"]
-    for role in ROLES:
-        policy = load_pretrained(last / role)
-        for name, array in policy_weights(weights[role]).items():
-            layer, _, part = name.partition(".")
-            ours = policy._layers[int(layer)][0].T if part == "weight" else policy._layers[int(layer)][1]
-            np.testing.assert_array_equal(ours, array)
-
-    class Stopping(_Killing):
-        def begun(self, step: int, steps: int) -> None:
-            assert step == int(last.name.rpartition("-")[2])
-            states = self.team._states()
-            for role in ROLES:
-                for name, array in states[role].items():
-                    np.testing.assert_array_equal(array, weights[role][name])
-            self.killed = 0
-
-        def advanced(self, step: int, mean: float | None) -> None:
-            raise _Stop
-
-    watcher = Stopping()
-    with pytest.raises(_Stop):
-        train_rllib(arguments, tmp_path, watcher)
-    assert run.curve()[-1].step > int(last.name.rpartition("-")[2])
-    with pytest.raises(ValueError, match="holds a run with other arguments: gamma"):
-        train_rllib(RllibArguments(**{**vars(arguments), "gamma": 0.5}), tmp_path)
-
-
-def test_a_run_learns_and_its_policies_play_without_ray(cluster: None, tmp_path: Path) -> None:
-    """A manager of scripted benches, from random play to better than the scripted manager."""
-    arguments = RllibArguments(
-        "salt_from_oil", roles=("manager",), steps=5000, batch=500, batch_size=125, learning_rate=1e-3, evaluations=2
-    )
-    result = train_rllib(arguments, tmp_path)
-    curve = [point.return_mean for point in Run(tmp_path).curve() if point.return_mean is not None]
-    assert curve[0] < 0.4
-    assert min(curve[-3:]) > 0.8
-    assert result.mean > 0.8
-    assert result.steps >= 5000
-    labs = Laboratories("salt_from_oil", 100)
-    policies = make_policies(str(tmp_path), labs)
-    scores = [play_laboratory(labs, policies, goal, RESULT_SEED).returns.mean() for goal in labs.scenario.lab_goals]
-    assert np.mean(scores) == pytest.approx(result.mean, rel=1e-9)
-    assert train_rllib(arguments, tmp_path) == result, "what is finished is not run again"
-
-
-def test_a_cluster_that_is_not_there_or_too_small_is_named(
-    cluster: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with pytest.raises(ValueError, match="runners: must be at most 2, the number of Ray's CPUs; given 3"):
-        train_rllib(RllibArguments(runners=3), tmp_path)
-    monkeypatch.setattr(ray, "is_initialized", lambda: False)
-    with pytest.raises(ValueError, match=r"address: no Ray cluster to join at '127\.0\.0\.1:9' .*ray start --head"):
-        train_rllib(RllibArguments(address="127.0.0.1:9"), tmp_path)
-
-
-def test_arguments() -> None:
-    arguments = RllibArguments.load(None, {"scenario": "fictitious", "roles": ("rxn", "dit"), "address": "auto"})
-    assert arguments.command_line() == "chemlab train-rllib fictitious --roles rxn --roles dit"
-    with pytest.raises(ValueError, match="train-rllib: runners: must be at least 1, given 0"):
-        RllibArguments.load(None, {"runners": 0})
-    with pytest.raises(ValueError, match="train-rllib: batch: must be at least a turn"):
-        RllibArguments.load(None, {"batch": 7})
-    with pytest.raises(ValueError, match="train-rllib: runner: no such argument; did you mean runners"):
-        RllibArguments.load(None, {"runner": 1})

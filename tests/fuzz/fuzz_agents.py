@@ -39,7 +39,7 @@ from chemlab.agents.plans import ConstantPlan, all_contexts, plan_for, stored_pl
 from chemlab.agents.policies import agent_policy, bench_policy
 from chemlab.agents.pretrained import LSTM, load_pretrained
 from chemlab.agents.runs import Run
-from chemlab.agents.train.arguments import JointArguments, RllibArguments, TrainArguments
+from chemlab.agents.train.arguments import load_arguments
 from chemlab.agents.train.sweep import plan, status_of
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
@@ -51,14 +51,14 @@ NAME, SCENARIO, MEMORY = "fictitious_rxn", "fictitious", 3
 SWEEP: dict[str, Any] = {
     "defaults": {"envs": 2, "steps": 64, "gamma": 0.9, "net_arch": [8, 8]},
     "runs": [
-        {"env_id": ["chemlab/WurtzReaction-v0", "chemlab/FictitiousReaction-v0"], "algo": ["ppo", "sac"], "seeds": 2},
-        {"env_id": "chemlab/Bench-v0", "scenario": "salt_from_oil", "bench": "ext", "name": "lab", "starts": "both"},
-        {"env_id": "manager", "preset": "manager", "seeds": [1, 5], "curriculum": ["20: ext=0.5", "40: submit=1"]},
+        {"scenario": ["chemlab/WurtzReaction-v0", "chemlab/FictitiousReaction-v0"], "algo": ["ppo", "sac"], "seeds": 2},
+        {"scenario": "salt_from_oil", "bench": "ext", "name": "lab", "starts": "both"},
+        {"roles": "manager", "preset": "manager", "seeds": [1, 5], "curriculum": ["20: ext=0.5", "40: submit=1"]},
     ],
 }
-CONFIGURATIONS: dict[type[Any], dict[str, Any]] = {
-    TrainArguments: {
-        "env_id": "chemlab/WurtzExtraction-v0",
+CONFIGURATIONS: list[dict[str, Any]] = [
+    {
+        "scenario": "chemlab/WurtzExtraction-v0",
         "algo": "ppo",
         "steps": 1000,
         "gamma": 0.9,
@@ -69,9 +69,9 @@ CONFIGURATIONS: dict[type[Any], dict[str, Any]] = {
         "goals": ["dodecane"],
         "learning_rate": 1e-3,
     },
-    JointArguments: {"scenario": "wurtz_dodecane", "roles": ["manager", "ext"], "regime": "in-turns", "envs": 3},
-    RllibArguments: {"scenario": "wurtz_dodecane", "roles": ["rxn"], "runners": 2, "batch": 512, "batch_size": 32},
-}
+    {"scenario": "wurtz_dodecane", "roles": ["manager", "ext"], "regime": "in-turns", "envs": 3},
+    {"scenario": "wurtz_dodecane", "bench": "rxn", "algo": "sac", "buffer_size": 512, "batch_size": 32},
+]
 CURVE = [(100, 0.1, 0.2), (200, 0.4, 0.2), (300, None, None)]
 
 
@@ -145,6 +145,7 @@ def try_plan(folder: Path, rng: np.random.Generator) -> None:
 def write_finished(folder: Path, manager: bool, seed: int = 0) -> Run:
     """A finished run of a bench or a manager, with exported weights in its checkpoint."""
     more = {"background": "pretrained", "final_episodes": 10, "env_id": "chemlab/FictitiousReaction-v0", "algo": "ppo"}
+    more["arguments"] = {"scenario": "fictitious", "bench": "rxn", "algo": "ppo"}
     bench = ("wurtz_dodecane", "manager_0") if manager else (SCENARIO, "rxn")
     returns = {"dodecane": 0.5, "hexane": 0.4}
     path = write_run(folder / "task" / "run", *bench, returns, seed=seed, curve=CURVE, evaluations={100: 0.1}, **more)
@@ -175,11 +176,11 @@ def try_run(folder: Path, rng: np.random.Generator) -> None:
     collect_count(folder)
     run.rewind(150)
     agent_policy(str(run.path), laboratory(SCENARIO), 0)
-    from chemlab.agents.train.export import _arguments
+    from chemlab.agents.train.export import recorded_arguments
 
     config = run.config()
     assert config is not None
-    _arguments(config, str(run.config_file))
+    recorded_arguments(config, str(run.config_file))
 
 
 def try_sweep(folder: Path, rng: np.random.Generator) -> None:
@@ -194,11 +195,9 @@ def try_sweep(folder: Path, rng: np.random.Generator) -> None:
 
 def try_configuration(folder: Path, rng: np.random.Generator) -> None:
     """A configuration of a command."""
-    kind = list(CONFIGURATIONS)[rng.integers(len(CONFIGURATIONS))]
-    donors = list(CONFIGURATIONS.values())
-    given, donor = CONFIGURATIONS[kind], donors[rng.integers(len(donors))]
+    given, donor = (CONFIGURATIONS[i] for i in rng.integers(len(CONFIGURATIONS), size=2))
     write_toml(folder / "own.toml", given, changed(given, donor, rng), rng)
-    arguments = kind.load(folder / "own.toml", {})
+    arguments = load_arguments(folder / "own.toml", {})
     arguments.command_line()
     arguments.folder()
 

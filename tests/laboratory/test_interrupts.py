@@ -20,7 +20,6 @@ from gymnasium.vector import AutoresetMode
 
 import chemlab
 from chemlab.agents.background import focal_env, focal_vector_env
-from chemlab.envs import wrappers
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
@@ -201,37 +200,6 @@ def bench_vector() -> Played:
     )
 
 
-def shaped() -> Played:
-    inner = BenchEnv(WURTZ, "ext")
-    env = wrappers.PotentialShaping(inner, lambda seen: float(seen.mean()), 0.9)
-    return Played(
-        lambda: env.reset(seed=SEED),
-        lambda k: env.step(1 + 2 * k),
-        lambda: [*inner.get_state()[:-1], np.array([env._phi])],
-    )
-
-
-def shaped_batch() -> Played:
-    inner = BenchVectorEnv(2, WURTZ, "ext", autoreset_mode=AutoresetMode.SAME_STEP)
-    env = wrappers.VectorPotentialShaping(inner, lambda seen: seen.mean(axis=1), 0.9)
-    return Played(
-        lambda: env.reset(seed=SEED),
-        lambda k: env.step(np.array([_bench_action(inner.action_count, k), 3])),
-        lambda: [*inner.get_state()[:-1], env._phi, env._over],
-    )
-
-
-def goal_conditioned() -> Played:
-    inner = BenchEnv(WURTZ, "ext")
-    env = wrappers.GoalConditioned(inner)
-    last = inner.bench.end_action
-    return Played(
-        lambda: env.reset(seed=SEED),
-        lambda k: env.step(last if k == STEPS - 1 else 1 + 2 * k),
-        lambda: [*inner.get_state()[:-1], env._baseline],
-    )
-
-
 def sb3() -> Played:
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.sb3 import ChemlabVecEnv
@@ -262,9 +230,6 @@ ENVIRONMENTS = {
         focal_vector,
         bench,
         bench_vector,
-        shaped,
-        shaped_batch,
-        goal_conditioned,
         sb3,
     )
 }

@@ -642,7 +642,7 @@ def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its best checkpoint is played; what the tables have of other runs stays. Runs of laboratories go elsewhere."""
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import TrainArguments
+    from chemlab.agents.train.arguments import training_arguments
     from chemlab.agents.train.learn import train
 
     monkeypatch.setattr(published, "TABLES", tmp_path / "tables")
@@ -654,7 +654,7 @@ def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pyt
     before = read_results(tmp_path / "tables").traces["wurtz_dit"]["dqn"]
     small = {"steps": 64, "envs": 2, "rollout": 16, "evaluations": 1, "eval_episodes": 1, "final_episodes": 1}
     runs, name = tmp_path / "runs", "WurtzDistillation/ppo/seed-0"
-    train(TrainArguments.of({"env_id": "chemlab/WurtzDistillation-v0", "checkpoints": 1, **small}), runs / name)
+    train(training_arguments({"scenario": "chemlab/WurtzDistillation-v0", "checkpoints": 1, **small}), runs / name)
     run_files.write_run(runs / "lab" / "seed-0", "wurtz_dodecane", "rxn_0", {"dodecane": 0.5})
     told: list[str] = []
     published.collect_all(runs, told.append)

@@ -13,7 +13,7 @@ from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.evaluate.results import Cell, Cells, TrainedRun, cells_of, display_name, read_runs
 from chemlab.agents.evaluate.tables import read_table
-from chemlab.agents.train.arguments import TrainArguments
+from chemlab.agents.train.arguments import PPO
 from chemlab.agents.train.tasks import task_fingerprint
 
 __all__ = [
@@ -53,8 +53,7 @@ class Experiment:
     @property
     def fingerprint(self) -> str:
         """Fingerprint of the current bench."""
-        bench = TrainArguments(env_id="chemlab/Bench-v0", scenario=self.scenario, bench=self.bench)
-        return str(task_fingerprint(bench))
+        return str(task_fingerprint(PPO(scenario=self.scenario, bench=self.bench)))
 
     @property
     def goals(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ Nothing is computed here: `reset` with a seed and the same actions give the AEC 
 number by number. Rewards of an agent before its first turn (an accident at an experiment's start, where that is priced)
 come with its first observation; RLlib ascribes them to none of its actions.
 
->>> from chemlab.agents.rllib.env import LaboratoryMultiAgentEnv                          # doctest: +SKIP
+>>> from chemlab.agents.rllib import LaboratoryMultiAgentEnv                          # doctest: +SKIP
 >>> env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane", "roles": ["manager"]})   # doctest: +SKIP
 
 Needs the extra: ``pip install ".[rllib]"``.
@@ -34,8 +34,8 @@ from chemlab.kernels.rng import checked_seed
 from chemlab.lab.episodes import INTERRUPTED, Guarded
 from chemlab.roles.manager_state import RUNNING
 
-from ..background import background_players
-from ..roles import chosen_roles, role_of
+from .background import background_players
+from .roles import chosen_roles, role_of
 
 try:
     from ray.rllib.env.multi_agent_env import MultiAgentEnv

@@ -1,1 +1,0 @@
-"""Training on Ray RLlib, on one machine or a cluster; see :mod:`chemlab.agents.rllib.train`."""

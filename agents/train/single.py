@@ -1,0 +1,203 @@
+"""One agent, a bench's or a laboratory's, that learns with an algorithm of Stable-Baselines3 or sb3-contrib.
+
+Needs the extra: ``pip install ".[train]"``.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+from stable_baselines3.common.base_class import BaseAlgorithm
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.noise import NormalActionNoise
+
+from chemlab.envs.players import as_policy
+from chemlab.lab.engine import MANAGER_AGENT
+
+from ..learners import LEARNERS
+from ..pretrained import load_pretrained
+from ..recurrent import MaskedLstmPolicy
+from ..runs import Evaluation, Run
+from ..sb3 import ChemlabVecEnv
+from .arguments import ALGORITHMS, SAC, TD3, Recurrent, Replay, Single, Stage, curriculum_of
+from .checkpoints import load_agent, save_agent
+from .imitate import imitate
+from .loop import Progress, Trainee, reached
+from .networks import save_learned
+from .tasks import find_task
+
+__all__ = ["Agent"]
+
+_SETTINGS = {
+    **{name: name for name in ("learning_rate", "gamma", "gae_lambda", "ent_coef", "clip_range", "batch_size")},
+    **{name: name for name in ("gradient_steps", "buffer_size", "learning_starts")},
+    "epochs": "n_epochs",
+    "exploration_final": "exploration_final_eps",
+}
+"""Names of Stable-Baselines3's settings by those of arguments."""
+
+
+def _learner(arguments: Single, venv: ChemlabVecEnv, total: int) -> BaseAlgorithm:
+    """Make a learner that has learned nothing yet."""
+    a = arguments
+    settings = {theirs: getattr(a, ours) for ours, theirs in _SETTINGS.items() if hasattr(a, ours)}
+    settings["train_freq" if isinstance(a, Replay) else "n_steps"] = a.rollout
+    settings["policy_kwargs"] = {"net_arch": list(a.net_arch)}
+    if isinstance(a, Recurrent):
+        settings["policy_kwargs"]["lstm_hidden_size"] = a.memory
+    if hasattr(a, "exploration_steps"):
+        settings |= {"exploration_fraction": min(1.0, a.exploration_steps / total), "exploration_initial_eps": 1.0}
+    if isinstance(a, SAC) and a.ent_coef is None:
+        settings["ent_coef"] = f"auto_{a.ent_coef_start}"
+    if isinstance(a, TD3) and a.action_noise:
+        size = venv.batch.single_action_space.shape or ()
+        settings["action_noise"] = NormalActionNoise(np.zeros(size), np.full(size, a.action_noise))
+    network = {"recurrent-ppo": "MlpLstmPolicy", "maskable-recurrent-ppo": MaskedLstmPolicy}.get(a.algo, "MlpPolicy")
+    model: BaseAlgorithm = LEARNERS[a.algo](network, venv, seed=a.seed, device="cpu", **settings)
+    return model
+
+
+class _Ended(BaseCallback):
+    """Keeps the returns of the episodes that end."""
+
+    def __init__(self, total: int) -> None:
+        super().__init__()
+        self._total = total
+        self.returns: list[float] = []
+
+    def _on_training_start(self) -> None:
+        # DQN's exploration falls over the whole run; SB3 is given one rollout at a time.
+        self.model._total_timesteps = self._total
+
+    def _on_step(self) -> bool:
+        if self.locals["dones"].any():
+            self.returns += [info["episode"]["r"] for info in self.locals["infos"] if "episode" in info]
+        return True
+
+
+class Agent(Trainee):
+    """A learner of Stable-Baselines3 and its environments.
+
+    Raises:
+        ValueError: an argument does not fit the task.
+        DataError: unknown scenario, bench, goal or starting states.
+    """
+
+    arguments: Single
+    model: BaseAlgorithm
+    venv: ChemlabVecEnv
+
+    def __init__(self, arguments: Single) -> None:
+        a = self.arguments = arguments
+        task = self._task = find_task(a)
+        _check_algorithm(a.algo, discrete=bool(task.workplace.action_count))
+        if isinstance(a, Recurrent) and task.background is not None and task.agent != MANAGER_AGENT:
+            raise ValueError(
+                f"algo: {a.algo}: a laboratory's bench begins anew with each experiment, and {task.agent} has several "
+                "in an episode; train the bench on its own (--bench), or the manager"
+            )
+        warning = task.warning()
+        if warning is not None:
+            warnings.warn(warning, stacklevel=4)
+        self._rollout = a.envs * a.rollout
+        self.steps = math.ceil(a.steps / self._rollout) * self._rollout
+        self._stages = curriculum_of(a, tuple(task.scenario.benches))
+        self._stage: Stage | None = None
+        self._hints: str | None = getattr(a, "hints", None)
+        self.config = self.described(a.scenario, task.agent, list(task.goals), task.fingerprint)
+
+    def check(self) -> None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        bc = getattr(self.arguments, "bc", None)
+        if bc is not None:
+            self._task.policy(bc)
+        if self._hints is not None:
+            self._task.advisor(self._hints)
+
+    def begin(self, run: Run) -> Progress:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        self._run, a, task = run, self.arguments, self._task
+        advisor = None if self._hints is None else task.advisor(self._hints)
+        self.venv = ChemlabVecEnv(task.batch(a.envs), show_masks=a.algo == "maskable-recurrent-ppo", advisor=advisor)
+        last, progress = run.checkpoint("last"), Progress()
+        if last is not None:
+            self.model, saved = load_agent(run, last, a.algo, self.venv)
+            progress = Progress.of(saved, last)
+        else:
+            shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
+            self.model = _learner(a, self.venv, self.steps)
+            progress.seconds = self._clone()
+        self._player = task.advised(as_policy(self.model), self._hints)
+        return progress
+
+    def _clone(self) -> float:
+        """Clone the policy of ``bc`` or ``hints``, if there is one; return the seconds that takes."""
+        a, begun = self.arguments, time.perf_counter()
+        shown = getattr(a, "bc", None) or self._hints
+        if shown is not None:
+            more = {"spread": a.bc_std} if hasattr(a, "bc_std") else {}
+            batch, teacher, hinted = self._task.batch(a.envs), self._task.policy(shown), self._hints is not None
+            imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, **more)  # type: ignore[attr-defined]
+        return time.perf_counter() - begun
+
+    def learn(self, progress: Progress) -> tuple[int, list[float]]:
+        """See :class:`~chemlab.agents.train.loop.Trainee`; episodes begin as the curriculum states for this step."""
+        stage = next((stage for stage in self._stages if progress.step < stage.until), None)
+        if stage != self._stage:
+            self._task.prepare(self.venv.batch, None if stage is None else stage.shares)
+            self._stage = stage
+        ended, first = _Ended(self.steps), not progress.step
+        self.model.set_logger(self.logger)
+        # The loop, between rounds, writes what is logged.
+        self.model.learn(self._rollout, ended, log_interval=None, reset_num_timesteps=first)  # type: ignore[arg-type]
+        return self._rollout, ended.returns
+
+    def scores(self, episodes: int, seed: int) -> dict[str, float]:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        return self._task.by_goal(self._player, episodes, seed)
+
+    def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        return self._task.scripted(episodes, seed)
+
+    def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        save_agent(self._run, folder, self.model, self.venv, vars(progress))
+        save_learned(
+            folder,
+            self.model,
+            self._task.workplace,
+            self.config,
+            goals=list(self._task.goals),
+            starts=self.arguments.starts,
+            step=progress.step,
+            command=self.arguments.command_line(),
+            evaluation=reached(self.arguments, evaluation),
+            background=self._task.background,
+            advice=self._hints,
+        )
+
+    def take(self, folder: Path) -> None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        learned = load_pretrained(folder / self._task.workplace.key)
+        self._player = self._task.advised(learned, self._hints)
+
+    def close(self) -> None:
+        """See :class:`~chemlab.agents.train.loop.Trainee`."""
+        self.venv.close()
+        # Only resuming needs replay memory, which is large.
+        shutil.rmtree(self._run.checkpoints / "replay", ignore_errors=True)
+
+
+def _check_algorithm(algo: str, discrete: bool) -> None:
+    other = ("sac", "td3") if discrete else ("dqn", "qr-dqn", "maskable-ppo", "maskable-recurrent-ppo")
+    if algo in other:
+        fitting = ", ".join(name for name, kind in ALGORITHMS.items() if issubclass(kind, Single) and name not in other)
+        kind = "discrete" if discrete else "continuous"
+        advice = "" if discrete else f", or with --actions discrete {' or '.join(other)}"
+        raise ValueError(f"algo: this bench's actions are {kind}: {fitting}{advice}; given {algo!r}")
