@@ -364,8 +364,8 @@ def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:
 
 
 def _advice(workplace: Workplace) -> str:
-    what = f"chemlab/Bench-v0 --bench {workplace.key}" if isinstance(workplace, Bench) else "manager"
-    return f"chemlab train {what} --scenario {workplace.scenario.argument}, then chemlab export"
+    who = f"--bench {workplace.key}" if isinstance(workplace, Bench) else "--roles manager"
+    return f"chemlab train {workplace.scenario.argument} {who}, then chemlab export"
 
 
 def given_as(scenario: Scenario) -> str:

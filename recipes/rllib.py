@@ -36,6 +36,7 @@ from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED
 from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, cook, score_run
 from torch import nn
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.executors import connected
 from chemlab.agents.episodes import play_laboratory
@@ -44,7 +45,6 @@ from chemlab.agents.rllib import LaboratoryMultiAgentEnv
 from chemlab.agents.roles import MANAGER_ROLE, role_of
 from chemlab.agents.train.arguments import MaskablePPO
 from chemlab.agents.train.learn import train
-from chemlab.config.scenario import load_scenario
 from chemlab.lab.engine import Laboratories
 
 TARGET = Target(load_scenario("salt_from_oil"))

@@ -19,9 +19,9 @@ import gymnasium
 import numpy as np
 from recipe_parts import PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score, training_envs
 
+from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.config.scenario import load_scenario
 from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.roles.bench import channel_slices
 

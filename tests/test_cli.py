@@ -150,7 +150,7 @@ def test_compare_updates_a_file(tmp_path: Path) -> None:
 def test_starts_can_be_recorded(tmp_path: Path) -> None:
     """Recorded vessels name known materials and goals, and stay below their vessel's capacity."""
     path = tmp_path / "starts.json"
-    assert runner.invoke(app, ["starts", "salt_from_oil", "--episodes", "1", "-o", str(path)]).exit_code == 0
+    assert runner.invoke(app, ["export", "starts", "salt_from_oil", "--episodes", "1", "-o", str(path)]).exit_code == 0
     scenario = load_scenario("salt_from_oil")
     recorded = json.loads(path.read_text())
     assert set(recorded["benches"]) == {"ext", "dit", "submit"}
@@ -397,7 +397,7 @@ def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         (["run", str(folder)], f"error: {folder}: is not a regular file\n"),
         (["evaluate", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], "no such file"),
         (["run", "fictitious", "--record", str(tmp_path / "file" / "x.jsonl")], os.strerror(errno.EEXIST)),
-        (["starts", "fictitious", "--episodes", "1", "-o", str(folder)], "is a folder; give a file's name"),
+        (["export", "starts", "fictitious", "--episodes", "1", "-o", str(folder)], "is a folder; give a file's name"),
     ]
 
     def full(*_: object, **__: object) -> None:
@@ -572,7 +572,7 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         ["audit", "lab.toml", "--out", "lab.toml"],
         ["crossplay", "lab.toml", "--out", "lab.toml"],
         ["audit", "plan", "lab.toml", "--out", "lab.toml"],
-        ["starts", "lab.toml", "--out", "lab.toml"],
+        ["export", "starts", "lab.toml", "--out", "lab.toml"],
         ["export", "run", "--out", "run/config.json"],
     ):
         if words[0] == "export":

@@ -1,4 +1,4 @@
-"""chemlab play and chemlab demos, as people meet them."""
+"""chemlab play and chemlab export demos, as people meet them."""
 
 from __future__ import annotations
 

@@ -1034,5 +1034,5 @@ def test_a_hint_can_be_typed(tmp_path: Path) -> None:
     (folder / "a.toml").write_text('base = "wurtz_safe"\n')
     assert load_scenario(folder / "a.toml").argument == f"'{folder / 'a.toml'}'"
     assert load_scenario({"base": "wurtz_safe", "name": "cheap"}).argument == "FILE.toml"
-    with pytest.raises(DataError, match=re.escape(f"run: chemlab starts {cheap.argument}")):
+    with pytest.raises(DataError, match=re.escape(f"run: chemlab export starts {cheap.argument}")):
         lab_starts(cheap, "rxn")

@@ -23,7 +23,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.global_state import GlobalState
 from chemlab.envs.players import Players, as_policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray

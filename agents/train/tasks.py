@@ -164,7 +164,7 @@ class BenchTask(Task):
         start, given = self.workplace.spec.start, given_as(self.scenario)
         if self._source.starts == "lab" or start.contents or start.goal_mol or start.companion:
             return None
-        recorded = f"; or record vessels with chemlab starts {given}, and train with --starts lab"
+        recorded = f"; or record vessels with chemlab export starts {given}, and train with --starts lab"
         return (
             f"bench {self.agent!r} of {self.scenario.name}: its experiments begin with an empty vessel, because the "
             f"scenario has no [benches.{self.agent}.start]; give it contents (moles by material)"

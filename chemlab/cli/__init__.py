@@ -7,17 +7,30 @@ import os
 import sys
 from typing import Any
 
-from . import audit, benchmark, check, chemistry, crossplay, evaluation, laboratory, play, plot, records, training  # noqa: F401 - importing a module adds its commands
+from . import (  # noqa: F401 - importing a module adds its commands
+    audit,
+    benchmark,
+    check,
+    chemistry,
+    crossplay,
+    evaluation,
+    export,
+    laboratory,
+    play,
+    plot,
+    records,
+    training,
+)
 from .common import app
 
 __all__ = ["PANELS", "app", "main"]
 
 PANELS: dict[str, tuple[str, ...]] = {
     "Play": ("run", "play", "list", "describe"),
-    "Train": ("train", "sweep", "export", "starts"),
+    "Train": ("train", "sweep", "export"),
     "Compare": ("evaluate", "benchmark", "crossplay", "audit"),
     "Author": ("check", "new", "generate", "data"),
-    "Records": ("verify", "replay", "plot", "demos"),
+    "Records": ("verify", "replay", "plot"),
 }
 """Panels of ``chemlab --help`` with their commands, in the order of display."""
 

@@ -1,4 +1,4 @@
-"""Commands about laboratories: list, describe, run, starts."""
+"""Commands about laboratories: list, describe, run."""
 
 from __future__ import annotations
 
@@ -20,11 +20,10 @@ from .common import (
     TrustOption,
     app,
     check_apart_from,
-    check_result,
     chosen_agents,
     prepare,
 )
-from .screen import err, event_words, out, page, plain, show_table
+from .screen import event_words, out, page, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.episodes import EpisodeResult, PlayedTurn
@@ -285,30 +284,3 @@ def _show_results(results: list[EpisodeResult]) -> None:
         rows.append((r.seed, r.goal, *numbers, r.manager_actions, r.ticks, events))
     head = ("seed", "goal", "mol", "purity", "costs", "score", "actions", "ticks", "safety events")
     show_table("Results (mol of the goal submitted; actions of the manager)", head, rows, right=(0, *range(2, 8)))
-
-
-@app.command()
-def starts(
-    scenario: ScenarioArgument,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 6,
-    seed: SeedOption = 0,
-    output: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Where to write (default: where it is looked for).")
-    ] = None,
-    trust: TrustOption = False,
-) -> None:
-    """Record the vessels that reach each bench in laboratory runs, for environments with starts='lab'."""
-    from rich.progress import Progress
-
-    with Progress(console=err, transient=True) as progress:
-        spec, _ = prepare(scenario, quiet=True)
-        from ..agents.start_recorder import record_starts
-        from ..lab.starts import starts_file, write_starts
-
-        path = output or starts_file(spec)
-        check_result(path, scenario)
-        task = progress.add_task("episodes", total=episodes * len(spec.goals))
-        vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))
-        write_starts(path, spec, vessels)
-    counts = ", ".join(f"{len(found)} vessels for {bench}" for bench, found in vessels.items())
-    out.print(f"{plain(path)}: {counts}")

@@ -1,9 +1,8 @@
-"""Commands about people: play, demos."""
+"""The command play."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .common import (
-    JsonOption,
     ScenarioArgument,
     SeedOption,
     SplitOption,
@@ -171,39 +169,3 @@ def _leave(reason: BaseException, part: Path | None) -> None:
     kept = f"; the record so far: {part}" if part is not None and part.exists() else ""
     out.print(plain(f"\n{'interrupted' if interrupted else reason}{kept}"))
     raise typer.Exit(130 if interrupted else 0)
-
-
-# -- demos ------------------------------------------------------------------------------------------------------------
-
-
-@app.command()
-def demos(
-    files: Annotated[list[Path], typer.Argument(help="Records of one scenario (see `chemlab play --record`).")],
-    name: Annotated[str, typer.Option("--name", "-o", help="The datasets' name: they become NAME/AGENT-v0.")],
-    agent: Annotated[list[str] | None, typer.Option(help="An agent; repeat the option. Default: all.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace datasets that are there already.")] = False,
-    trust: TrustOption = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Make demonstrations of records: a Minari dataset for each agent, to learn from.
-
-    An episode is the laboratory's for the manager, and an experiment for a bench's agent. Observations come from
-    playing the records again; records that do not hold what happens are refused. Needs the extra `data`.
-    """
-    from ..agents.demonstrations import write_datasets
-
-    written = write_datasets(files, name, agent, force, trust, lambda note: err.print(plain(note)))
-    rows = [dataset.as_dict() for dataset in written]
-    if as_json:
-        typer.echo(json.dumps(rows))
-        return
-    for row in rows:
-        out.print(plain(_dataset_line(row)))
-    out.print("load one with: minari.load_dataset(NAME)")
-
-
-def _dataset_line(row: Mapping[str, object]) -> str:
-    return (
-        f"{row['id']}: {row['episodes']} episodes, {row['steps']} steps, mean return {row['mean_return']:.3f}, "
-        f"in {row['path']}"
-    )

@@ -17,7 +17,6 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 from typer.core import TyperCommand
 
-from ..config.files import check_apart, check_target
 from .common import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out, readable_errors
 from .screen import page, plain
 
@@ -309,34 +308,3 @@ def _table(runs: list[Planned], found: list[Status], every: bool = False) -> Tab
         numbers = f"{now.step:,}", f"{now.steps:,}", _number(now.mean)
         table.add_row(plain(one.name), state, *numbers, plain(now.note))
     return table
-
-
-# -- export -----------------------------------------------------------------------------------------------------------
-
-
-@app.command()
-def export(
-    run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
-    to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; its name is the policy's name.")],
-    role: Annotated[str | None, typer.Option(help="Which of several roles that learned together.")] = None,
-    trust: TrustOption = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Make a policy that needs no PyTorch out of a run's best checkpoint: NAME.safetensors and NAME.json.
-
-    It is played beside the original on observations of the bench, and refused if it is not the same to 1e-5.
-    """
-    with readable_errors():
-        from ..agents.train.export import export_run
-
-        for ending in (".json", ".safetensors"):
-            target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")
-            check_target(target)
-            check_apart([target], (file for file in run.rglob("*") if file.is_file()))
-        card = export_run(run, to, role)
-    if as_json:
-        typer.echo(json.dumps(card.as_dict()))
-        return
-    found = card.evaluation
-    out.print(plain(f"{card.name}: {card.label} of {card.env_id}, seed {card.seed}, step {card.step:,}"))
-    out.print(f"mean return {found['mean']:.3f}, scripted {_number(found['scripted_mean']) or 'none'}")

@@ -423,10 +423,8 @@ class Laboratories:
             pool = start_pool(self.shelf.chemistry, self.scenario, lab_starts(self.scenario, stage))
             lacking = [g for g in self._lab_goals if pool.arrays.first[g] == pool.arrays.first[g + 1]]
             if lacking:
-                goal = self.scenario.goals[lacking[0]]
-                raise DataError(
-                    f"prepare: no {stage!r} vessel of goal {goal!r}; run: chemlab starts {self.scenario.argument}"
-                )
+                goal, again = self.scenario.goals[lacking[0]], f"chemlab export starts {self.scenario.argument}"
+                raise DataError(f"prepare: no {stage!r} vessel of goal {goal!r}; run: {again}")
             arrays = pool.arrays
             positions = int(self.rules.arrays.most_positions)
             if arrays.last_position.max(initial=0) >= positions:

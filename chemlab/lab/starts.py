@@ -1,8 +1,8 @@
 """Starting states recorded from laboratory runs: the vessels that a pretrained bench agent will really meet, and those
 with which a manager's workflow can begin half way.
 
-``chemlab starts`` plays the scripted laboratory and writes what was put on each bench, and what was submitted, to a
-JSON file, one a scenario; the files of the shipped scenarios come with chemlab.
+``chemlab export starts`` plays the scripted laboratory and writes the vessels that were put on each bench or submitted
+to a JSON file, one per scenario; the files of the bundled scenarios are bundled as well.
 """
 
 from __future__ import annotations
@@ -157,7 +157,7 @@ def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
     Raises:
         DataError: nothing has been recorded for this scenario or bench, or the file does not fit the scenario.
     """
-    again = f"run: chemlab starts {scenario.argument}"
+    again = f"run: chemlab export starts {scenario.argument}"
     path = starts_file(scenario)
     if not path.is_file():
         raise DataError(f"starts: no laboratory runs recorded for {scenario.name}; {again}")

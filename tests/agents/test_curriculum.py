@@ -129,7 +129,7 @@ def test_wrong_shares(shares: dict[str, float], message: str) -> None:
 
 def test_a_scenario_that_nobody_has_played() -> None:
     scenario = load_scenario("wurtz_dodecane").model_copy(update={"name": "never_played", "origin": "/nowhere/x.toml"})
-    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab starts FILE\.toml"):
+    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab export starts FILE\.toml"):
         Laboratories(scenario).prepare({"dit": 1.0})
 
 

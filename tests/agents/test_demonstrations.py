@@ -290,7 +290,7 @@ def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path
 
 
 def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
-    arguments = ["demos", str(scripted), "-o", "tests/command", "--agent", "manager_0"]
+    arguments = ["export", "demos", str(scripted), "-o", "tests/command", "--agent", "manager_0"]
     done = runner.invoke(app, [*arguments, "--json"])
     assert done.exit_code == 0, done.output
     (row,) = json.loads(done.stdout)

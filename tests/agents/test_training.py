@@ -661,7 +661,7 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
     values["benches"]["ext"]["start"] = {}
     said = BenchTask(load_scenario(values), "ext").warning()
     assert said is not None
-    assert said.endswith("record vessels with chemlab starts wurtz_dodecane, and train with --starts lab")
+    assert said.endswith("record vessels with chemlab export starts wurtz_dodecane, and train with --starts lab")
     assert BenchTask(load_scenario(values), "ext", starts="lab").warning() is None
 
 

@@ -256,7 +256,7 @@ SCENARIOS = {
     "run": ["run", "bait.toml", "--json"],
     "play": ["play", "bait.toml"],
     "compare": ["evaluate", "bait.toml", "--episodes", 1],
-    "starts": ["starts", "bait.toml", "--episodes", 1, "--out", "starts.json"],
+    "starts": ["export", "starts", "bait.toml", "--episodes", 1, "--out", "starts.json"],
     "evaluate": ["evaluate", "bait.toml", "--episodes", 1],
     "plan": ["audit", "plan", "bait.toml", "--budget", 1, "--episodes", 1],
     "train one": ["train", "bait.toml", "--roles", "manager", "--algo", "maskable-ppo", "--steps", 32, "--out", "new"],

@@ -798,7 +798,7 @@ def test_unknown_render_mode() -> None:
 def test_lab_starts_that_nobody_recorded() -> None:
     content = load_scenario("wurtz_dodecane").model_dump(mode="json")
     scenario = load_scenario({**content, "name": "never_played"})
-    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab starts FILE\.toml"):
+    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab export starts FILE\.toml"):
         BenchEnv(scenario, "ext", starts="lab")
 
 

@@ -19,7 +19,10 @@ from chemlab.lab.starts import Start, goals_met, lab_starts, starts_file, write_
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"benches": {"rxn": {"dodecane": [1]}}}, r"benches.rxn.dodecane: no vessel 1 among 1; run: chemlab starts "),
+        (
+            {"benches": {"rxn": {"dodecane": [1]}}},
+            r"benches.rxn.dodecane: no vessel 1 among 1; run: chemlab export starts ",
+        ),
         ({"benches": {"rxn": {"dodecane": [-1]}}}, r"benches.rxn.dodecane.0: .*greater than or equal to 0"),
         ({"benches": {"rxn": {"gold": [0]}}}, r"benches.rxn.gold: vessel 0: unknown 'gold'"),
         ({"benches": {}}, r"has no vessels of bench 'rxn'"),

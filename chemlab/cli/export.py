@@ -1,0 +1,115 @@
+"""The commands export: a run's policy, demonstrations of records, starting states of a scenario."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..config.files import check_apart, check_target
+from .common import (
+    DefaultGroup,
+    JsonOption,
+    ScenarioArgument,
+    SeedOption,
+    TrustOption,
+    app,
+    check_result,
+    prepare,
+    readable_errors,
+)
+from .screen import err, out, plain
+
+__all__: list[str] = []
+
+export = typer.Typer(
+    cls=DefaultGroup,
+    help="Write the policy of a run (`chemlab export RUN`), demonstrations of records, or starting states of benches.",
+    no_args_is_help=True,
+)
+app.add_typer(export, name="export")
+
+
+@export.command()
+def policy(
+    run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
+    to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; its name is the policy's name.")],
+    role: Annotated[str | None, typer.Option(help="Which of several roles that learned together.")] = None,
+    trust: TrustOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a policy that needs no PyTorch out of a run's best checkpoint: NAME.safetensors and NAME.json.
+
+    It is played beside the original on observations of the bench, and refused if it is not the same to 1e-5.
+    """
+    with readable_errors():
+        from ..agents.train.export import export_run
+
+        for ending in (".json", ".safetensors"):
+            target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")
+            check_target(target)
+            check_apart([target], (file for file in run.rglob("*") if file.is_file()))
+        card = export_run(run, to, role)
+    if as_json:
+        typer.echo(json.dumps(card.as_dict()))
+        return
+    found = card.evaluation
+    out.print(plain(f"{card.name}: {card.label} of {card.env_id}, seed {card.seed}, step {card.step:,}"))
+    scripted = found["scripted_mean"]
+    out.print(f"mean return {found['mean']:.3f}, scripted {'none' if scripted is None else f'{scripted:.3f}'}")
+
+
+@export.command()
+def demos(
+    files: Annotated[list[Path], typer.Argument(help="Records of one scenario (see `chemlab play --record`).")],
+    name: Annotated[str, typer.Option("--name", "-o", help="The datasets' name: they become NAME/AGENT-v0.")],
+    agent: Annotated[list[str] | None, typer.Option(help="An agent; repeat the option. Default: all.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace datasets that are there already.")] = False,
+    trust: TrustOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Make demonstrations of records: a Minari dataset for each agent, to learn from.
+
+    An episode is the laboratory's for the manager, and an experiment for a bench's agent. Observations come from
+    playing the records again; records that do not hold what happens are refused. Needs the extra `data`.
+    """
+    from ..agents.demonstrations import write_datasets
+
+    written = write_datasets(files, name, agent, force, trust, lambda note: err.print(plain(note)))
+    rows = [dataset.as_dict() for dataset in written]
+    if as_json:
+        typer.echo(json.dumps(rows))
+        return
+    for row in rows:
+        counts = f"{row['episodes']} episodes, {row['steps']} steps, mean return {row['mean_return']:.3f}"
+        out.print(plain(f"{row['id']}: {counts}, in {row['path']}"))
+    out.print("load one with: minari.load_dataset(NAME)")
+
+
+@export.command()
+def starts(
+    scenario: ScenarioArgument,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 6,
+    seed: SeedOption = 0,
+    output: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Where to write (default: where it is looked for).")
+    ] = None,
+    trust: TrustOption = False,
+) -> None:
+    """Record the vessels that reach each bench in laboratory runs, for environments with starts='lab'."""
+    from rich.progress import Progress
+
+    with Progress(console=err, transient=True) as progress:
+        spec, _ = prepare(scenario, quiet=True)
+        from ..agents.start_recorder import record_starts
+        from ..lab.starts import starts_file, write_starts
+
+        path = output or starts_file(spec)
+        check_result(path, scenario)
+        task = progress.add_task("episodes", total=episodes * len(spec.goals))
+        vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))
+        write_starts(path, spec, vessels)
+    counts = ", ".join(f"{len(found)} vessels for {bench}" for bench, found in vessels.items())
+    out.print(f"{plain(path)}: {counts}")
