@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from typing_extensions import Self
 
 __all__ = [
+    "ABOUT",
     "ALGORITHMS",
     "OLD_NAMES",
     "PRESETS",
@@ -62,8 +63,63 @@ Words = Annotated[tuple[str, ...], BeforeValidator(_several), Field(min_length=1
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 Positive = Annotated[float, Field(gt=0.0)]
 Weight = Annotated[float, Field(ge=0.0)]
+Turns = Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**7)]
 Layers = Annotated[tuple[Annotated[int, Field(ge=1, le=16_384)], ...], BeforeValidator(_several), Field(min_length=1)]
 Minibatch = Annotated[int, BeforeValidator(_whole), Field(ge=2, le=10**7)]
+Spread = Annotated[float, Field(gt=0.0, le=1.0)]
+
+
+ABOUT: dict[str, str] = {
+    "scenario": "Scenario (name or path), or the id of an environment of one agent (chemlab/WurtzReaction-v0).",
+    "roles": "Who learns in the laboratory: all, roles (manager, rxn) or agents (rxn_0).",
+    "algo": "Algorithm.",
+    "preset": "Set of defaults.",
+    "background": "Policy of the other roles of the laboratory. Default: scripted.",
+    "split": "Hidden parameters to train with, of a scenario that draws some.",
+    "steps": "Steps in all environments together; rounded up to whole rollouts.",
+    "seed": "Seed of networks, exploration and environments.",
+    "envs": "Environments side by side.",
+    "rollout": "Steps in each environment before each update.",
+    "learning_rate": "Learning rate.",
+    "gamma": "Discount.",
+    "net_arch": "Sizes of hidden layers; repeat the option.",
+    "evaluations": "Evaluations during training, evenly spread.",
+    "eval_episodes": "Episodes per goal of each of them.",
+    "final_episodes": "Episodes per goal of the evaluation at the end.",
+    "checkpoints": "Checkpoints during training, evenly spread.",
+    "bc": "Policy to clone before learning (behaviour cloning), by name.",
+    "bc_steps": "Turns of it to learn from, about (of each role).",
+    "bc_rounds": "DAgger rounds; after the first the learner acts and the policy labels its turns.",
+    "bc_std": "Least initial standard deviation of a clone's continuous actions.",
+    "bench": "Bench of the scenario to train on its own, outside the laboratory.",
+    "goals": "Goals to train for; repeat the option. Default: all.",
+    "actions": "Actions of benches: native, or discrete (representative ones). Default: the scenario's.",
+    "starts": "Initial-state distribution of a bench on its own: paper, lab or both.",
+    "curriculum": "Reverse curriculum in a laboratory: backward (from the last bench to the first), or stages 'STEP: "
+    "BENCH=SHARE ...': until that step such shares of the episodes begin with a vessel on its way to the bench, or to "
+    "submit, the rest with the scenario's shelf; repeat the option.",
+    "gae_lambda": "GAE lambda.",
+    "ent_coef": "Weight of the entropy.",
+    "clip_range": "Clip range.",
+    "epochs": "Passes over a rollout.",
+    "batch_size": "Minibatch.",
+    "hints": "Policy whose action a laboratory's manager observes (teacher hints), by name; it is cloned.",
+    "memory": "Size of the LSTM.",
+    "gradient_steps": "Gradient steps after each rollout.",
+    "buffer_size": "Steps kept for replay.",
+    "learning_starts": "Random steps before learning.",
+    "exploration_steps": "Steps in which exploration falls to its end.",
+    "exploration_final": "Exploration after that.",
+    "ent_coef_start": "Initial value of a learned weight of the entropy.",
+    "action_noise": "Standard deviation of exploration, of [-1, 1].",
+    "rewards": "Reward mix. Default: the scenario's.",
+    "regime": "together, or in-turns (round-robin).",
+    "period": "Updates before the next role's turn.",
+    "begin_from": "Start from a run of several roles, a folder of runs by role, or ROLE=RUN,ROLE=RUN.",
+    "manager_gamma": "Discount per decision of the manager.",
+    "by_ticks": "Discount by elapsed ticks instead of turns.",
+}
+"""Descriptions of arguments."""
 
 
 class Arguments(BaseModel):
@@ -71,34 +127,23 @@ class Arguments(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False)
 
-    scenario: str = Field(
-        default="wurtz_dodecane",
-        description="Scenario (name or path), or the id of an environment of one agent (chemlab/WurtzReaction-v0).",
-    )
-    roles: Words | None = Field(
-        default=None, description="Who learns in the laboratory: all, roles (manager, rxn) or agents (rxn_0)."
-    )
-    algo: str = Field(default="", description="Algorithm.")
-    preset: str = Field(default="paper", description="Set of defaults.")
-    background: str | None = Field(
-        default=None, description="Policy of the other roles of the laboratory; default: scripted."
-    )
-    split: str = Field(default="train", description="Hidden parameters to train with, of a scenario that draws some.")
-    steps: Many = Field(
-        default=1_000_000, description="Steps in all environments together; rounded up to whole rollouts."
-    )
-    seed: int = Field(default=0, ge=0, lt=2**32, description="Seed of networks, exploration and environments.")
-    envs: Count = Field(default=10, description="Environments side by side.")
-    rollout: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**7)] = Field(
-        default=256, description="Steps in each environment before each update."
-    )
-    learning_rate: Positive = Field(default=3e-4, description="Learning rate.")
-    gamma: Share = Field(default=0.99, description="Discount.")
-    net_arch: Layers = Field(default=(64, 64), description="Sizes of hidden layers; repeat the option.")
-    evaluations: Count = Field(default=10, description="Evaluations during training, evenly spread.")
-    eval_episodes: Count = Field(default=20, description="Episodes per goal of each of them.")
-    final_episodes: Count = Field(default=100, description="Episodes per goal of the evaluation at the end.")
-    checkpoints: Count = Field(default=40, description="Checkpoints during training, evenly spread.")
+    scenario: str = "wurtz_dodecane"
+    roles: Words | None = None
+    algo: str = ""
+    preset: str = "paper"
+    background: str | None = None
+    split: str = "train"
+    steps: Many = 1_000_000
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    envs: Count = 10
+    rollout: Turns = 256
+    learning_rate: Positive = 3e-4
+    gamma: Share = 0.99
+    net_arch: Layers = (64, 64)
+    evaluations: Count = 10
+    eval_episodes: Count = 20
+    final_episodes: Count = 100
+    checkpoints: Count = 40
 
     @model_validator(mode="after")
     def _check_split(self) -> Self:
@@ -160,16 +205,9 @@ class Arguments(BaseModel):
 class Cloning(BaseModel):
     """Behaviour cloning before an on-policy algorithm learns."""
 
-    bc: str | None = Field(default=None, description="Policy to clone before learning (behaviour cloning), by name.")
-    bc_steps: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**9)] = Field(
-        default=20_000, description="Turns of it to learn from, about (of each role)."
-    )
-    bc_rounds: int = Field(
-        default=1,
-        ge=1,
-        le=1000,
-        description="DAgger rounds; after the first the learner acts and the policy labels its turns.",
-    )
+    bc: str | None = None
+    bc_steps: Many = 20_000
+    bc_rounds: Annotated[int, Field(ge=1, le=1000)] = 1
 
     def _shown(self) -> str | None:
         return self.bc
@@ -183,34 +221,14 @@ class Cloning(BaseModel):
         return self
 
 
-class Exploring(Cloning):
-    """Cloning by learners that also have continuous actions."""
-
-    bc_std: float = Field(
-        default=0.02, gt=0.0, le=1.0, description="Least initial standard deviation of a clone's continuous actions."
-    )
-
-
 class Single(Arguments):
     """One learner: a bench on its own, or one agent of a laboratory."""
 
-    bench: str | None = Field(
-        default=None, description="Bench of the scenario to train on its own, outside the laboratory."
-    )
-    goals: Words | None = Field(default=None, description="Goals to train for; repeat the option. Default: all.")
-    actions: Literal["native", "discrete"] | None = Field(
-        default=None,
-        description="Actions of benches: native, or discrete (representative ones). Default: the scenario's.",
-    )
-    starts: str = Field(
-        default="paper", description="Initial-state distribution of a bench on its own: paper, lab or both."
-    )
-    curriculum: Words | None = Field(
-        default=None,
-        description="Reverse curriculum in a laboratory: backward (from the last bench to the first), or stages 'STEP: "
-        "BENCH=SHARE ...': until that step such shares of the episodes begin with a vessel on its way to the bench, or "
-        "to submit, the rest with the scenario's shelf; repeat the option.",
-    )
+    bench: str | None = None
+    goals: Words | None = None
+    actions: Literal["native", "discrete"] | None = None
+    starts: str = "paper"
+    curriculum: Words | None = None
 
     @model_validator(mode="after")
     def _check_task(self) -> Self:
@@ -245,48 +263,40 @@ class Single(Arguments):
         return name if known else f"{Path(self.scenario).stem}-{self.bench or self.agent}"
 
 
-class OnPolicy(Single):
+class OnPolicy(Single, Cloning):
     """PPO and A2C."""
 
-    gae_lambda: Share = Field(default=0.95, description="GAE lambda.")
-    ent_coef: Weight = Field(default=0.0, description="Weight of the entropy.")
+    gae_lambda: Share = 0.95
+    ent_coef: Weight = 0.0
 
 
-class A2C(OnPolicy, Exploring):
+class A2C(OnPolicy):
     """A2C."""
 
-    algo: Literal["a2c"] = Field(default="a2c", description="Algorithm.")
-    learning_rate: Positive = Field(default=7e-4, description="Learning rate.")
-    gae_lambda: Share = Field(default=1.0, description="GAE lambda.")
+    algo: Literal["a2c"] = "a2c"
+    learning_rate: Positive = 7e-4
+    gae_lambda: Share = 1.0
+    bc_std: Spread = 0.02
 
 
 class Clipped(BaseModel):
     """What every PPO has."""
 
-    clip_range: Positive = Field(default=0.2, description="Clip range.")
-    epochs: int = Field(default=10, ge=1, le=10_000, description="Passes over a rollout.")
-    batch_size: Minibatch = Field(default=64, description="Minibatch.")
+    clip_range: Positive = 0.2
+    epochs: Annotated[int, Field(ge=1, le=10_000)] = 10
+    batch_size: Minibatch = 64
 
 
-class PPO(Clipped, OnPolicy, Exploring):
-    """PPO."""
-
-    algo: Literal["ppo"] = Field(default="ppo", description="Algorithm.")
+class SinglePPO(Clipped, OnPolicy):
+    """Every PPO of one agent."""
 
     @model_validator(mode="after")
     def _check_rollout(self) -> Self:
-        if self.envs * self.rollout < 2:
+        steps = self.envs * self.rollout
+        if steps < 2:
             raise ValueError("rollout: PPO needs at least 2 steps (envs x rollout) before each update, given 1")
-        return self
-
-
-class _Normalized(BaseModel):
-    """Learners that normalize the advantages of a minibatch of any size."""
-
-    @model_validator(mode="after")
-    def _check_minibatch(self) -> Self:
-        steps = self.envs * self.rollout  # type: ignore[attr-defined]
-        if steps % self.batch_size == 1:  # type: ignore[attr-defined]
+        # Stable-Baselines3's PPO leaves the advantage of a single step as it is; those of sb3-contrib do not.
+        if self.algo != "ppo" and steps % self.batch_size == 1:
             raise ValueError(
                 f"batch_size: of the {steps} steps of a rollout a single one would be left for the last minibatch, "
                 "where advantages are normalized; give another, or another rollout"
@@ -294,95 +304,88 @@ class _Normalized(BaseModel):
         return self
 
 
-class _Hinted(BaseModel):
-    """Learners with teacher hints."""
+class PPO(SinglePPO):
+    """PPO."""
 
-    hints: str | None = Field(
-        default=None,
-        description="Policy whose action a laboratory's manager observes (teacher hints), by name; it is cloned.",
-    )
+    algo: Literal["ppo"] = "ppo"
+    bc_std: Spread = 0.02
+
+
+class Masked(SinglePPO):
+    """PPO with masks of discrete actions, and teacher hints."""
+
+    hints: str | None = None
 
     def _shown(self) -> str | None:
-        bc: str | None = self.bc  # type: ignore[attr-defined]
-        return bc or self.hints
+        return self.bc or self.hints
 
     @model_validator(mode="after")
     def _check_hints(self) -> Self:
-        bc = self.bc  # type: ignore[attr-defined]
-        if self.hints is not None and bc not in (None, self.hints):
-            raise ValueError(
-                f"bc: a learner with hints begins as a clone of their policy, {self.hints!r}; leave it out"
-            )
+        if self.hints is not None and self.bc not in (None, self.hints):
+            raise ValueError(f"bc: hints are cloned, so it must be {self.hints!r}; leave it out")
         return self
 
 
-class MaskablePPO(_Hinted, _Normalized, Clipped, OnPolicy, Cloning):
+class MaskablePPO(Masked):
     """PPO with masks of discrete actions."""
 
-    algo: Literal["maskable-ppo"] = Field(default="maskable-ppo", description="Algorithm.")
+    algo: Literal["maskable-ppo"] = "maskable-ppo"
 
 
-class Recurrent(_Normalized, Clipped, OnPolicy):
+class Recurrent(SinglePPO):
     """PPO with an LSTM."""
 
-    batch_size: Minibatch = Field(default=128, description="Minibatch.")
-    memory: int = Field(default=256, ge=1, le=65_536, description="Size of the LSTM.")
+    batch_size: Minibatch = 128
+    memory: Annotated[int, Field(ge=1, le=65_536)] = 256
 
 
-class RecurrentPPO(Recurrent, Exploring):
+class RecurrentPPO(Recurrent):
     """PPO with an LSTM."""
 
-    algo: Literal["recurrent-ppo"] = Field(default="recurrent-ppo", description="Algorithm.")
+    algo: Literal["recurrent-ppo"] = "recurrent-ppo"
+    bc_std: Spread = 0.02
 
 
-class MaskableRecurrentPPO(_Hinted, Recurrent, Cloning):
+class MaskableRecurrentPPO(Recurrent, Masked):
     """PPO with an LSTM and masks of discrete actions."""
 
-    algo: Literal["maskable-recurrent-ppo"] = Field(default="maskable-recurrent-ppo", description="Algorithm.")
+    algo: Literal["maskable-recurrent-ppo"] = "maskable-recurrent-ppo"
 
 
 class Replay(Single):
     """Algorithms with replay memory."""
 
-    batch_size: Minibatch = Field(default=256, description="Minibatch.")
-    gradient_steps: Annotated[int, Field(ge=1, le=10**7)] = Field(
-        default=128, description="Gradient steps after each rollout."
-    )
-    buffer_size: Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**9)] = Field(
-        default=1_000_000, description="Steps kept for replay."
-    )
-    learning_starts: Annotated[int, BeforeValidator(_whole), Field(ge=0, le=10**12)] = Field(
-        default=100, description="Random steps before learning."
-    )
+    batch_size: Minibatch = 256
+    gradient_steps: Turns = 128
+    buffer_size: Many = 1_000_000
+    learning_starts: Annotated[int, BeforeValidator(_whole), Field(ge=0, le=10**12)] = 100
 
 
 class DQN(Replay):
     """DQN."""
 
-    algo: Literal["dqn"] = Field(default="dqn", description="Algorithm.")
-    learning_rate: Positive = Field(default=1e-4, description="Learning rate.")
-    batch_size: Minibatch = Field(default=32, description="Minibatch.")
-    gradient_steps: Annotated[int, Field(ge=1, le=10**7)] = Field(
-        default=256, description="Gradient steps after each rollout."
-    )
-    exploration_steps: Many = Field(default=30_000, description="Steps in which exploration falls to its end.")
-    exploration_final: Share = Field(default=0.01, description="Exploration after that.")
+    algo: Literal["dqn"] = "dqn"
+    learning_rate: Positive = 1e-4
+    batch_size: Minibatch = 32
+    gradient_steps: Turns = 256
+    exploration_steps: Many = 30_000
+    exploration_final: Share = 0.01
 
 
 class QRDQN(DQN):
     """DQN with quantiles of returns."""
 
-    algo: Literal["qr-dqn"] = Field(default="qr-dqn", description="Algorithm.")  # type: ignore[assignment]
-    learning_rate: Positive = Field(default=5e-5, description="Learning rate.")
+    algo: Literal["qr-dqn"] = "qr-dqn"  # type: ignore[assignment]
+    learning_rate: Positive = 5e-5
 
 
 class SAC(Replay):
     """SAC."""
 
-    algo: Literal["sac"] = Field(default="sac", description="Algorithm.")
-    net_arch: Layers = Field(default=(256, 256), description="Sizes of hidden layers; repeat the option.")
-    ent_coef: Weight | None = Field(default=None, description="Weight of the entropy. Default: learned.")
-    ent_coef_start: Positive = Field(default=1.0, description="Initial value of a learned weight of the entropy.")
+    algo: Literal["sac"] = "sac"
+    net_arch: Layers = (256, 256)
+    ent_coef: Weight | None = None
+    ent_coef_start: Positive = 1.0
 
     @model_validator(mode="after")
     def _check_entropy(self) -> Self:
@@ -394,35 +397,28 @@ class SAC(Replay):
 class TD3(Replay):
     """TD3."""
 
-    algo: Literal["td3"] = Field(default="td3", description="Algorithm.")
-    learning_rate: Positive = Field(default=1e-3, description="Learning rate.")
-    net_arch: Layers = Field(default=(400, 300), description="Sizes of hidden layers; repeat the option.")
-    action_noise: Weight = Field(default=0.1, description="Standard deviation of exploration, of [-1, 1].")
+    algo: Literal["td3"] = "td3"
+    learning_rate: Positive = 1e-3
+    net_arch: Layers = (400, 300)
+    action_noise: Weight = 0.1
 
 
-class IPPO(Clipped, Arguments, Exploring):
+class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes."""
 
-    algo: Literal["ippo"] = Field(default="ippo", description="Algorithm.")
-    rewards: str | None = Field(default=None, description="Reward mix. Default: the scenario's.")
-    regime: Literal["together", "in-turns"] = Field(
-        default="together", description="together, or in-turns (round-robin)."
-    )
-    period: Annotated[int, Field(ge=1, le=10**9)] = Field(
-        default=10, description="Updates before the next role's turn."
-    )
-    begin_from: str | None = Field(
-        default=None, description="Start from a run of several roles, a folder of runs by role, or ROLE=RUN,ROLE=RUN."
-    )
-    manager_gamma: Share = Field(default=1.0, description="Discount per decision of the manager.")
-    by_ticks: bool = Field(default=False, description="Discount by elapsed ticks instead of turns.")
-    envs: Count = Field(default=64, description="Environments side by side.")
-    rollout: Annotated[int, Field(ge=1, le=10**7)] = Field(
-        default=64, description="Steps in each environment before each update."
-    )
-    gae_lambda: Share = Field(default=0.95, description="GAE lambda.")
-    ent_coef: Weight = Field(default=0.01, description="Weight of the entropy (of discrete actions).")
-    batch_size: Minibatch = Field(default=256, description="Minibatch.")
+    algo: Literal["ippo"] = "ippo"
+    bc_std: Spread = 0.02
+    rewards: str | None = None
+    regime: Literal["together", "in-turns"] = "together"
+    period: Many = 10
+    begin_from: str | None = None
+    manager_gamma: Share = 1.0
+    by_ticks: bool = False
+    envs: Count = 64
+    rollout: Turns = 64
+    gae_lambda: Share = 0.95
+    ent_coef: Weight = 0.01
+    batch_size: Minibatch = 256
 
     @property
     def label(self) -> str:
@@ -433,7 +429,7 @@ class IPPO(Clipped, Arguments, Exploring):
 class MAPPO(IPPO):
     """IPPO with critics that observe the laboratory's true state."""
 
-    algo: Literal["mappo"] = Field(default="mappo", description="Algorithm.")  # type: ignore[assignment]
+    algo: Literal["mappo"] = "mappo"  # type: ignore[assignment]
 
 
 ALGORITHMS: dict[str, type[Arguments]] = {

@@ -120,7 +120,7 @@ _OLD_OPTIONS |= {"advice": str, "critic": str, "scenario": str}
 
 def _options() -> list[Any]:
     """Make an option for each argument of each algorithm."""
-    from ..agents.train.arguments import ALGORITHMS, PRESETS, Arguments, Single
+    from ..agents.train.arguments import ABOUT, ALGORITHMS, PRESETS, Arguments, Single
 
     found: dict[str, dict[str, Any]] = {name: {} for name in (*_FIRST, *Arguments.model_fields)}
     for algo, model in ALGORITHMS.items():
@@ -132,7 +132,7 @@ def _options() -> list[Any]:
     hints = {name: _hint(name, kind, "", hidden=True) for name, kind in _OLD_OPTIONS.items()}
     for name, fields in found.items():
         field, algos = list(fields.values())[-1], list(fields)
-        text = f"{str(field.description).rstrip('.')}: {choices[name]}." if name in choices else str(field.description)
+        text = f"{ABOUT[name].rstrip('.')}: {choices[name]}." if name in choices else ABOUT[name]
         text += _default_text(fields) if name != "algo" else " Default: ppo for one agent, ippo for several."
         panel = {len(ALGORITHMS): "Every algorithm", len(one): "One agent" if algos == one else None}.get(len(algos))
         shape = str(field.annotation)
