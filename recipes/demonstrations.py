@@ -1,8 +1,8 @@
 """Learning from demonstrations: a clone of recorded play, which learns on.
 
 Episodes of the scripted laboratory of `wurtz_dodecane` are recorded and exported as a Minari dataset of the manager's
-observations, actions and rewards, as ``chemlab export demos`` does for any record. A learner is fitted to the actions and
-their returns (behaviour cloning from the dataset alone, without queries) and continues as PPO with masks. The
+observations, actions and rewards, as ``chemlab export demos`` does for any record. A learner is fitted to the actions
+and their returns (behaviour cloning from the dataset alone, without queries) and continues as PPO with masks. The
 comparison has the clone itself, whose steps are those of the dataset, and the same learner from scratch. The benches
 are scripted in all of them.
 
