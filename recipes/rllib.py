@@ -37,9 +37,9 @@ from recipe_parts import AUDIT_SEED, ONCE, PLAIN, SCRIPTED, Budget, Outcome, coo
 from torch import nn
 
 from chemlab import load_scenario
+from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.executors import connected
-from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.rllib import LaboratoryMultiAgentEnv
 from chemlab.agents.roles import MANAGER_ROLE, role_of
