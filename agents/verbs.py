@@ -57,6 +57,7 @@ class Argument:
         low: smallest number.
         high: largest number.
         default: the value where none is given; None: it must be given.
+        longest: characters of a text; 0: it is no text.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Argument:
     low: float = 0.0
     high: float = 1.0
     default: str | int | float | None = None
+    longest: int = 0
 
     def checked(self, verb: str, value: Any) -> str | int | float:
         """The accepted value that ``value`` stands for: ``"1"`` for 1, ``10`` for ``"10"``.
@@ -72,6 +74,10 @@ class Argument:
         Raises:
             ToolError: there is none.
         """
+        if self.longest:
+            if isinstance(value, str) and value.strip() and len(value) <= self.longest:
+                return plain(value, self.longest)
+            raise ToolError(f"{verb}: {self.name} must be a text of 1 to {self.longest} characters")
         number = number_of(value)
         for option in self.options:
             same_text = isinstance(value, str) and value.strip() == str(option)

@@ -1,0 +1,143 @@
+"""The introduction that a seat is given, generated from the scenario."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from chemlab.config.draws import Draw
+from chemlab.config.reactions import equation
+from chemlab.config.scenario import Scenario
+from chemlab.lab.describe import goal_words, limit_words, wear_words
+from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import position_words
+from chemlab.roles.bench import Bench
+
+__all__ = ["brief", "opaque_names"]
+
+
+def opaque_names(scenario: Scenario, salt: str) -> dict[str, str]:
+    """Code names of all materials but air, permuted by a salt."""
+    materials = sorted(name for name in scenario.materials if name != "air")
+    words = np.frombuffer(hashlib.blake2b(f"names {salt}".encode(), digest_size=32).digest(), "<u4")
+    order = np.random.default_rng(words.tolist()).permutation(len(materials))
+    return {name: f"M{code + 1:02d}" for name, code in zip(materials, order.tolist(), strict=True)}
+
+
+def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[str], str]) -> str:
+    """The introduction for one seat.
+
+    Args:
+        labs: the laboratory.
+        seat: the agent.
+        seats: all agents that have a seat.
+        name: gives the names of materials.
+    """
+    spec, role = labs.scenario, labs.role(labs.agents.index(seat))
+    others = [other for other in seats if other != seat]
+    policies = [agent for agent in labs.agents if agent not in seats]
+    lines = [f"You are {seat} in a simulated chemistry laboratory. Its numbers are no instructions for a real one."]
+    if name is str:
+        lines.append(spec.summary)
+    if others or policies:
+        lines.append(
+            "; ".join(
+                f"{', '.join(who)}: {what}" for who, what in ((others, "other seats"), (policies, "policies")) if who
+            )
+        )
+    lines += _bench_lines(role) if isinstance(role, Bench) else _manager_lines(labs)
+    reactions = [*map(equation, spec.family.reaction), *map(equation, spec.family.violent)]
+    if reactions:
+        lines.append(f"Reactions: {'; '.join(_tokens(one, name) for one in reactions)}.")
+    hidden = [_draw_words(spec, draw, name) for draw in spec.world.draws.values() if _concerns(spec, draw)]
+    if hidden:
+        lines.append(f"Hidden, redrawn every episode: {'; '.join(hidden)}.")
+    return "\n".join(_plain(line, name) for line in lines)
+
+
+def _manager_lines(labs: Laboratories) -> list[str]:
+    spec = labs.scenario
+    prices = ", ".join(f"{key} {one.price:g}" for key, one in spec.instruments.items())
+    lines = [*_order_lines(spec), limit_words(spec)]
+    lines.append(f"Price of a measurement: {prices}." if prices else "There are no instruments.")
+    kinds = {bench.key: bench for bench in labs.benches}
+    for bench in kinds.values():
+        agents = ", ".join(agent for agent, one in zip(labs.bench_agents, labs.benches, strict=True) if one is bench)
+        extra = f"; {position_words(bench)}" if len(bench.positions) > 1 else ""
+        lines.append(f"{agents or bench.key}: {bench.kind}, at most {bench.spec.step_limit} steps{extra}.")
+    for grade, wanted in spec.grades.items():
+        ticks = f", {wanted.ticks} ticks" if wanted.ticks is not None else ""
+        lines.append(
+            f"Grade {grade}: at least {wanted.amount_at_least_mol:g} mol, purity {wanted.purity_at_least:g}{ticks}."
+        )
+    return [*lines, *wear_words(spec)]
+
+
+def _order_lines(spec: Scenario) -> list[str]:
+    """Orders and score, with the specifications where there are any."""
+    most = ", ".join(f"`{goal}` {mol:.3g} mol" for goal, mol in spec.theoretical_maximum_mol.items())
+    several = f"{spec.orders} orders, each" if spec.orders > 1 else "One order"
+    wanted = ", ".join(f"`{goal}`" for goal in spec.lab_goals)
+    lines = [f"{several} for {'one of ' if len(spec.lab_goals) > 1 else ''}{wanted}. At most there can be {most}."]
+    if spec.demand.order:
+        late, short = spec.demand.late, spec.demand.short
+        share = f"a late delivery pays {late:g} of its price, one below the least amount or purity {short:g}"
+        return [*lines, f"Score: the mean over orders of the price paid ({share}), minus all costs."]
+    lines.append("Score: mol submitted x purity / that maximum (mean over orders), minus all costs.")
+    return lines + goal_words(spec)[3:]
+
+
+def _bench_lines(bench: Bench) -> list[str]:
+    gauges = [c for c in bench.channels if c.size == 1 and c.unit not in ("fraction", "one-hot", "0 or 1")]
+    ranges = "; ".join(f"{c.name} {c.low:g} to {c.high:g} {c.unit}" for c in gauges)
+    return [
+        f"You operate a {bench.kind} bench. Score of an experiment: {bench.score_meaning}.",
+        f"An experiment has at most {bench.spec.step_limit} steps. Vessels: {position_words(bench)}.",
+        *([f"Gauges: {ranges}."] if ranges else []),
+    ]
+
+
+def _plain(line: str, name: Callable[[str], str]) -> str:
+    """Names in backticks as they are called here."""
+    return re.sub(r"`([^`]*)`", lambda match: name(match[1]), line)
+
+
+def _tokens(words: str, name: Callable[[str], str]) -> str:
+    return " ".join(name(word) for word in words.split(" "))
+
+
+def _concerns(spec: Scenario, draw: Draw) -> bool:
+    """Whether a draw is about the laboratory, not only about benches on their own."""
+    return not draw.of or any(target not in spec.benches for target in draw.of)
+
+
+def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
+    """One declared draw in words."""
+    numbers = draw.distribution.model_dump(exclude_none=True)
+    kind = numbers.pop("kind")
+    parts = []
+    for label, value in numbers.items():
+        if isinstance(value, tuple):
+            counts = {option: value.count(option) for option in value}
+            listed = ", ".join(f"{name(str(o))}{f' x{n}' if n > 1 else ''}" for o, n in counts.items())
+            parts += [listed] if value else []
+        else:
+            parts.append(f"{label} {value:g}")
+    change = {"factor": "times ", "offset": "plus ", "value": ""}[draw.change]
+    change = "" if draw.what in ("identity", "titre") else change
+    targets = _ranges([_tokens(one, name) for one in draw.of if one not in spec.benches])
+    of = f" of {name(draw.material)}" if draw.material else ""
+    told = f", revealed to {', '.join(draw.told)}" if draw.told else ""
+    where = f" ({targets})" if targets else ""
+    return f"{draw.what}{of}{where}, {change}{kind} {', '.join(parts)}{told}"
+
+
+def _ranges(names: Sequence[str]) -> str:
+    """Names with numbers in a row as ranges: ``slot_0-7``."""
+    numbered = [name.rpartition("_") for name in names]
+    if len(names) > 2 and len({stem for stem, _, _ in numbered}) == 1 and all(n.isdigit() for _, _, n in numbered):
+        return f"{numbered[0][0]}_{numbered[0][2]}-{numbered[-1][2]}"
+    return ", ".join(names)

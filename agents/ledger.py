@@ -1,0 +1,75 @@
+"""A ledger of episodes: a file of lines, each of which has the hash of the line before it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from chemlab.config.files import locked
+
+__all__ = ["append_entry", "read_ledger"]
+
+_TRIES, _PAUSE_S = 200, 0.05
+
+
+def _hash(entry: Mapping[str, Any]) -> str:
+    text = json.dumps({key: value for key, value in entry.items() if key != "hash"}, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def append_entry(path: Path, entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Add an entry to a ledger, with its number, the time and the hash of the entry before it.
+
+    Raises:
+        ValueError: the ledger is not intact, or another process keeps it locked.
+    """
+    with path.open("a+b") as file:
+        for _ in range(_TRIES):
+            if locked(file.fileno()):
+                break
+            time.sleep(_PAUSE_S)
+        else:
+            raise ValueError(f"{path}: another process keeps it locked; try again")
+        entries = _checked(path, file_content(file))
+        previous = entries[-1]["hash"] if entries else ""
+        full = {"number": len(entries), "time": int(time.time()), **entry, "previous": previous}
+        full["hash"] = _hash(full)
+        file.write(json.dumps(full).encode() + b"\n")
+        file.flush()
+        os.fsync(file.fileno())
+    return full
+
+
+def file_content(file: Any) -> bytes:
+    """All of an open file."""
+    file.seek(0)
+    return bytes(file.read())
+
+
+def read_ledger(path: Path) -> list[dict[str, Any]]:
+    """The entries of a ledger.
+
+    Raises:
+        ValueError: a line has been changed, removed or added; the message says which.
+    """
+    return _checked(path, path.read_bytes())
+
+
+def _checked(path: Path, content: bytes) -> list[dict[str, Any]]:
+    entries: list[dict[str, Any]] = []
+    for number, line in enumerate(content.splitlines()):
+        try:
+            entry = json.loads(line)
+            previous = entries[-1]["hash"] if entries else ""
+            sound = entry["hash"] == _hash(entry) and entry["previous"] == previous and entry["number"] == number
+        except (ValueError, KeyError, TypeError):
+            sound = False
+        if not sound:
+            raise ValueError(f"{path}: line {number + 1} is not what was written; the ledger is not intact")
+        entries.append(entry)
+    return entries

@@ -1,0 +1,555 @@
+"""Seats of a laboratory for language agents: calls of typed verbs in, short texts out.
+
+A :class:`Room` holds one laboratory, its episode and its seats; policies play the agents that have no seat.
+:class:`LabTools` is the facade that agent frameworks take: its public methods are the seat's verbs, ``reset`` and
+``get_reward``. Annotations in this module are types, not strings, because frameworks read them.
+"""
+
+import hashlib
+import inspect
+import json
+import secrets
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal, Optional
+
+import numpy as np
+
+from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.envs.players import Players
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.text import RoleText
+from chemlab.record import Play, Recorder
+from chemlab.roles.bench import Bench
+from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
+
+from .background import Background, background_policies
+from .briefs import brief, opaque_names
+from .ledger import append_entry
+from .verbs import Argument, ToolError, Verb, bench_verbs, manager_verbs, number_of, plain
+
+__all__ = ["CANARY", "LabTools", "Reply", "Room", "ToolError", "input_schema"]
+
+CANARY = "chemlab-transcript canary 5f0e3c7a-91d4-4f0e-8a55-6c1b2d9e7f43: not for training data"
+"""First line of every transcript, so that corpora can leave transcripts out."""
+
+LONGEST_WAIT_S = 15.0
+_MOST_ARGUMENTS = 64
+
+
+@dataclass(frozen=True)
+class Reply:
+    """The answer to a call.
+
+    Attributes:
+        text: for the agent.
+        done: whether the episode is over.
+        error: whether the call was refused, so that nothing has changed.
+    """
+
+    text: str
+    done: bool = False
+    error: bool = False
+
+
+class Room:
+    """One laboratory with several seats.
+
+    Args:
+        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        seats: the agents that are called from outside.
+        background: policy of the other agents (see :data:`~chemlab.agents.background.Background`).
+        names: ``plain``, or ``opaque`` for materials under permuted code names.
+        calls: budget of calls of each seat; one more truncates the episode. None: no budget.
+        say: characters that each seat may say to other seats in an episode; 0: the verb is not there.
+        patience: seconds that ``wait`` may block while another seat has the turn, at most 15.
+        folder: records, transcripts and the ledger are written here, the records when an episode is over.
+        condition: what the seats could reach, as the ledger states it.
+        salt: of the private split; default: a fresh one for every episode, published at its end.
+        seed: of the episode; default: a fresh one.
+
+    Raises:
+        DataError: the scenario is wrong or unknown.
+        ValueError: an unknown seat, policy or kind of names, or a number out of range.
+    """
+
+    def __init__(
+        self,
+        scenario: str | Path | Scenario = "wurtz_dodecane",
+        seats: Sequence[str] = (MANAGER_AGENT,),
+        background: Background = "scripted",
+        names: str = "plain",
+        calls: int | None = None,
+        say: int = 0,
+        patience: float = 0.0,
+        folder: str | Path | None = None,
+        condition: str = "tools and simulator",
+        salt: str | None = None,
+        seed: int | None = None,
+    ) -> None:
+        self.scenario = load_scenario(scenario)
+        agents = [MANAGER_AGENT, *self.scenario.bench_agents()]
+        unknown = [seat for seat in seats if seat not in agents]
+        if unknown or not seats or len(set(seats)) != len(seats):
+            raise ValueError(f"seats: must be different agents of {', '.join(agents)}, given {', '.join(seats)}")
+        if names not in ("plain", "opaque"):
+            raise ValueError(f"names: must be plain or opaque, given {names!r}")
+        if not 0.0 <= patience <= LONGEST_WAIT_S or say < 0 or (calls is not None and calls < 1):
+            raise ValueError(f"patience: 0 to {LONGEST_WAIT_S:g} s; say: at least 0; calls: at least 1")
+        self.seats = tuple(seats)
+        self._background, self._names, self._budget, self._say = background, names, calls, say
+        self._patience, self._condition, self._given = patience, condition, (salt, seed)
+        self._folder = None if folder is None else Path(folder)
+        self._changed = threading.Condition(threading.RLock())
+        self._episode = 0
+        self._over = True
+        self._labs: Laboratories | None = None
+        self.begin()
+
+    # -- episodes -----------------------------------------------------------------------------------------------------
+
+    def begin(self, goal: str | None = None) -> None:
+        """Begin an episode; one that is still running is given up, which the ledger shows.
+
+        Raises:
+            ValueError: unknown goal.
+        """
+        with self._changed:
+            if not self._over:
+                self._finish("given up")
+            salt, seed = self._given
+            self._salt = secrets.token_hex(16) if salt is None else salt
+            self._seed = secrets.randbits(63) if seed is None else seed
+            self._labs = labs = Laboratories(self.scenario, 1, split=f"private:{self._salt}")
+            policies = background_policies(self._background)(labs)
+            self._players = Players(labs, [None if a in self.seats else policies[a] for a in labs.agents])
+            labs.seed(0, self._seed)
+            labs.reset(labs.members, goal)
+            self._players.seed(0, self._seed)
+            known = opaque_names(self.scenario, self._salt) if self._names == "opaque" else None
+            self._name: Callable[[str], str] = str if known is None else (lambda one: known.get(one, one))
+            renaming = None if known is None else self._name
+            self._views = {seat: RoleText(labs, labs.agents.index(seat), renaming) for seat in self.seats}
+            self._verbs = {seat: {verb.name: verb for verb in self._make_verbs(seat)} for seat in self.seats}
+            self._shown: dict[str, set[str]] = {seat: set() for seat in self.seats}
+            self._fresh = dict.fromkeys(self.seats, True)
+            self._turns = dict.fromkeys(self.seats, 1)
+            self._last: dict[str, tuple[int, str, Mapping[str, Any], Reply]] = {}
+            self._notices: dict[str, list[str]] = {seat: [] for seat in self.seats}
+            self._said = dict.fromkeys(self.seats, 0)
+            self._calls, self._wrong = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
+            self._characters = dict.fromkeys(self.seats, 0)
+            self._transcript: list[dict[str, Any]] = []
+            self._status, self._over, self._began = "running", False, time.monotonic()
+            self._episode += 1
+            self._open_books({} if goal is None else {"goal": goal})
+            self._advance()
+
+    def _open_books(self, options: Mapping[str, Any]) -> None:
+        """The ledger's entry and the record, which stays in memory while the episode runs."""
+        self._recorder: Recorder | None = None
+        self._stem: Path | None = None
+        if self._folder is None or self._labs is None:
+            return
+        self._folder.mkdir(parents=True, exist_ok=True)
+        commitment = hashlib.sha256(f"{self._salt}:{self._seed}".encode()).hexdigest()
+        entry = append_entry(
+            self._folder / "ledger.jsonl",
+            {
+                "event": "begun",
+                "scenario": self.scenario.name,
+                "seats": list(self.seats),
+                "background": str(self._background),
+                "condition": self._condition,
+                "names": self._names,
+                "calls": self._budget,
+                "say": self._say,
+                "commitment": commitment,
+            },
+        )
+        self._number = entry["number"]
+        self._stem = self._folder / f"episode-{self._number:04d}"
+        players = {a: "seat" if a in self.seats else str(self._background) for a in self._labs.agents}
+        self._recorder = Recorder(f"{self._stem}.jsonl", self._labs, policies=players, held=True)
+        self._recorder.begin(self._seed, options)
+
+    def _make_verbs(self, seat: str) -> list[Verb]:
+        labs = self._labs
+        assert labs is not None
+        role = labs.role(labs.agents.index(seat))
+        acting = bench_verbs(role, self._name) if isinstance(role, Bench) else manager_verbs(labs, self._name)
+        verbs = [*acting, Verb("look", "Show everything that you observe. Free.")]
+        if seat != MANAGER_AGENT:
+            verbs.append(Verb("wait", "Wait for your turn."))
+        others = tuple(other for other in self.seats if other != seat)
+        if self._say and others:
+            text = Argument("text", "the message", longest=min(self._say, 1000))
+            verbs.append(Verb("say", "Send a message to another seat.", (Argument("to", "the seat", others), text)))
+        return verbs
+
+    def verbs(self, seat: str) -> list[Verb]:
+        """The verbs of a seat."""
+        return list(self._verbs[seat].values())
+
+    @property
+    def over(self) -> bool:
+        """Whether the episode is over."""
+        return self._over
+
+    @property
+    def score(self) -> float:
+        """The laboratory's score so far."""
+        assert self._labs is not None
+        return float(self._labs.result(self._labs.members)[0])
+
+    def published(self) -> dict[str, Any]:
+        """Salt and seed of the episode.
+
+        Raises:
+            ValueError: the episode is not over.
+        """
+        if not self._over:
+            raise ValueError("published: the episode is not over; its salt and seed are secret until then")
+        return {"split": f"private:{self._salt}", "seed": self._seed}
+
+    def report(self) -> dict[str, Any]:
+        """Score, and what stands beside it: calls, refused calls, characters of replies, wall time."""
+        seats = {
+            seat: {"calls": self._calls[seat], "wrong": self._wrong[seat], "characters": self._characters[seat]}
+            for seat in self.seats
+        }
+        return {"status": self._status, "score": self.score, "seats": seats, "condition": self._condition}
+
+    def close(self) -> None:
+        """End an episode that is still running."""
+        with self._changed:
+            if not self._over:
+                self._finish("given up")
+
+    def _finish(self, status: str) -> None:
+        self._over, self._status = True, status
+        if self._recorder is not None and self._folder is not None:
+            self._recorder.close()
+            lines = [{"canary": CANARY}, *self._transcript]
+            path = Path(f"{self._stem}.transcript.jsonl")
+            path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+            written = self._recorder.path if self._recorder.path.exists() else self._recorder.part
+            digest = hashlib.sha256(written.read_bytes()).hexdigest()
+            wall = round(time.monotonic() - self._began, 3)
+            begun = {"event": "ended", "begun": self._number, **self.published(), **self.report()}
+            append_entry(self._folder / "ledger.jsonl", {**begun, "seconds": wall, "record": digest})
+        self._changed.notify_all()
+
+    # -- turns --------------------------------------------------------------------------------------------------------
+
+    def turn(self) -> tuple[str, str]:
+        """(agent that has the turn, everything it observes); an empty name when the episode is over."""
+        with self._changed:
+            agent = self._current()
+            return (agent, self._display(agent, True)) if agent else ("", self._end_words())
+
+    def _current(self) -> str:
+        assert self._labs is not None
+        return "" if self._over else self._labs.agents[self._labs.turn()]
+
+    def _advance(self) -> None:
+        """Let policies play until a seat has the turn."""
+        labs = self._labs
+        assert labs is not None
+        while labs.state.status[0] == RUNNING and self._current() not in self.seats:
+            number = labs.turn()
+            self._play(number, self._players.decide(number, labs.members)[0])
+        if labs.state.status[0] != RUNNING:
+            self._finish(STATUS_WORDS[int(labs.state.status[0])])
+        else:
+            self._fresh[self._current()] = True
+        self._changed.notify_all()
+
+    def _play(self, number: int, action: Any) -> None:
+        """One turn of an agent, with its line in the record, and notices for seats whose experiment it ended."""
+        labs = self._labs
+        assert labs is not None
+        checked = labs.checked(number, action)
+        seen, mask = labs.observe(number, labs.members)[0], labs.mask(number, labs.members)
+        labs.act(number, labs.members, checked)
+        if self._recorder is not None:
+            self._recorder.turn([Play(number, seen, None if mask is None else mask[0], checked[0])])
+        for agent, score in zip(labs.agents, labs.scores[0].tolist(), strict=True):
+            if score == score and agent in self.seats and agent != MANAGER_AGENT:
+                self._notices[agent].append(f"Experiment over: score {score:+.3f}.")
+        for agent in self.seats:
+            events = labs.events(labs.agents.index(agent)) if labs.agents.index(agent) == number else {}
+            self._notices[agent] += [f"Safety event: {kind} {amount:.3g}." for kind, amount in events.items()]
+
+    # -- calls --------------------------------------------------------------------------------------------------------
+
+    def call(self, agent: str, verb: str, arguments: Mapping[str, Any] | None = None) -> Reply:
+        """One call of a seat. It never raises because of what was given.
+
+        Args:
+            agent: the seat.
+            verb: name of the verb.
+            arguments: by name; ``turn``, the number of the turn that the call is meant for, makes a repeated call act
+                once.
+        """
+        with self._changed:
+            if not isinstance(agent, str) or agent not in self.seats:
+                return Reply(f"no seat {plain(agent)}; seats: {', '.join(self.seats)}", self._over, True)
+            if self._over:
+                return Reply(self._end_words(), True)
+            self._calls[agent] += 1
+            if self._budget is not None and self._calls[agent] > self._budget:
+                self._finish("out of calls")
+                return Reply(self._end_words(), True)
+            began = self._episode
+            try:
+                reply = self._answer(agent, verb, {} if arguments is None else arguments)
+            except ToolError as error:
+                self._wrong[agent] += 1
+                reply = Reply(f"Error: {error}", self._over, True)
+            if began == self._episode:
+                self._characters[agent] += len(reply.text)
+                shown = {plain(k): plain(v, 1000) for k, v in arguments.items()} if _is_small(arguments) else {}
+                entry = {"agent": agent, "verb": plain(verb), "arguments": shown, **asdict(reply)}
+                self._transcript.append(entry)
+            return reply
+
+    def _answer(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
+        if not _is_small(arguments):
+            raise ToolError(f"{plain(verb)}: arguments must be given by name")
+        verbs = self._verbs[agent]
+        if not isinstance(verb, str) or verb not in verbs:
+            raise ToolError(f"unknown verb {plain(verb)}; verbs: {', '.join(verbs)}")
+        given = dict(arguments)
+        turn = given.pop("turn", None)
+        known = verbs[verb].checked(given)
+        if verb == "look":
+            return Reply(self._display(agent, True))
+        if verb == "say":
+            return self._deliver(agent, known["to"], known["text"])
+        before = self._repeated(agent, verb, known, turn)
+        if before is not None:
+            return before
+        if self._current() != agent:
+            if verb != "wait":
+                return Reply(f"Not your turn: {self._current()} has it; nothing was done. Call wait.")
+            self._changed.wait_for(lambda: self._over or self._current() == agent, self._patience)
+            return Reply(self._situation(agent, True), self._over)
+        action = verbs[verb].action
+        if action is None or (verb == "wait" and self._fresh[agent]):  # it has the turn and has not been shown it yet
+            return Reply(self._situation(agent, True))
+        reply = self._act(agent, verb, action(known))
+        self._last[agent] = (self._turns[agent] - 1, verb, known, reply)
+        return reply
+
+    def _repeated(self, agent: str, verb: str, known: Mapping[str, Any], turn: Any) -> Reply | None:
+        """The reply that was given to the same call of the turn before."""
+        if turn is None:
+            return None
+        number, now = number_of(turn), self._turns[agent]
+        if number == now:
+            return None
+        last = self._last.get(agent)
+        if last is not None and number == last[0] and (verb, known) == last[1:3]:
+            return last[3]
+        raise ToolError(f"{verb}: turn must be {now}, the present turn, or left out; given {plain(turn)}")
+
+    def _act(self, agent: str, verb: str, action: Any) -> Reply:
+        labs = self._labs
+        assert labs is not None
+        number = labs.agents.index(agent)
+        mask = labs.mask(number, labs.members)
+        if mask is not None and not mask[0, int(action)]:
+            raise ToolError(self._impossible(agent, verb, mask[0]))
+        before = sum(labs.costs().values())
+        self._play(number, action)
+        self._views[agent].acted(action)
+        self._turns[agent] += 1
+        self._fresh[agent] = False
+        price = sum(labs.costs().values()) - before
+        words = "Done."
+        if agent == MANAGER_AGENT and price > 5e-7:
+            words = f"Done; cost {price:.4g}."
+        self._advance()
+        return Reply(f"{words} {self._situation(agent, verb == 'wait')}", self._over)
+
+    def _situation(self, agent: str, whole: bool) -> str:
+        """Notices, whose turn it is, and what has changed."""
+        notices = " ".join(self._notices[agent])
+        self._notices[agent] = []
+        if self._over:
+            return f"{notices} {self._end_words()}".strip()
+        if self._current() != agent:
+            return f"{notices} {self._current()} has the turn; call wait.".strip()
+        return f"{notices} {self._display(agent, whole)}".strip()
+
+    def _display(self, agent: str, whole: bool) -> str:
+        """What the seat observes: everything, or the lines that have changed since it was shown something."""
+        labs = self._labs
+        assert labs is not None
+        number = labs.agents.index(agent)
+        lines = self._views[agent].lines(labs.observe(number, labs.members)[0])
+        head, had = f"Turn {self._turns[agent]}", int(labs.turns_had(number)[0])
+        if number:
+            bench = labs.benches[number - 1]
+            busy = bool(labs.state.busy[number - 1, 0])
+            head += f": step {had + 1} of {bench.spec.step_limit}" if busy else ": no experiment here"
+            whole = whole or had == 0
+            if not busy:
+                lines = []
+        news = [line for line in lines if line not in self._shown[agent]]
+        changed = lines if whole else [line.partition(" (before: ")[0] for line in news]
+        self._shown[agent] = set(lines)
+        if self._current() == agent:
+            self._fresh[agent] = False
+        else:
+            head += f"; {self._current()} has the turn"
+        return "\n".join([head, *changed])
+
+    def _impossible(self, agent: str, verb: str, mask: Any) -> str:
+        """Why an action is refused: what of the verb is possible, and which verbs are."""
+        labs = self._labs
+        assert labs is not None
+        if agent == MANAGER_AGENT:
+            legal = [labs.actions.decode(action) for action in np.flatnonzero(mask).tolist()]
+            own = [arguments for kind, *arguments in legal if kind == verb]
+            kinds = list(dict.fromkeys(str(kind) for kind, *_ in legal))
+        else:
+            own, kinds = [], []
+            bench = labs.benches[labs.agents.index(agent) - 1]
+            for action in np.flatnonzero(mask).tolist():
+                kinds.append(bench.action_meanings[action].partition(",")[0])
+            kinds = [plain(kind) for kind in dict.fromkeys(kinds)]
+            possible = "; ".join(map(self._translated, kinds))
+            return f"{verb}: not possible now (empty vessel or bottle); possible: {possible}"
+        columns = [", ".join(dict.fromkeys(self._name(str(v)) for v in column)) for column in zip(*own, strict=True)]
+        names = [argument.name for argument in self._verbs[agent][verb].arguments]
+        if own and len(names) == len(columns):
+            ways = "; ".join(f"{name} {values}" for name, values in zip(names, columns, strict=True))
+            return f"{verb}: not possible with these arguments now; possible: {ways}"
+        return f"{verb}: not possible now; possible verbs: {', '.join(kinds)}"
+
+    def _translated(self, words: str) -> str:
+        return " ".join(self._name(word) for word in words.split(" "))
+
+    def _deliver(self, agent: str, to: str, text: str) -> Reply:
+        left = self._say - self._said[agent]
+        if len(text) > left:
+            raise ToolError(f"say: {len(text)} characters, but only {left} are left of {self._say}")
+        self._said[agent] += len(text)
+        self._notices[to].append(f"{agent} says: {json.dumps(text)}.")
+        return Reply(f"Sent; {self._say - self._said[agent]} characters left.")
+
+    def _end_words(self) -> str:
+        labs = self._labs
+        assert labs is not None
+        outcome, costs = labs.outcome(), sum(labs.costs().values())
+        delivered = f"delivered {outcome['submitted_mol']:.3f} mol at purity {outcome['purity']:.3f}"
+        return f"The episode is over ({self._status}): {delivered}, costs {costs:.4f}, score {self.score:.3f}."
+
+    def brief(self, seat: str) -> str:
+        """Introduction for a seat: task, score, prices, hidden parameters."""
+        assert self._labs is not None
+        return brief(self._labs, seat, self.seats, self._name)
+
+
+def _is_small(arguments: Any) -> bool:
+    return (
+        isinstance(arguments, Mapping)
+        and len(arguments) <= _MOST_ARGUMENTS
+        and all(isinstance(key, str) for key in arguments)
+    )
+
+
+# -- the facade for frameworks ----------------------------------------------------------------------------------------
+
+_TURN = "number of the turn that the call is for, so that a repeated call acts once"
+
+
+def input_schema(verb: Verb) -> dict[str, Any]:
+    """JSON schema of a verb's arguments."""
+    properties: dict[str, Any] = {}
+    for argument in verb.arguments:
+        own: dict[str, Any] = {"description": argument.meaning}
+        if argument.options:
+            own["enum"] = list(argument.options)
+        elif argument.longest:
+            own |= {"type": "string", "maxLength": argument.longest}
+        else:
+            own |= {"type": "number", "minimum": argument.low, "maximum": argument.high}
+        properties[argument.name] = own | ({} if argument.default is None else {"default": argument.default})
+    if verb.action is not None:
+        properties["turn"] = {"type": "integer", "description": _TURN}
+    required = [argument.name for argument in verb.arguments if argument.default is None]
+    return {"type": "object", "properties": properties, **({"required": required} if required else {})}
+
+
+class LabTools:
+    """One seat as an object whose public methods are its verbs (typed, with docstrings), ``reset`` and ``get_reward``.
+
+    Args:
+        room: the room.
+        agent: the seat.
+    """
+
+    def __new__(cls, room: Room, agent: str) -> "LabTools":
+        """An instance of a subclass that has the seat's verbs as methods."""
+        if agent not in room.seats:
+            raise ValueError(f"seat: must be one of {', '.join(room.seats)}, given {agent!r}")
+        methods: dict[str, Any] = {verb.name: _method(verb) for verb in room.verbs(agent)}
+        return object.__new__(type(f"LabTools_{agent}", (cls,), methods))
+
+    def __init__(self, room: Room, agent: str) -> None:
+        self._room, self._agent = room, agent
+
+    def reset(self, **row: Any) -> str:
+        """Begin an episode.
+
+        Args:
+            row: ``goal`` asks for a goal; other keys of a data set's row are ignored.
+
+        Returns:
+            The introduction, and everything the seat observes.
+        """
+        goal = row.get("goal")
+        self._room.begin(goal if isinstance(goal, str) else None)
+        return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
+
+    def get_reward(self) -> float:
+        """The laboratory's score so far."""
+        return self._room.score
+
+
+def _method(verb: Verb) -> Callable[..., str]:
+    """A verb as a method with a signature and a Google docstring."""
+    kind = inspect.Parameter
+    parameters = [kind("self", kind.POSITIONAL_OR_KEYWORD)]
+    for argument in verb.arguments:
+        annotation = Literal.__getitem__(argument.options) if argument.options else str if argument.longest else float
+        default = kind.empty if argument.default is None else argument.default
+        parameters.append(kind(argument.name, kind.POSITIONAL_OR_KEYWORD, annotation=annotation, default=default))
+    lines = [f"    {argument.name}: {argument.meaning}" for argument in verb.arguments]
+    if verb.action is not None:
+        turn = Optional[int]  # noqa: UP045 - a form that every reader of annotations knows
+        parameters.append(kind("turn", kind.POSITIONAL_OR_KEYWORD, annotation=turn, default=None))
+        lines.append(f"    turn: {_TURN}")
+    names = [parameter.name for parameter in parameters[1:]]
+
+    def method(self: LabTools, *values: Any, **given: Any) -> str:
+        if len(values) > len(names):
+            reply = self._room.call(self._agent, verb.name, {f"argument {i}": v for i, v in enumerate(values)})
+        else:
+            reply = self._room.call(self._agent, verb.name, {**dict(zip(names, values, strict=False)), **given})
+        if reply.error:
+            raise ToolError(reply.text)
+        return reply.text
+
+    method.__name__ = method.__qualname__ = verb.name
+    arguments = "\n\nArgs:\n" + "\n".join(lines) if lines else ""
+    method.__doc__ = f"{verb.meaning}{arguments}\n\nReturns:\n    what happened, and what has changed"
+    method.__signature__ = inspect.Signature(parameters, return_annotation=str)  # type: ignore[attr-defined]
+    method.__annotations__ = {p.name: p.annotation for p in parameters[1:]} | {"return": str}
+    return method

@@ -1,0 +1,65 @@
+"""Commands that open a laboratory to other programs: mcp."""
+
+from __future__ import annotations
+
+import secrets
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .common import ScenarioArgument, app, chosen_agents
+from .screen import out, plain
+
+__all__: list[str] = []
+
+
+@app.command()
+def mcp(
+    scenario: ScenarioArgument,
+    seat: Annotated[
+        list[str] | None,
+        typer.Option(help="An agent (manager_0), a kind (rxn) or all; repeat the option. Default: manager_0."),
+    ] = None,
+    http: Annotated[
+        int | None, typer.Option(help="Serve over HTTP on this port (0: a free one). Default: standard input and output.")
+    ] = None,
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    background: Annotated[str, typer.Option(help="Policy of the agents without a seat.")] = "scripted",
+    names: Annotated[str, typer.Option(help="plain, or opaque: materials under permuted code names.")] = "plain",
+    calls: Annotated[int | None, typer.Option(help="Calls of each seat; one more truncates the episode.")] = None,
+    say: Annotated[int, typer.Option(help="Characters that a seat may say to other seats.")] = 0,
+    out_folder: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder of records, transcripts and the ledger. Records are written at the end."),
+    ] = None,
+) -> None:
+    """Serve seats of a laboratory to language agents by the Model Context Protocol (needs the extra `mcp`)."""
+    from ..agents import mcp_server
+    from ..agents.seats import Room
+    from ..config.scenario import load_scenario
+
+    spec = load_scenario(scenario)
+    seats = chosen_agents(["manager_0", *spec.bench_agents()], seat or ["manager_0"], "--seat")
+    if http is None and len(seats) > 1:
+        raise ValueError(f"--seat: standard input and output serve one seat, given {len(seats)}; add --http PORT")
+    room = Room(spec, seats, background, names, calls, say, 10.0, out_folder, "tools only")
+    try:
+        if http is None:
+            mcp_server.serve_stdio(room)
+        else:
+            port = http or _free_port(host)
+            tokens = {one: secrets.token_urlsafe(24) for one in seats}
+            for one, token in tokens.items():
+                out.print(plain(f"{one} http://{host}:{port}/{one}/mcp Authorization: Bearer {token}"), soft_wrap=True)
+            mcp_server.serve_http(room, tokens, host, port)
+    finally:
+        room.close()
+
+
+def _free_port(host: str) -> int:
+    import socket
+
+    with socket.socket() as probe:
+        probe.bind((host, 0))
+        return int(probe.getsockname()[1])
