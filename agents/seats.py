@@ -18,7 +18,8 @@ from typing import Any, Literal, Optional
 
 import numpy as np
 
-from chemlab.config.scenario import Scenario, load_scenario
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.lab.text import RoleText

@@ -13,6 +13,7 @@ from . import (  # noqa: F401 - importing a module adds its commands
     check,
     chemistry,
     crossplay,
+    doors,
     evaluation,
     export,
     laboratory,
@@ -26,7 +27,7 @@ from .common import app
 __all__ = ["PANELS", "app", "main"]
 
 PANELS: dict[str, tuple[str, ...]] = {
-    "Play": ("run", "play", "list", "describe"),
+    "Play": ("run", "play", "mcp", "list", "describe"),
     "Train": ("train", "sweep", "export"),
     "Compare": ("evaluate", "benchmark", "crossplay", "audit"),
     "Author": ("check", "new", "generate", "data"),

@@ -22,7 +22,8 @@ def mcp(
         typer.Option(help="An agent (manager_0), a kind (rxn) or all; repeat the option. Default: manager_0."),
     ] = None,
     http: Annotated[
-        int | None, typer.Option(help="Serve over HTTP on this port (0: a free one). Default: standard input and output.")
+        int | None,
+        typer.Option(help="Serve over HTTP on this port (0: a free one). Default: standard input and output."),
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     background: Annotated[str, typer.Option(help="Policy of the agents without a seat.")] = "scripted",
@@ -37,7 +38,7 @@ def mcp(
     """Serve seats of a laboratory to language agents by the Model Context Protocol (needs the extra `mcp`)."""
     from ..agents import mcp_server
     from ..agents.seats import Room
-    from ..config.scenario import load_scenario
+    from ..config.loading import load_scenario
 
     spec = load_scenario(scenario)
     seats = chosen_agents(["manager_0", *spec.bench_agents()], seat or ["manager_0"], "--seat")

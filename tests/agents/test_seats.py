@@ -1,0 +1,268 @@
+"""Seats for language agents: typed verbs, refused calls, repeated calls, several seats in one room, secrecy."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import random
+import re
+import typing
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from seat_calls import call_for, play_scripted
+
+from chemlab.agents.ledger import read_ledger
+from chemlab.agents.seats import LabTools, Room, ToolError, input_schema
+from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.lab.engine import Laboratories
+from chemlab.record import verify_record
+
+SALT = "0123456789abcdef0123456789abcdef"
+TWO = ("manager_0", "dit_0")
+
+
+def snapshot(room: Room) -> list[Any]:
+    labs: Any = room._labs
+    return labs.snapshot()
+
+
+def same(before: list[Any], after: list[Any]) -> bool:
+    return all(
+        np.array_equal(one, other, equal_nan=one.dtype.kind == "f") for one, other in zip(before, after, strict=True)
+    )
+
+
+@pytest.fixture
+def room() -> Room:
+    return Room("unlabelled", TWO, salt=SALT, seed=3)
+
+
+# -- calls ------------------------------------------------------------------------------------------------------------
+
+
+def test_arguments_are_taken_as_text_or_number(room: Room) -> None:
+    reply = room.call("manager_0", "start", {"bench": "dit_0", "slot": "1", "goal": "dodecane"})
+    assert not reply.error
+    assert "slot 1: vessel at dit_0" in reply.text
+    assert "dit_0 has the turn" in room.call("manager_0", "wait").text
+    assert not room.call("dit_0", "heat", {"amount": 0.5}).error
+    assert not room.call("dit_0", "heat", {"amount": "10"}).error
+
+
+def test_looking_is_free_and_complete(room: Room) -> None:
+    before = snapshot(room)
+    for seat in TWO:
+        assert not room.call(seat, "look").error
+    assert "slots 0-7" in room.call("manager_0", "look").text
+    assert same(before, snapshot(room))
+
+
+def test_an_agent_without_the_turn_is_told_who_has_it(room: Room) -> None:
+    before = snapshot(room)
+    reply = room.call("dit_0", "heat", {"amount": 1})
+    assert "manager_0 has it; nothing was done" in reply.text
+    assert "manager_0 has the turn" in room.call("dit_0", "wait").text
+    assert same(before, snapshot(room))
+
+
+def test_a_repeated_call_acts_once(room: Room) -> None:
+    given = {"slot": 0, "instrument": "uv_vis", "turn": 1}
+    first = room.call("manager_0", "measure", given)
+    before = snapshot(room)
+    assert room.call("manager_0", "measure", dict(given)) == first
+    assert room.call("manager_0", "measure", {**given, "turn": "1"}) == first
+    for other in ({**given, "slot": 1}, {**given, "turn": 0}, {**given, "turn": 7}, {**given, "turn": "x"}):
+        assert room.call("manager_0", "measure", other).error
+    assert same(before, snapshot(room))
+    assert not room.call("manager_0", "measure", {**given, "turn": 2}).error
+
+
+JUNK: tuple[Any, ...] = (
+    None, True, False, -1, 10**400, 1.5, float("nan"), float("inf"), "", " ", "rxn_9", "\x1b[2J", "x" * 5000, [], [0],
+    {}, {"a": 1}, b"\xff", object(), "0; drop", "None", "-0.0001", 1e308, ("start",),
+)  # fmt: skip
+
+
+def wrong_call(room: Room, rng: random.Random) -> tuple[Any, Any, Any]:
+    """A call that is wrong in one respect."""
+    agent = rng.choice(room.seats)
+    way = rng.randrange(5)
+    if way == 0:
+        return agent, rng.choice([*JUNK, "reset", "get_reward", "__init__", "begin"]), {}
+    if way == 1:
+        return rng.choice(JUNK), "look", {}
+    verbs = [verb for verb in room.verbs(agent) if verb.arguments or way == 2]
+    verb = rng.choice(verbs)
+    given: Any = {argument.name: argument.options[0] for argument in verb.arguments}
+    if way == 2:
+        return agent, verb.name, {**given, rng.choice(["Slot", "x" * 300, "self", "\n"]): 1}
+    if way == 3:
+        return agent, verb.name, rng.choice([[1, 2], "text", 5, {3: 4}, {str(i): 0 for i in range(1000)}])
+    del given[rng.choice(list(given))]
+    if rng.random() < 0.7:
+        missing = next(a.name for a in verb.arguments if a.name not in given)
+        given[missing] = rng.choice([junk for junk in JUNK if not (junk == -1 and verb.name == "heat")])
+    return agent, verb.name, given
+
+
+def test_ten_thousand_wrong_calls_change_nothing(room: Room) -> None:
+    rng, before, made = random.Random(0), snapshot(room), 0
+    for i in range(10_000):
+        agent, verb, given = wrong_call(room, rng)
+        reply = room.call(agent, verb, given)
+        assert reply.error, (agent, verb, given, reply.text)
+        assert len(reply.text) < 600
+        assert reply.text.isprintable()
+        assert "Traceback" not in reply.text
+        made += agent in room.seats if isinstance(agent, str) else 0
+        if i % 1000 == 999:
+            assert same(before, snapshot(room))
+    assert sum(seat["wrong"] for seat in room.report()["seats"].values()) == made
+    assert not room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"}).error
+
+
+def test_illegal_actions_are_refused_with_what_is_possible(room: Room) -> None:
+    before = snapshot(room)
+    text = room.call("manager_0", "start", {"bench": "rxn_0", "slot": 9, "goal": "dodecane"}).text
+    assert "possible: bench rxn_0, dit_0; slot 0, 1, 2, 3, 4, 5, 6, 7;" in text
+    assert "possible verbs: start" in room.call("manager_0", "recall", {"bench": "rxn_0"}).text
+    assert same(before, snapshot(room))
+
+
+def test_a_budget_of_calls_truncates() -> None:
+    room = Room("unlabelled", calls=3)
+    for _ in range(3):
+        assert not room.call("manager_0", "look").done
+    reply = room.call("manager_0", "look")
+    assert reply.done
+    assert "out of calls" in reply.text
+    assert room.report()["status"] == "out of calls"
+
+
+def test_messages_are_quoted_and_counted() -> None:
+    room = Room("unlabelled", TWO, say=20)
+    assert "9 characters left" in room.call("dit_0", "say", {"to": "manager_0", "text": "ready\x1b[2J\nx"}).text
+    assert room.call("dit_0", "say", {"to": "manager_0", "text": "1234567890"}).error
+    reply = room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"})
+    assert 'dit_0 says: "ready [2J x"' in reply.text
+    assert "say" not in [verb.name for verb in Room("unlabelled", TWO).verbs("dit_0")]
+
+
+# -- episodes ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("scenario", "seats"), [("unlabelled", TWO), ("relay", ("manager_0", "fin_0"))])
+def test_two_seats_play_to_the_end(scenario: str, seats: tuple[str, ...], tmp_path: Path) -> None:
+    """The record is right with the published salt, and two rooms with the same calls have the same record."""
+    records = []
+    for folder in ("a", "b"):
+        room = Room(scenario, seats, folder=tmp_path / folder, salt=SALT, seed=5)
+        calls = play_scripted(room)
+        assert {agent for agent, *_ in calls} == set(seats)
+        assert room.over
+        records.append((tmp_path / folder / "episode-0000.jsonl").read_bytes())
+    assert records[0] == records[1]
+    found = verify_record(tmp_path / "a" / "episode-0000.jsonl", split=room.published()["split"])
+    assert found.status == "ok"
+    assert found.score == room.score
+
+
+def test_nothing_on_the_disk_tells_the_world_while_an_episode_runs(tmp_path: Path) -> None:
+    room = Room("unlabelled", folder=tmp_path)
+    room.call("manager_0", "start", {"bench": "rxn_0", "slot": 0, "goal": "dodecane"})
+    room.call("manager_0", "wait")
+    with pytest.raises(ValueError, match="not over"):
+        room.published()
+    labs: Any = room._labs
+    secrets = [room._salt, str(room._seed), str(labs.worlds.number(0))]
+    secrets += [f"{value:.6f}"[:8] for value in labs.worlds.values(0)["titre"].values()]
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert [path.name for path in files] == ["ledger.jsonl"]
+    assert not any(secret in path.read_text() for path in files for secret in secrets)
+    room.close()
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {"ledger.jsonl", "episode-0000.jsonl.part", "episode-0000.transcript.jsonl"}
+    assert room._salt in (tmp_path / "ledger.jsonl").read_text()
+
+
+def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
+    room = Room("unlabelled", folder=tmp_path)
+    tools = LabTools(room, "manager_0")
+    tools.reset()
+    tools.reset(goal="dodecane", prompt="ignored")
+    room.close()
+    entries = read_ledger(tmp_path / "ledger.jsonl")
+    assert [entry["event"] for entry in entries] == ["begun", "ended"] * 3
+    assert len({entry["split"] for entry in entries if entry["event"] == "ended"}) == 3
+    lines = (tmp_path / "ledger.jsonl").read_text().splitlines()
+    for changed in ([*lines[:2], *lines[4:]], [lines[0].replace("unlabelled", "crude"), *lines[1:]]):
+        (tmp_path / "ledger.jsonl").write_text("\n".join(changed) + "\n")
+        with pytest.raises(ValueError, match="not intact"):
+            read_ledger(tmp_path / "ledger.jsonl")
+
+
+def test_opaque_names_hide_materials_everywhere(tmp_path: Path) -> None:
+    room = Room("crude", ("manager_0", "ext_0", "dit_0"), names="opaque", folder=tmp_path, salt=SALT, seed=1)
+    shown = "".join(json.dumps([input_schema(v) for v in room.verbs(seat)]) + room.brief(seat) for seat in room.seats)
+    calls = play_scripted(room)
+    assert len({agent for agent, *_ in calls}) > 1
+    shown += (tmp_path / "episode-0000.transcript.jsonl").read_text()
+    materials = [name for name in load_scenario("crude").materials if name not in ("air", "H", "Na")]
+    assert [name for name in materials if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", shown)] == []
+    assert re.search(r"\bM\d\d\b", shown)
+    assert verify_record(tmp_path / "episode-0000.jsonl").status == "ok"
+
+
+# -- tools ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", scenario_names())
+def test_every_role_has_typed_verbs_for_all_its_actions(name: str) -> None:
+    """Every legal discrete action has a call; signatures, types and docstrings are what frameworks read."""
+    labs = Laboratories(name)
+    room = Room.__new__(Room)
+    room.seats, room._say, room._name, room._labs = tuple(labs.agents), 0, str, labs
+    room._verbs = {seat: {v.name: v for v in room._make_verbs(seat)} for seat in labs.agents}
+    for agent, seat in enumerate(labs.agents):
+        count = labs.action_counts[agent]
+        for action in range(0, count, max(count // 40, 1)):
+            call_for(room, seat, action)
+        tools = LabTools(room, seat)
+        verbs = {verb.name for verb in room.verbs(seat)}
+        assert {word for word in dir(tools) if not word.startswith("_")} == verbs | {"reset", "get_reward"}
+        for verb in room.verbs(seat):
+            method = getattr(tools, verb.name)
+            hints, signature = typing.get_type_hints(method), inspect.signature(method)
+            assert "self" not in signature.parameters
+            assert hints.pop("return") is str
+            assert set(hints) == set(signature.parameters)
+            described = re.findall(r"^    (\w+): .", inspect.getdoc(method) or "", re.MULTILINE)
+            assert described == list(signature.parameters)
+            assert set(input_schema(verb)["properties"]) == set(signature.parameters)
+
+
+def test_methods_return_text_and_raise_one_kind_of_error(room: Room) -> None:
+    tools: Any = LabTools(room, "manager_0")
+    assert tools.measure(0, instrument="uv_vis").startswith("Done; cost 0.015.")
+    for mistake in (lambda: tools.measure(99, "uv_vis"), lambda: tools.measure(1, 2, 3, 4, 5), lambda: tools.measure()):
+        with pytest.raises(ToolError, match="measure: "):
+            mistake()
+    assert tools.get_reward() == pytest.approx(-0.015)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "part"),
+    [
+        ({"seats": ("rxn_9",)}, "seats: must be"),
+        ({"seats": ()}, "seats: must be"),
+        ({"names": "secret"}, "names: must be plain or opaque"),
+        ({"patience": 16.0}, "patience: 0 to 15"),
+        ({"calls": 0}, "calls: at least 1"),
+    ],
+)
+def test_mistakes_of_the_operator(arguments: dict[str, Any], part: str) -> None:
+    with pytest.raises(ValueError, match=part):
+        Room("unlabelled", **arguments)

@@ -1,0 +1,152 @@
+"""The real MCP client at the seats of one room, over standard input and output and over HTTP."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from seat_calls import play_scripted
+
+from chemlab.agents.ledger import read_ledger
+from chemlab.agents.seats import Room
+
+mcp = pytest.importorskip("mcp", reason="needs mcp (extra mcp)")
+import anyio  # noqa: E402 - comes with it
+import httpx2  # noqa: E402
+from mcp.client import Client  # noqa: E402
+from mcp.client.stdio import StdioServerParameters, stdio_client  # noqa: E402
+from mcp.client.streamable_http import streamable_http_client  # noqa: E402
+
+SALT, SEED = "feedfacefeedfacefeedfacefeedface", 7
+Calls = list[tuple[str, str, dict[str, Any]]]
+
+SERVER = """
+import sys
+from chemlab.agents.mcp_server import serve_stdio
+from chemlab.agents.seats import Room
+room = Room("unlabelled", ("manager_0",), folder=sys.argv[1], salt="{salt}", seed={seed})
+serve_stdio(room)
+room.close()
+"""
+
+
+def played(seats: tuple[str, ...], folder: Path) -> tuple[Calls, bytes]:
+    """An episode in this process: the calls, and its record."""
+    calls = play_scripted(Room("unlabelled", seats, folder=folder, salt=SALT, seed=SEED))
+    return calls, (folder / "episode-0000.jsonl").read_bytes()
+
+
+def text_of(result: Any) -> str:
+    return str(result.content[0].text)
+
+
+def test_over_standard_input_and_output(tmp_path: Path) -> None:
+    calls, record = played(("manager_0",), tmp_path / "here")
+    script = tmp_path / "server.py"
+    script.write_text(SERVER.format(salt=SALT, seed=SEED))
+    server = StdioServerParameters(
+        command=sys.executable, args=[str(script), str(tmp_path / "there")], env=dict(os.environ), cwd=str(tmp_path)
+    )
+
+    async def play() -> list[str]:
+        async with Client(stdio_client(server)) as client:
+            assert "manager_0 in a simulated" in (client.instructions or "")
+            tools = {tool.name: tool for tool in (await client.list_tools()).tools}
+            assert {"start", "measure", "submit", "look", "wait"} <= set(tools)
+            assert tools["measure"].input_schema["properties"]["instrument"]["enum"] == ["uv_vis", "gas_chromatograph"]
+            wrong = await client.call_tool("measure", {"slot": 77, "instrument": "uv_vis"})
+            assert wrong.is_error
+            assert "slot must be one of 0, 1," in text_of(wrong)
+            assert (await client.call_tool("reset", {})).is_error
+            await client.call_tool("look", {})
+            return [text_of(await client.call_tool(verb, given)) for _, verb, given in calls]
+
+    texts = anyio.run(play)
+    assert "The episode is over (submitted)" in texts[-1]
+    assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
+
+
+@contextmanager
+def served(room: Room, tokens: dict[str, str]) -> Iterator[int]:
+    """The room over HTTP on a free port, in a thread."""
+    import uvicorn
+
+    from chemlab.agents.mcp_server import http_app
+
+    server = uvicorn.Server(uvicorn.Config(http_app(room, tokens), host="127.0.0.1", port=0, log_level="error"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive()
+        threading.Event().wait(0.05)
+    yield server.servers[0].sockets[0].getsockname()[1]
+    server.should_exit = True
+    thread.join(20)
+
+
+def test_two_seats_over_http(tmp_path: Path) -> None:
+    seats = ("manager_0", "dit_0")
+    calls, record = played(seats, tmp_path / "here")
+    room = Room("unlabelled", seats, folder=tmp_path / "there", salt=SALT, seed=SEED)
+    tokens = {"manager_0": "token-of-the-manager", "dit_0": "token-of-dit"}
+
+    def at(port: int, seat: str, token: str) -> Any:
+        http = httpx2.AsyncClient(headers={"Authorization": f"Bearer {token}"}, timeout=60)
+        return Client(streamable_http_client(f"http://127.0.0.1:{port}/{seat}/mcp", http_client=http))
+
+    async def play(port: int) -> str:
+        for token in ("none", "token-of-dit"):
+            async with httpx2.AsyncClient(headers={"Authorization": f"Bearer {token}"}) as http:
+                answer = await http.post(f"http://127.0.0.1:{port}/manager_0/mcp", json={})
+                assert answer.status_code == 401
+        async with (
+            at(port, "manager_0", tokens["manager_0"]) as manager,
+            at(port, "dit_0", tokens["dit_0"]) as still,
+        ):
+            clients, text = {"manager_0": manager, "dit_0": still}, ""
+            waits = text_of(await still.call_tool("wait", {}))
+            assert "manager_0 has the turn" in waits
+            for agent, verb, given in calls:
+                await clients[agent].call_tool("look", {})
+                text = text_of(await clients[agent].call_tool(verb, given))
+            return text
+
+    with served(room, tokens) as port:
+        assert "The episode is over" in anyio.run(play, port)
+    assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
+
+
+def test_the_command_keeps_its_secrets(tmp_path: Path) -> None:
+    """While it runs no file, argument or environment variable of the server tells the salt or the seed."""
+    command = [sys.executable, "-m", "chemlab", "mcp", "unlabelled", "--seat", "manager_0", "--out", str(tmp_path)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    assert process.stdin is not None
+    assert process.stdout is not None
+    hello = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"}}
+    process.stdin.write(
+        json.dumps({"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": hello}).encode() + b"\n"
+    )
+    process.stdin.flush()
+    assert json.loads(process.stdout.readline())["id"] == 1  # nothing else is on standard output
+    during = {path: path.read_text() for path in tmp_path.iterdir()}
+    proc = Path(f"/proc/{process.pid}")
+    seen = "".join(
+        (proc / name).read_bytes().decode(errors="replace") for name in ("cmdline", "environ") if proc.exists()
+    )
+    process.stdin.close()
+    process.wait(60)
+    process.stdout.close()
+    ended = read_ledger(tmp_path / "ledger.jsonl")[-1]
+    assert ended["status"] == "given up"
+    assert ended["condition"] == "tools only"
+    assert [path.name for path in during] == ["ledger.jsonl"]
+    for secret in (ended["split"].partition(":")[2], str(ended["seed"])):
+        assert secret not in seen + "".join(during.values())
