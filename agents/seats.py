@@ -5,6 +5,7 @@ A :class:`Room` holds one laboratory, its episode and its seats; policies play t
 ``get_reward``. Annotations in this module are types, not strings, because frameworks read them.
 """
 
+import functools
 import hashlib
 import inspect
 import json
@@ -130,9 +131,9 @@ class Room:
             labs.seed(0, self._seed)
             labs.reset(labs.members, goal)
             self._players.seed(0, self._seed)
-            known = opaque_names(self.scenario, self._salt) if self._names == "opaque" else None
-            self._name: Callable[[str], str] = str if known is None else (lambda one: known.get(one, one))
-            renaming = None if known is None else self._name
+            known = opaque_names(self.scenario, self._salt) if self._names == "opaque" else {}
+            self._name: Callable[[str], str] = functools.partial(_renamed, known) if known else str
+            renaming = self._name if known else None
             self._views = {seat: RoleText(labs, labs.agents.index(seat), renaming) for seat in self.seats}
             self._verbs = {seat: {verb.name: verb for verb in self._make_verbs(seat)} for seat in self.seats}
             self._shown: dict[str, set[str]] = {seat: set() for seat in self.seats}
@@ -306,8 +307,9 @@ class Room:
                 self._finish("out of calls")
                 return Reply(self._end_words(), True)
             began = self._episode
+            arguments = {} if arguments is None else arguments
             try:
-                reply = self._answer(agent, verb, {} if arguments is None else arguments)
+                reply = self._answer(agent, verb, arguments)
             except ToolError as error:
                 self._wrong[agent] += 1
                 reply = Reply(f"Error: {error}", self._over, True)
@@ -455,6 +457,10 @@ class Room:
         """Introduction for a seat: task, score, prices, hidden parameters."""
         assert self._labs is not None
         return brief(self._labs, seat, self.seats, self._name)
+
+
+def _renamed(known: Mapping[str, str], name: str) -> str:
+    return known.get(name, name)
 
 
 def _is_small(arguments: Any) -> bool:
