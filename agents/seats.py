@@ -19,6 +19,7 @@ from typing import Any, Literal, Optional
 
 import numpy as np
 
+from chemlab.config.files import write_text
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players
@@ -120,8 +121,7 @@ class Room:
             ValueError: unknown goal.
         """
         with self._changed:
-            if not self._over:
-                self._finish("given up")
+            self.close()
             salt, seed = self._given
             self._salt = secrets.token_hex(16) if salt is None else salt
             self._seed = secrets.randbits(63) if seed is None else seed
@@ -149,6 +149,8 @@ class Room:
             self._episode += 1
             self._open_books({} if goal is None else {"goal": goal})
             self._advance()
+            if self._over:
+                self._close_books()
 
     def _open_books(self, options: Mapping[str, Any]) -> None:
         """The ledger's entry and the record, which stays in memory while the episode runs."""
@@ -230,20 +232,27 @@ class Room:
         with self._changed:
             if not self._over:
                 self._finish("given up")
+                self._close_books()
 
     def _finish(self, status: str) -> None:
         self._over, self._status = True, status
-        if self._recorder is not None and self._folder is not None:
-            self._recorder.close()
-            lines = [{"canary": CANARY}, *self._transcript]
-            path = Path(f"{self._stem}.transcript.jsonl")
-            path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
-            written = self._recorder.path if self._recorder.path.exists() else self._recorder.part
-            digest = hashlib.sha256(written.read_bytes()).hexdigest()
-            wall = round(time.monotonic() - self._began, 3)
-            begun = {"event": "ended", "begun": self._number, **self.published(), **self.report()}
-            append_entry(self._folder / "ledger.jsonl", {**begun, "seconds": wall, "record": digest})
         self._changed.notify_all()
+
+    def _close_books(self) -> None:
+        """Write the record, the transcript and the ledger's entry of an episode that is over."""
+        if self._recorder is None or self._folder is None:
+            return
+        self._recorder.close()
+        lines = [{"canary": CANARY}, *self._transcript]
+        text = "".join(json.dumps(line) + "\n" for line in lines)
+        write_text(Path(f"{self._stem}.transcript.jsonl"), text)
+        written = self._recorder.path if self._recorder.path.exists() else self._recorder.part
+        digests = {"record": written.read_bytes(), "transcript": text.encode()}
+        ended = {"event": "ended", "begun": self._number, **self.published(), **self.report()}
+        ended |= {name: hashlib.sha256(content).hexdigest() for name, content in digests.items()}
+        ended["seconds"] = round(time.monotonic() - self._began, 3)
+        append_entry(self._folder / "ledger.jsonl", ended)
+        self._recorder = None
 
     # -- turns --------------------------------------------------------------------------------------------------------
 
@@ -305,6 +314,7 @@ class Room:
             self._calls[agent] += 1
             if self._budget is not None and self._calls[agent] > self._budget:
                 self._finish("out of calls")
+                self._close_books()
                 return Reply(self._end_words(), True)
             began = self._episode
             arguments = {} if arguments is None else arguments
@@ -318,6 +328,8 @@ class Room:
                 shown = {plain(k): plain(v, 1000) for k, v in arguments.items()} if _is_small(arguments) else {}
                 entry = {"agent": agent, "verb": plain(verb), "arguments": shown, **asdict(reply)}
                 self._transcript.append(entry)
+                if self._over:
+                    self._close_books()
             return reply
 
     def _answer(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:

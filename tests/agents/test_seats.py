@@ -165,6 +165,10 @@ def test_two_seats_play_to_the_end(scenario: str, seats: tuple[str, ...], tmp_pa
         assert room.over
         records.append((tmp_path / folder / "episode-0000.jsonl").read_bytes())
     assert records[0] == records[1]
+    lines = (tmp_path / "a" / "episode-0000.transcript.jsonl").read_text().splitlines()
+    assert "canary" in lines[0]
+    assert len(lines) == 1 + len(calls)
+    assert "The episode is over" in lines[-1]
     found = verify_record(tmp_path / "a" / "episode-0000.jsonl", split=room.published()["split"])
     assert found.status == "ok"
     assert found.score == room.score
