@@ -29,9 +29,9 @@ from chemlab.record import Play, Recorder
 from chemlab.roles.bench import Bench
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
 
-from .background import Background, background_policies
 from .briefs import brief, opaque_names
 from .ledger import append_entry
+from .policies import agent_policy
 from .verbs import Argument, ToolError, Verb, bench_verbs, manager_verbs, number_of, plain
 
 __all__ = ["CANARY", "LabTools", "Reply", "Room", "ToolError", "input_schema"]
@@ -64,7 +64,7 @@ class Room:
     Args:
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         seats: the agents that are called from outside.
-        background: policy of the other agents (see :data:`~chemlab.agents.background.Background`).
+        background: policy of the other agents, by name (see :func:`~chemlab.agents.policies.make_policies`).
         names: ``plain``, or ``opaque`` for materials under permuted code names.
         calls: budget of calls of each seat; one more truncates the episode. None: no budget.
         say: characters that each seat may say to other seats in an episode; 0: the verb is not there.
@@ -83,7 +83,7 @@ class Room:
         self,
         scenario: str | Path | Scenario = "wurtz_dodecane",
         seats: Sequence[str] = (MANAGER_AGENT,),
-        background: Background = "scripted",
+        background: str = "scripted",
         names: str = "plain",
         calls: int | None = None,
         say: int = 0,
@@ -126,8 +126,13 @@ class Room:
             self._salt = secrets.token_hex(16) if salt is None else salt
             self._seed = secrets.randbits(63) if seed is None else seed
             self._labs = labs = Laboratories(self.scenario, 1, split=f"private:{self._salt}")
-            policies = background_policies(self._background)(labs)
-            self._players = Players(labs, [None if a in self.seats else policies[a] for a in labs.agents])
+            self._players = Players(
+                labs,
+                [
+                    None if a in self.seats else agent_policy(self._background, labs, i)
+                    for i, a in enumerate(labs.agents)
+                ],
+            )
             labs.seed(0, self._seed)
             labs.reset(labs.members, goal)
             self._players.seed(0, self._seed)
@@ -166,7 +171,7 @@ class Room:
                 "event": "begun",
                 "scenario": self.scenario.name,
                 "seats": list(self.seats),
-                "background": str(self._background),
+                "background": self._background,
                 "condition": self._condition,
                 "names": self._names,
                 "calls": self._budget,
@@ -176,7 +181,7 @@ class Room:
         )
         self._number = entry["number"]
         self._stem = self._folder / f"episode-{self._number:04d}"
-        players = {a: "seat" if a in self.seats else str(self._background) for a in self._labs.agents}
+        players = {a: "seat" if a in self.seats else self._background for a in self._labs.agents}
         self._recorder = Recorder(f"{self._stem}.jsonl", self._labs, policies=players, held=True)
         self._recorder.begin(self._seed, options)
 
