@@ -164,7 +164,7 @@ def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: 
     ("arguments", "words"),
     [
         (["nothing"], "no such folder of results"),
-        (["runs", "--format", "bmp2"], "--format: known: png, svg, pdf; given bmp2"),
+        (["runs", "--format", "bmp2"], "--format: must be one of png, svg, pdf; given bmp2"),
         (["runs", "--out", "file"], "file: cannot write there"),
         (["runs", "--collect", "file/tables"], "tables: cannot write there"),
     ],
