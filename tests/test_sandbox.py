@@ -678,7 +678,7 @@ def test_what_does_not_fit_runs_over() -> None:
         (lambda: Flask({"water": 100.0}), "do not fit in capacity_l = 1"),
         (lambda: Flask({"water": 1.0, "Na+": 1.0}), r"charge of \+1 mol"),
         (lambda: Flask({"water": 1.0}, capacity_l=0.0), "capacity_l: must be"),
-        (lambda: Flask({"water": 1.0}, physics="magic"), "flask: physics: unknown tier"),
+        (lambda: Flask({"water": 1.0}, physics="magic"), "flask: physics: unknown backend"),
         (lambda: Flask({"water": 1.0}, reactions="magic"), "flask: reactions: unknown family"),
         (lambda: Flask({"water": 1.0}, temperature_k=math.inf), "temperature_k: must be"),
     ],

@@ -226,7 +226,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         (
             'material = "water"',
             'material = "water"\ntarget = "B1"',
-            ["benches.ext.process.1", "target", "no other process"],
+            ["benches.ext.process.1", "target", "not allowed for other processes"],
         ),
         ("magnitudes = [10, 20]", "magnitudes = [10, 0]", ["benches.ext.process.0", "magnitudes", "above 0", "0.0"]),
         ("magnitudes = [10, 20]", "magnitudes = [101]", ["benches.ext.process.0", "magnitudes", "at most 100", "101"]),
@@ -238,7 +238,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ('kind = "heat"', 'kind = "drain"', ["benches.dit.process.0", "kind", "heat, pour", "'drain'"]),
         # What nothing can be done with, and what would take too much.
         ("[[shelf.vessel]]\ncapacity_l = 1.0\ncontents = { diethyl_ether = 4.0 }\n", "", ["shelf", "at least one"]),
-        ('summary = "One', 'physics = "magic"\nsummary = "One', ["physics", "unknown tier", "paper", "'magic'"]),
+        ('summary = "One', 'physics = "magic"\nsummary = "One', ["physics", "unknown backend", "paper", "'magic'"]),
         ('title = "A tiny laboratory"', f'title = "{"x" * 301}"', ["title", "at most 300"]),
         ('title = "A tiny laboratory"', r'title = "A \u001b[2J"', ["title", "none of them control"]),
         ('summary = "One', f'summary = "{"x" * 4001}', ["summary", "4000 characters"]),
@@ -991,7 +991,7 @@ def test_prices_of_bottles_that_are_not_there_do_not_hinder_restoring(slime: Pat
         ("scenario.theoretical_maximum_mol", {}, r"theoretical_maximum_mol.dodecane: must be given"),
         ("scenario.theoretical_maximum_mol.dodecane", 0.0, r"theoretical_maximum_mol.dodecane: .*0.000001"),
         ("scenario.shelf.vessel", [], r"shelf: vessel: give at least one"),
-        ("scenario.physics", "magic", r"physics: unknown tier"),
+        ("scenario.physics", "magic", r"physics: unknown backend"),
         ("scenario.title", "x" * 5000, r"scenario: title: a text must be 4000 characters at most"),
         ("materials.water.density_kg_l", -1.0, r"materials.water: density_kg_l"),
         ("materials", {}, r"unknown material"),

@@ -474,7 +474,7 @@ class Scenario(BaseModel):
     @classmethod
     def _known_tier(cls, tier: str) -> str:
         if tier not in PHYSICS_TIERS:
-            raise ValueError(f"unknown tier; known: {', '.join(PHYSICS_TIERS)}")
+            raise ValueError(f"unknown backend; choose from {', '.join(PHYSICS_TIERS)}")
         return tier
 
     @model_validator(mode="after")

@@ -1,1 +1,1 @@
-"""Kernels on arrays: what a vessel does, equation by equation. They hold no state and draw no randomness."""
+"""Physics kernels on arrays. They hold no state and draw no random numbers."""

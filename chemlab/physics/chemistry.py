@@ -1,9 +1,9 @@
-"""The materials and reactions of a scenario as arrays, in two halves: what is fixed, and numbers that a world may draw.
+"""Materials and reactions of a scenario as arrays: a fixed structure, and parameters that may differ between worlds.
 
-The *structure* (which material is a solvent, what reacts with what) is shared by every laboratory. The *parameters*
-(boiling points, rate constants, ...) have a leading axis of worlds; laboratory n uses row ``variant[n]``
-(:class:`chemlab.physics.shelf.ShelfArrays`). :class:`ChemistryTable` owns both, built once for a scenario; kernels
-see one world at a time, as a :class:`Chemistry`.
+The *structure* (roles of materials, stoichiometry) is shared by all laboratories. The *parameters* (boiling points,
+rate constants, ...) have a leading axis of worlds; laboratory n uses row ``variant[n]``
+(:class:`chemlab.physics.shelf.ShelfArrays`). A :class:`ChemistryTable` owns both and is built once for a scenario;
+kernels see one world at a time as a :class:`Chemistry`.
 """
 
 from __future__ import annotations
@@ -58,42 +58,42 @@ WAVELENGTHS_NM: FloatArray = np.linspace(200.0, 800.0, 200)
 
 
 def tier_dimensions(tier: str) -> int:
-    """Number of dimensions that a world's chemistry has in kernels: what they choose a tier's laws by.
+    """Return the number of dimensions of a world's chemistry in kernels, by which they select a backend's laws.
 
     Raises:
-        DataError: there is no such tier.
+        DataError: the backend does not exist.
     """
     if tier not in TIERS:
-        raise DataError(
-            f"physics: unknown tier {tier!r}; known: {', '.join(TIERS)}; add yours to chemlab.physics.chemistry.TIERS"
-        )
+        raise DataError(f"physics: unknown backend {tier!r}; choose from {', '.join(TIERS)} (registered in TIERS)")
     return 1 + list(TIERS).index(tier)
 
 
 class Structure(Field):
-    """A part of the chemistry that all worlds share."""
+    """A field of the chemistry that all worlds share."""
 
 
 class Parameter(Field):
-    """Numbers of which every world has its own."""
+    """A field of which every world has its own values."""
 
 
 class Chemistry(NamedTuple):
-    """One world's chemistry as kernels see it: M materials, L solvents, K dissolvable materials; R reactions over S of
-    the materials."""
+    """Chemistry of one world as seen by kernels.
+
+    M materials, L solvents, K dissolvable materials; R reactions over S of the materials.
+    """
 
     species: Annotated[IntArray, Structure("S")]
     """[S] material indices"""
     stoichiometry: Annotated[FloatArray, Structure("R S")]
     """[R, S] products minus reactants"""
     factors: Annotated[IntArray, Structure("R F")]
-    """[R, F] species whose concentrations multiply to the rate, one entry per whole order, then -1"""
+    """[R, F] species in the rate law, one entry per whole order, then -1"""
     changes: Annotated[IntArray, Structure("R C")]
-    """[R, C] species a reaction changes, then -1"""
+    """[R, C] species that a reaction changes, then -1"""
     fractions: Annotated[FloatArray, Structure("R S")]
-    """[R, S] what is left of each order above its whole part; [0, 0] where all orders are whole"""
+    """[R, S] fractional part of each order; [0, 0] if all orders are whole"""
     pre_exponential: Annotated[FloatArray, Parameter("R")]
-    """[R] per time unit, (L/mol)^(order - 1)"""
+    """[R] pre-exponential factor per time unit, (L/mol)^(order - 1)"""
     activation_energy: Annotated[FloatArray, Parameter("R")]
     """[R] J/mol"""
     role: Annotated[IntArray, Structure("M")]
@@ -103,35 +103,35 @@ class Chemistry(NamedTuple):
     dissolved: Annotated[IntArray, Structure("K")]
     """[K] material index of each dissolvable material (liquid solutes and ions)"""
     dissolved_at: Annotated[IntArray, Structure("M")]
-    """[M] where a material stands among the dissolvable ones, -1 if it is none"""
+    """[M] index of a material among the dissolvable ones, or -1"""
     volatile: Annotated[IntArray, Structure("V")]
     """Material indices of all liquids, lowest boiling point first."""
     salts: Annotated[IntArray, Structure("n 3")]
-    """[n, 3] solid, cation, anion; rows of one cation stand together"""
+    """[n, 3] solid, cation, anion; rows with a common cation are adjacent"""
     violent: Annotated[FloatArray, Structure("n M")]
-    """[n, M] stoichiometry of reactions that go to completion at once"""
+    """[n, M] stoichiometry of instantaneous reactions"""
     violent_event: Annotated[IntArray, Structure("n")]
-    """[n] safety event that each counts as, -1 for none"""
+    """[n] safety event of each, -1 for none"""
     air: Annotated[int, Structure("")]
     """Material index of air."""
     molar_volume: Annotated[FloatArray, Parameter("M")]
-    """[M] L/mol"""
+    """[M] molar volume in L/mol"""
     molar_mass: Annotated[FloatArray, Parameter("M")]
-    """[M] g/mol"""
+    """[M] molar mass in g/mol"""
     density: Annotated[FloatArray, Parameter("M")]
-    """[M] kg/L"""
+    """[M] density in kg/L"""
     heat_capacity: Annotated[FloatArray, Parameter("M")]
-    """[M] J/mol/K"""
+    """[M] heat capacity in J/mol/K"""
     bottle_share: Annotated[FloatArray, Parameter("M")]
-    """[M] litres of each litre out of a bottle that are what its label says"""
+    """[M] volume share of the labelled material in a bottle"""
     bottle_rest: Annotated[IntArray, Parameter("M")]
-    """[M] material index of what the rest is"""
+    """[M] material index of the rest of a bottle"""
     boiling_point: Annotated[FloatArray, Parameter("M")]
-    """[M] K"""
+    """[M] boiling point in K"""
     vaporization: Annotated[FloatArray, Parameter("M")]
-    """[M] J/mol"""
+    """[M] heat of vaporization in J/mol"""
     polarity: Annotated[FloatArray, Parameter("M")]
-    """[M] E_T^N"""
+    """[M] polarity, E_T^N"""
     shade: Annotated[FloatArray, Parameter("M")]
     """[M] grey value in the layer camera"""
     basis: Annotated[FloatArray, Parameter("M 200")]
@@ -144,39 +144,40 @@ class Chemistry(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """Where things stand in a vessel row."""
+    """Layout of a vessel row."""
 
     materials: tuple[str, ...]
     solvents: tuple[str, ...]
     dissolved: tuple[str, ...]
     most_layers: int = 0
-    """Liquid layers there can be at most; 0: as many as there are solvents, or liquids."""
+    """Maximum number of liquid layers; 0: the number of solvents, or liquids."""
 
     @property
     def width(self) -> int:
-        """Numbers a vessel takes."""
+        """Number of values of a vessel."""
         return AMOUNTS + len(self.materials) + len(self.solvents) * len(self.dissolved)
 
     @property
     def fluid_columns(self) -> int:
-        """Columns a layer profile can need: solids, the most layers there can be, air."""
+        """Maximum number of columns of a layer profile: solids, layers, air."""
         return 2 + (self.most_layers or max(len(self.solvents), len(self.dissolved), 1))
 
     def index(self, material: str) -> int:
-        """Column of ``material`` among the amounts."""
+        """Return the column of ``material`` among the amounts."""
         return self.materials.index(material)
 
 
 class ChemistryTable:
-    """The chemistry of a scenario: owner of its structure and of the parameters of W worlds.
+    """Chemistry of a scenario; owns its structure and the parameters of W worlds.
 
     Attributes:
-        layout: where things stand in a vessel row.
-        tier: which physics it is for (see :mod:`chemlab.physics.backends`).
+        layout: layout of a vessel row.
+        tier: physics backend (see :mod:`chemlab.physics.backends`).
         structure: arrays by field of :class:`Chemistry`, shared by all worlds.
-        parameters: [W, ...] arrays by field, a row for each world; [1, ...] of fields in which worlds do not differ.
-        worlds: W. World 0 is the one of the data files.
-        handles: what kernels take; ``handles[w]`` is the chemistry of world w.
+        parameters: [W, ...] arrays by field, a row for each world; [1, ...] for fields that do not differ between
+            worlds.
+        worlds: number of worlds W. World 0 has the values of the data files.
+        handles: pointer tables for kernels; ``handles[w]`` is the chemistry of world w.
     """
 
     def __init__(
@@ -212,22 +213,22 @@ class ChemistryTable:
         return rows
 
     def axes(self, field: str) -> tuple[str, ...]:
-        """Names of the axes that a parameter has in each world, as :class:`Chemistry` declares them."""
+        """Return the names of a parameter's axes in each world, as declared in :class:`Chemistry`."""
         return next(known.axes for known in declared(self._declaration) if known.name == field)
 
     def _make_handles(self) -> Handle:
         if not COMPILED:
-            # Plain functions see the arrays themselves, of a class that says the tier.
+            # Plain functions see the arrays themselves; their class states the backend.
             seen = type(self._declaration.__name__, (self._declaration,), {"TIER": self.tier})
             return [seen(*self.world(w)) for w in range(self.worlds)]
         laws: Any = importlib.import_module(f"{__package__}.backends")
         code = np.array(laws.law_addresses(tier_dimensions(self.tier)), dtype=np.int64)
         table = np.stack([np.concatenate([addresses(self._row(w)), code]) for w in range(self.worlds)])
-        # The number of dimensions tells kernels the tier: see chemlab.physics.backends.
+        # Kernels select the backend by the number of dimensions: see chemlab.physics.backends.
         return table.reshape(self.worlds, *(1,) * (tier_dimensions(self.tier) - 1), -1)
 
     def world(self, world: int = 0) -> Chemistry:
-        """The chemistry of one world (views: what is written there, kernels read)."""
+        """Return the chemistry of one world as views: kernels read written values."""
         numbers = {field.name for field in declared(self._declaration) if field.number}
         pairs = zip(declared(self._declaration), self._row(world), strict=True)
         made: Chemistry = self._declaration(*(a.item() if field.name in numbers else a for field, a in pairs))
@@ -235,13 +236,13 @@ class ChemistryTable:
 
     def __getstate__(self) -> dict[str, Any]:
         kept = {name: value for name, value in vars(self).items() if name not in ("handles", "_declaration")}
-        # A merged declaration is made anew from its parts.
+        # A merged schema is rebuilt from its parts.
         return kept | {"_parts": getattr(self._declaration, "MERGED", (self._declaration,))}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self._declaration = merged(*state.pop("_parts"))
         vars(self).update(state)
-        self.handles = self._make_handles()  # addresses are those of the copy
+        self.handles = self._make_handles()  # the addresses are those of the copy
 
 
 def network_fields(
@@ -251,8 +252,10 @@ def network_fields(
     pre_exponential: FloatArray,
     activation_energy: FloatArray,
 ) -> dict[str, npt.NDArray[Any]]:
-    """The fields of a :class:`Chemistry` that are a reaction network's, from its stoichiometry [R, S], orders [R, S]
-    and Arrhenius constants [R]."""
+    """Return the fields of a :class:`Chemistry` that describe a reaction network.
+
+    Args are the stoichiometry [R, S], orders [R, S] and Arrhenius constants [R].
+    """
     whole = np.floor(orders).astype(np.int64)
     factors = np.full((len(orders), max(int(whole.sum(axis=1).max(initial=0)), 1)), -1, dtype=np.int64)
     for r, row in enumerate(whole):
@@ -277,7 +280,7 @@ def network_fields(
 
 
 def _stoichiometry(steps: Any, names: list[str]) -> FloatArray:
-    """[n, names] products minus reactants of some reactions."""
+    """Return [n, names] products minus reactants of some reactions."""
     out = np.zeros((len(steps), len(names)))
     for row, step in zip(out, steps, strict=True):
         for name, number in step.reactants.items():
@@ -288,7 +291,7 @@ def _stoichiometry(steps: Any, names: list[str]) -> FloatArray:
 
 
 def _network(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
-    """The scenario's reactions, over the materials that take part in one."""
+    """Return the scenario's reactions over their participating materials."""
     steps = scenario.family.reaction
     names = list(scenario.materials)
     taking_part = [name for name in names if any(name in step.materials() for step in steps)]
@@ -306,7 +309,7 @@ def _network(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
 
 
 def _violent_events(scenario: Scenario) -> IntArray:
-    """[n] the safety event that each violent reaction counts as, -1 for none."""
+    """Return [n] the safety event of each violent reaction, -1 for none."""
     kinds, found = scenario.safety_events, []
     for step in scenario.family.violent:
         first = scenario.materials[next(iter(step.reactants))]
@@ -315,15 +318,18 @@ def _violent_events(scenario: Scenario) -> IntArray:
         if event not in ("none", *kinds):
             raise DataError(
                 f"{scenario.origin}: reactions {scenario.family.name!r}: violent.event: unknown safety event "
-                f"{event!r}; known: none, {', '.join(kinds)}; declare your own under safety.events"
+                f"{event!r}; choose from none, {', '.join(kinds)}, or declare your own under safety.events"
             )
         found.append(-1 if event == "none" else kinds.index(event))
     return np.array(found, dtype=np.int64)
 
 
 def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str] | None = None) -> ChemistryTable:
-    """The chemistry of a scenario, materials in the order of ``scenario.materials``; every world has the numbers of
-    the data files. ``varying`` are the fields in which worlds may come to differ, default: all."""
+    """Build the chemistry of a scenario, with materials in the order of ``scenario.materials``.
+
+    Every world has the values of the data files. ``varying`` are the fields in which worlds may differ later; default:
+    all.
+    """
     names = list(scenario.materials)
     table = list(scenario.materials.values())
     index = {name: i for i, name in enumerate(names)}
@@ -340,9 +346,9 @@ def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str
     for i, material in enumerate(table):
         for peak in material.absorption:
             offset = (WAVELENGTHS_NM - peak.center_nm) / peak.width_nm
-            with np.errstate(under="ignore"):  # far from a peak, its absorption is 0
+            with np.errstate(under="ignore"):  # far from a peak, the absorption underflows to 0
                 basis[i] += peak.height_l_mol * np.exp(-0.5 * offset**2)
-    basis[basis < np.finfo(np.float64).tiny] = 0.0  # a sum with such numbers takes many times as long
+    basis[basis < np.finfo(np.float64).tiny] = 0.0  # sums with denormal numbers are many times slower
     values = Chemistry(
         **_network(scenario),
         role=role,
@@ -369,15 +375,15 @@ def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str
         ambient_pressure=scenario.ambient_pressure_kpa,
     )
     layout = Layout(tuple(names), tuple(names[i] for i in solvents), tuple(names[i] for i in dissolved))
-    tier_dimensions(scenario.physics)  # or an error that says which tiers there are
+    tier_dimensions(scenario.physics)  # raises an error that lists the backends
     build = getattr(importlib.import_module(TIERS[scenario.physics]), "build", None)
-    if build is not None:  # the tier knows more of its materials
+    if build is not None:  # the backend has further fields
         layout, values = build(scenario, layout, values)
     return ChemistryTable(layout, values, scenario.physics, worlds, varying)
 
 
 def element_matrix(scenario: Scenario) -> FloatArray:
-    """[E, M] atoms of each element in each material, and the charge: reactions leave ``matrix @ amounts`` as it is."""
+    """Return [E, M] atoms of each element in each material, and the charge; reactions conserve ``matrix @ amounts``."""
     table = list(scenario.materials.values())
     elements = sorted({element for material in table for element in material.composition})
     rows = [[material.composition.get(element, 0.0) for material in table] for element in elements]

@@ -1,17 +1,20 @@
-"""Numbers that physics shares."""
+"""Constants shared by the physics modules."""
 
 from __future__ import annotations
 
 __all__ = ["FIRST_PHASE", "GAS_CONSTANT", "LEAST_CAPACITY", "SOLIDS", "TRACE_MOL"]
 
 GAS_CONSTANT = 8.31446261815324
-"""J/mol/K (CODATA 2018, exact)."""
+"""Gas constant in J/mol/K (CODATA 2018, exact)."""
 TRACE_MOL = 1e-12
-"""Below this many moles nothing is there: what divisions leave behind must not count as a layer or a liquid."""
+"""Amount in mol below which a material counts as absent, so that rounding remainders do not count as layers or
+liquids.
+"""
 LEAST_CAPACITY = 1e-4
-"""J/K; contents with less (a tenth of a milligram) take the temperature of their surroundings at once."""
+"""Heat capacity in J/K below which contents (a tenth of a milligram) take the temperature of their surroundings."""
 SOLIDS = -2
-"""What a profile's columns say where they stand for the solids at the bottom."""
+"""Code of the solids at the bottom in a profile's columns."""
 FIRST_PHASE = -3
-"""What they say for the first liquid phase of mixed materials (``Layout.solvents`` names them); others go down from
-it."""
+"""Code of the first liquid phase of mixed materials (named by ``Layout.solvents``); further phases count down from
+it.
+"""

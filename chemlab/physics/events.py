@@ -1,4 +1,4 @@
-"""Numbers of chemlab's own safety events in an events row; a scenario's come after them."""
+"""Indices of the built-in safety events in an events row; a scenario's own events follow."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Reactions: mass action with Arrhenius constants, Dormand-Prince 5(4) with adaptive steps (PHYSICS section 1).
 
-The unknowns are the extents of the reactions and not the concentrations, so atoms are conserved to rounding
-whatever the integrator's error; a step that would make an amount negative is cut in half.
+The unknowns are the extents of the reactions instead of concentrations, so atoms are conserved to rounding, whatever
+the integrator's error. A step that would make an amount negative is halved.
 """
 
 from __future__ import annotations
@@ -22,27 +22,27 @@ _A41, _A42, _A43 = 44 / 45, -56 / 15, 32 / 9
 _A51, _A52, _A53, _A54 = 19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729
 _A61, _A62, _A63, _A64, _A65 = 9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656
 _B1, _B3, _B4, _B5, _B6 = 35 / 384, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84
-# Fifth-order minus fourth-order weights: the error estimate.
+# Fifth-order minus fourth-order weights for the error estimate.
 _E1, _E3, _E4, _E5, _E6, _E7 = -71 / 57600, 71 / 16695, -71 / 1920, 17253 / 339200, -22 / 525, 1 / 40
 
 _SMALLEST_STEP = 1e-12
 _FIRST_SHARE = 0.3
-"""Share of a reactant that the first trial step may use up at the first rate."""
+"""Maximum share of a reactant that the first trial step uses at the initial rate."""
 _MOST_STEPS = 1_000_000
-"""Steps after which an integration is given up: what needs more is stiffer than an explicit method can take."""
+"""Maximum number of steps of an integration; stiffer problems exceed an explicit method."""
 _USED_UP = 1e-15
-"""mol/L; a reactant of which there is less is used up."""
+"""mol/L below which a reactant counts as consumed."""
 _WORK_ROWS = 14
 
 
 def react_work_size(chemistry: Chemistry) -> tuple[int, int]:
-    """Shape of the scratch array :func:`integrate` needs."""
+    """Return the shape of the scratch array that :func:`integrate` needs."""
     return _WORK_ROWS, max(chemistry.stoichiometry.shape[0], chemistry.species.shape[0], 1)
 
 
 @helper
 def arrhenius(reaction: int, temperature: float, chem: Handle) -> float:
-    """Rate constant A exp(-Ea / RT) of a reaction at ``temperature`` (K), in its own unit."""
+    """Return the rate constant A exp(-Ea / RT) of a reaction at ``temperature`` (K), in its own unit."""
     chemistry = opened(Chemistry, chem)
     power = -chemistry.activation_energy[reaction] / (GAS_CONSTANT * temperature)
     return float(chemistry.pre_exponential[reaction] * math.exp(power))
@@ -50,7 +50,7 @@ def arrhenius(reaction: int, temperature: float, chem: Handle) -> float:
 
 @helper
 def _effective(concentration: float) -> float:
-    """A concentration as rates see it: what is used up must not react on as rounding leaves it."""
+    """Return a concentration as used by rates: rounding remainders of consumed species are 0."""
     return concentration if concentration > _USED_UP else 0.0
 
 
@@ -58,10 +58,12 @@ def _effective(concentration: float) -> float:
 def _rates(
     constants: FloatArray, chem: Handle, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray
 ) -> float:
-    """Concentrations and rates at the given extents; returns the lowest concentration, which an overlong trial step
-    makes negative."""
+    """Compute concentrations and rates at given extents; return the lowest concentration.
+
+    It is negative if a trial step is too long.
+    """
     chemistry = opened(Chemistry, chem)
-    # Looked up here, once, and not under a condition inside of loops.
+    # Looked up once here instead of under a condition inside the loops.
     stoichiometry, changes = chemistry.stoichiometry, chemistry.changes
     factors, fractions = chemistry.factors, chemistry.fractions
     n_reactions, n_species = stoichiometry.shape
@@ -98,20 +100,20 @@ def integrate(
     atol: float,
     work: FloatArray,
 ) -> int:
-    """Let the contents of one vessel react for ``dt`` at constant temperature and volume.
+    """Integrate the reactions of one vessel for ``dt`` at constant temperature and volume.
 
     Args:
         row: vessel row; its amounts (mol) change in place.
         chem: the chemistry.
-        volume: liquid volume, L; nothing happens without liquid.
-        temperature: K.
+        volume: liquid volume in L; without liquid nothing changes.
+        temperature: temperature in K.
         dt: time, in the unit of the rate constants.
         rtol, atol: error tolerances on concentrations (relative; mol/L), as in ``scipy.integrate.solve_ivp``.
         work: scratch of shape :func:`react_work_size`.
 
     Returns:
-        Number of steps taken, rejected ones included; -1 where that would have been more than 1,000,000 (nothing has
-        changed then).
+        Number of steps, rejected ones included; -1 if it exceeded 1,000,000 (then nothing has
+        changed).
     """
     chemistry = opened(Chemistry, chem)
     stoichiometry, changes = chemistry.stoichiometry, chemistry.changes
@@ -136,7 +138,7 @@ def integrate(
             defect[j] += stoichiometry[r, j] * k1[r]
     if not running:
         return 0
-    # A first step that would use up much of a reactant tells nothing about its own error: start well below that.
+    # A first step that consumes most of a reactant has no meaningful error estimate: start well below that.
     h = dt
     for j in range(n_species):
         if defect[j] < 0.0:
@@ -178,19 +180,19 @@ def integrate(
         for j in range(n_species):
             ratio = h * defect[j] / (atol + rtol * max(abs(now[j]), abs(conc[j])))
             error += ratio * ratio
-            # Rounding in the sums above may leave -1e-17 where the exact result is 0.
+            # Rounding in the sums above may leave -1e-17 instead of 0.
             lowest = min(lowest, conc[j] + 1e-15 * (start[j] + 1.0))
         error = math.sqrt(error / n_species)
         small = h <= _SMALLEST_STEP * dt
         if (lowest < 0.0 or stage < -atol or not error < math.inf) and not small:
-            # Beyond zero the rates are cut off, and the error estimate with them: it means nothing there.
+            # Rates are cut off beyond zero, so the error estimate is not meaningful there.
             h *= 0.5
             continue
         if error > 1.0 and not small:
             h *= max(0.2, 0.9 * error**-0.2)
             continue
         if lowest < 0.0 or not error < math.inf:
-            # A reactant ends inside the smallest step: the part of the step is taken that uses it up.
+            # A reactant is consumed within the smallest step: take the part of the step that consumes it.
             part = 1.0 if error < math.inf else 0.0
             for j in range(n_species):
                 if conc[j] < 0.0:

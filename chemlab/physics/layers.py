@@ -1,8 +1,8 @@
-"""Layers: how the fluids of a vessel stand above each other, and the camera that looks at them (PHYSICS section 2).
+"""Layers: vertical distribution of the fluids in a vessel, and the layer camera (PHYSICS section 2).
 
-Every fluid layer is a Gaussian with a mean set by the densities and a variance all share, so the relative heights
-at height x are a softmax over layers of (mu_i x / sigma^2 + beta_i). The betas are chosen so that the profile
-conserves volume: each pixel's shares add up to one, each layer's pixels to its share of the vessel.
+Every fluid layer is a Gaussian whose mean follows from the densities; all have the same variance. The relative amounts
+at height x are therefore a softmax over layers of (mu_i x / sigma^2 + beta_i). The betas are chosen so that the profile
+conserves volume: each pixel's shares add up to one, and each layer's pixels to its share of the vessel.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from .shelf import CLOCK_SETTLED, T_MIX
 __all__ = ["camera", "profile"]
 
 _BLOCK = 128
-"""Pixels that are drawn together."""
+"""Number of pixels processed together."""
 _STEEPEST = 600.0
-"""Slope of a boundary per vessel height beyond which it is sharp: 6 per pixel of 100."""
+"""Slope of a boundary per vessel height above which it is sharp: 6 per pixel of 100."""
 _TOLERANCE = 1e-11
-"""Of a layer's share of the vessel."""
+"""Tolerance of a layer's share of the vessel."""
 _MOST_ITERATIONS = 50
 _LONGEST_STEP = 4.0
 _SURE_STEP = 0.1
-"""Below this change of every beta Newton is trusted without a look at what it does."""
+"""Change of every beta below which a Newton step is taken without line search."""
 _NEGLIGIBLE = -60.0
-"""Log of a relative height that counts as none ..."""
+"""Logarithm of a relative amount that counts as 0 ..."""
 _FARTHEST_SHIFT = 20.0
-"""... as long as the offsets have moved by less than this since; then the heights are worked out again."""
+"""... while the offsets have moved by less than this; then the amounts are recomputed."""
 
 
 @helper
 def _stack(volumes: FloatArray, count: int, total: float, out: FloatArray) -> None:
-    """The fully settled profile: each layer fills its own interval of heights."""
+    """Compute the fully settled profile: each layer fills its own interval of heights."""
     pixels = out.shape[1]
     out[:count] = 0.0
     low = 0.0
@@ -52,7 +52,7 @@ def _stack(volumes: FloatArray, count: int, total: float, out: FloatArray) -> No
 
 @kernel
 def _solve(matrix: FloatArray, rhs: FloatArray, size: int) -> None:
-    """Cholesky solution of a small positive-definite system, in place; ``rhs`` becomes the solution."""
+    """Solve a small positive-definite system in place by Cholesky; ``rhs`` becomes the solution."""
     for i in range(size):
         for j in range(i + 1):
             value = matrix[i, j]
@@ -74,18 +74,18 @@ def _solve(matrix: FloatArray, rhs: FloatArray, size: int) -> None:
 
 @kernel
 def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, work: FloatArray) -> int:
-    """Share of every layer in every pixel of a vessel.
+    """Compute the share of every layer in every pixel of a vessel.
 
     Args:
-        row: vessel row; its CLOCK says how far the layers have separated.
+        row: vessel row; its CLOCK is the progress of separation.
         chem: the chemistry.
-        layers: [C + 1] out: number of columns, then what each stands for (SOLIDS or a material; air last).
+        layers: [C + 1] out: number of columns, then the code of each (SOLIDS or a material; air last).
         out: [C, pixels] out: shares; columns in use sum to one over each pixel, and each to its layer's
             share of the vessel times the number of pixels (1e-9). Pixels from the bottom up.
         work: scratch of at least [C + 9, max(C + 1, pixels)].
 
     Returns:
-        Number of columns in use; 0 where no vessel stands.
+        Number of columns in use; 0 without a vessel.
     """
     if row[PRESENT] <= 0.0:
         layers[0] = 0
@@ -122,7 +122,7 @@ def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, wo
     for i in range(fluids - 1):
         lighter = layer_density(row, layers[1 + 1 + i], chem) - layer_density(row, layers[1 + 2 + i], chem)
         slope[i] = min(kappa * lighter, _STEEPEST)
-        # The two layers alone, in the heights they occupy: there the boundary has a closed form.
+        # The two layers alone in their heights: there the boundary has a closed form.
         height = (target[i] + target[i + 1]) / pixels
         below = target[i] / max(target[i] + target[i + 1], 1e-300)
         s, first = slope[i] * height, slope[i] * height * below
@@ -139,7 +139,9 @@ def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, wo
 
 @helper
 def _weigh(fluids: int, out: FloatArray, work: FloatArray) -> None:
-    """Relative heights of the fluids in every pixel at the current offsets, the highest of each pixel being 1."""
+    """Compute the relative amounts of the fluids in every pixel at the current offsets, scaled to a maximum of 1 per
+    pixel.
+    """
     slope, offset, highest = work[1], work[2], work[-1]
     pixels = out.shape[1]
     for p in range(pixels):
@@ -158,7 +160,7 @@ def _weigh(fluids: int, out: FloatArray, work: FloatArray) -> None:
 
 @helper
 def _dot(a: FloatArray, b: FloatArray, size: int) -> float:
-    """Sum of products; four partial sums, because one would wait for each addition."""
+    """Return the sum of products, in four partial sums so that additions do not wait for each other."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
     whole = size - size % 4
     for p in range(0, whole, 4):
@@ -173,10 +175,10 @@ def _dot(a: FloatArray, b: FloatArray, size: int) -> float:
 
 @kernel
 def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> None:
-    """Newton on the betas: shift the offsets until every fluid's pixels add up to its target, then fill ``out``.
+    """Shift the offsets by Newton's method until every fluid's pixels add up to its target; then fill ``out``.
 
-    The relative heights are worked out once; a Newton step multiplies them by one factor a fluid, so an iteration
-    takes no exponentials of pixels.
+    The relative amounts are computed once; a Newton step multiplies them by one factor per fluid, so an iteration needs
+    no exponentials of pixels.
     """
     pixels = out.shape[1]
     offset, target, level, factor, gradient = work[2], work[3], work[4], work[5], work[6]
@@ -204,7 +206,7 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
             for p in range(pixels):
                 scale[p] = 1.0 / scale[p]
             worst = 0.0
-            # From here on the rows of ``out`` are shares; the factors are 1 again.
+            # From here on the rows of ``out`` are shares; the factors are reset to 1.
             for i in range(fluids):
                 times = factor[i]
                 for p in range(pixels):
@@ -215,7 +217,7 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
             if worst < _TOLERANCE * pixels:
                 done = True
                 break
-            # beta_0 = 0, so the system is over the betas 1.. of the other fluids.
+            # beta_0 = 0, so the system has the betas 1.. of the other fluids.
             for i in range(1, fluids):
                 for p in range(pixels):
                     scale[p] = weight[p] * out[1 + i, p]
@@ -230,8 +232,8 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
             for i in range(fluids - 1):
                 falling += level[i] * gradient[i]
                 largest = max(largest, abs(gradient[i]))
-            # The betas minimize a convex function (over pixels, the log of the sum of heights; minus target x beta):
-            # a step that does not lower it enough is halved, without which Newton can jump to and fro for ever.
+            # The betas minimize a convex function (over pixels, the log of the sum of heights; minus target x beta). A
+            # step that does not lower it enough is halved; otherwise Newton's method can oscillate.
             step = min(1.0, _LONGEST_STEP / largest) if largest > 0.0 else 1.0
             while step * largest > _SURE_STEP:
                 for i in range(fluids - 1):
@@ -266,15 +268,15 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
 def camera(
     row: FloatArray, shares: FloatArray, layers: IntArray, chem: Handle, stream: StreamArray, out: FloatArray
 ) -> None:
-    """A picture of the vessel: one layer drawn per pixel from the profile, shown as its grey value.
+    """Take a picture of the vessel: for each pixel one layer is drawn from the profile and shown as its grey value.
 
     Args:
-        row: vessel row (which solids there are).
+        row: vessel row with the solids.
         shares: [C, pixels] the vessel's profile.
         layers: [C + 1] the profile's columns.
         chem: the chemistry.
-        stream: random stream, advanced by one number a pixel where there is anything in the vessel.
-        out: [pixels] grey values, bottom first; 0 where no vessel stands.
+        stream: random stream, advanced by one number per pixel unless the vessel is empty.
+        out: [pixels] grey values, bottom first; 0 without a vessel.
     """
     chemistry = opened(Chemistry, chem)
     count, pixels = layers[0], out.shape[0]
@@ -282,7 +284,7 @@ def camera(
         solid = 0.0
         for p in range(pixels):
             solid += shares[0, p] if count == 2 else 0.0
-        if solid == 0.0:  # no vessel, or an empty one: nothing to draw
+        if solid == 0.0:  # no vessel, or an empty one
             for p in range(pixels):
                 out[p] = chemistry.shade[chemistry.air] if count == 2 else 0.0
             return
@@ -291,8 +293,8 @@ def camera(
         many = min(_BLOCK, pixels - start)
         grey = out[start : start + many]
         uniforms(stream, draws[:many])
-        # Layer by layer instead of pixel by pixel: no branch that a processor could guess wrong, and several pixels at
-        # a time. A pixel shows the highest layer that begins at or below its draw.
+        # Layer by layer instead of pixel by pixel, which avoids unpredictable branches and processes several pixels at
+        # a time. A pixel shows the highest layer whose lower bound is at or below its draw.
         for p in range(many):
             reached[p] = grey[p] = 0.0
         for c in range(1, count):
@@ -305,7 +307,7 @@ def camera(
 
 @helper
 def _show_solids(row: FloatArray, chem: Handle, draws: FloatArray, shares: FloatArray, grey: FloatArray) -> None:
-    """Where a draw is below the solids' share of a pixel: the grey value of one of them, drawn by volume."""
+    """Show a solid, drawn by volume, in pixels whose draw is below the solids' share."""
     chemistry = opened(Chemistry, chem)
     total, reached = -1.0, 0.0
     for i in range(chemistry.role.shape[0]):

@@ -1,7 +1,7 @@
-"""Vessels as arrays, the laboratory as the leading axis; a :class:`Vessel` is a named view of one row.
+"""Vessels as arrays with the laboratory as the leading axis; a :class:`Vessel` is a named view of one row.
 
-One vessel is one row of float64 numbers (:class:`~chemlab.physics.chemistry.Layout` names the columns), so moving a
-vessel, taking a snapshot and restoring one are array copies.
+One vessel is one row of float64 numbers, whose columns :class:`~chemlab.physics.chemistry.Layout` names. Moving a
+vessel, taking a snapshot and restoring one are therefore array copies.
 """
 
 from __future__ import annotations
@@ -37,24 +37,26 @@ CLOCK_SETTLED = T_MIX + 6.0
 
 
 class ShelfArrays(NamedTuple):
-    """The arrays of a shelf. N laboratories, R vessels in all of them, W numbers a vessel, M materials."""
+    """Arrays of a shelf: N laboratories, R vessels in total, W values per vessel, M materials."""
 
     rows: Annotated[FloatArray, Field("R W")]
-    """[R, W] vessel rows (mol, L, K; see :class:`~chemlab.physics.chemistry.Layout`), those of a laboratory together"""
+    """[R, W] vessel rows (mol, L, K; see :class:`~chemlab.physics.chemistry.Layout`); a laboratory's rows are
+    adjacent
+    """
     stock: Annotated[FloatArray, Field("N M")]
-    """[N, M] mol in the bottles, by what their labels say"""
+    """[N, M] mol in the bottles according to their labels"""
     waste: Annotated[FloatArray, Field("N M")]
-    """[N, M] mol thrown away, vented or spilled"""
+    """[N, M] mol discarded, vented or spilled"""
     variant: Annotated[IntArray, Field("N")]
-    """[N] which world's parameters a laboratory has"""
+    """[N] index of the laboratory's world"""
 
 
 class Shelf:
-    """Every vessel, bottle and waste can of N laboratories.
+    """Vessels, bottles and waste of N laboratories.
 
     Attributes:
         table: the arrays (:class:`ShelfArrays`).
-        chemistry: what they hold, and how it behaves.
+        chemistry: chemistry of the contents.
     """
 
     def __init__(self, chemistry: ChemistryTable, laboratories: int, vessels: int) -> None:
@@ -65,17 +67,17 @@ class Shelf:
 
     @classmethod
     def empty(cls, scenario: Scenario, laboratories: int, vessels: int) -> Shelf:
-        """A shelf without any vessel, bottle or waste, with a chemistry of its own."""
+        """Return a shelf without vessels, bottles and waste, with its own chemistry."""
         return cls(build_chemistry(scenario), laboratories, vessels)
 
     @property
     def layout(self) -> Layout:
-        """Where things stand in a vessel row."""
+        """Layout of a vessel row."""
         return self.chemistry.layout
 
     @property
     def handle(self) -> Handle:
-        """What kernels take: the :class:`ShelfArrays`."""
+        """Pointer table of the :class:`ShelfArrays` for kernels."""
         return self.table.handle
 
     @property
@@ -85,48 +87,48 @@ class Shelf:
 
     @property
     def vessels(self) -> FloatArray:
-        """[N, V, W] the same, by laboratory (a view)."""
+        """[N, V, W] the same by laboratory, as a view."""
         return self.rows.reshape(len(self.stock), -1, self.rows.shape[1])
 
     @property
     def stock(self) -> FloatArray:
-        """[N, M] mol in the bottles, by what their labels say."""
+        """[N, M] mol in the bottles according to their labels."""
         return self.table.arrays.stock
 
     @property
     def waste(self) -> FloatArray:
-        """[N, M] mol thrown away, vented or spilled."""
+        """[N, M] mol discarded, vented or spilled."""
         return self.table.arrays.waste
 
     def arrays(self) -> list[npt.NDArray[Any]]:
-        """Every array that changes, for snapshots."""
+        """Return every array that changes, for snapshots."""
         return [self.vessels, *self.table.changing()[1:]]
 
     def chem(self, laboratory: int = 0) -> Handle:
-        """What kernels take for one laboratory's chemistry: its world's."""
+        """Return the pointer table of the chemistry of one laboratory's world."""
         return self.chemistry.handles[int(self.table.arrays.variant[laboratory])]
 
     def known(self, laboratory: int = 0) -> Chemistry:
-        """One laboratory's chemistry, to be looked at."""
+        """Return the chemistry of one laboratory's world, for reading."""
         return self.chemistry.world(int(self.table.arrays.variant[laboratory]))
 
     @property
     def amounts(self) -> FloatArray:
-        """[N, V, M] mol of each material (a view)."""
+        """[N, V, M] mol of each material, as a view."""
         return self.vessels[..., AMOUNTS : AMOUNTS + len(self.layout.materials)]
 
     @property
     def dissolved(self) -> FloatArray:
-        """[N, V, K, L] mol of each dissolvable material in each solvent (a view)."""
+        """[N, V, K, L] mol of each dissolvable material in each solvent, as a view."""
         shape = (*self.vessels.shape[:2], len(self.layout.dissolved), len(self.layout.solvents))
         return self.vessels[..., AMOUNTS + len(self.layout.materials) :].reshape(shape)
 
     def total(self) -> FloatArray:
-        """[N, M] mol in vessels, bottles and waste together: what no operation may change but by reaction."""
+        """Return [N, M] mol in vessels, bottles and waste together, which only reactions change."""
         return np.asarray(self.amounts.sum(axis=1) + self.bottled() + self.waste)
 
     def bottled(self) -> FloatArray:
-        """[N, M] mol that are really in the bottles, whatever their labels say."""
+        """Return [N, M] true mol in the bottles, independent of their labels."""
         share, rest, volume = (self.chemistry.parameters[f] for f in ("bottle_share", "bottle_rest", "molar_volume"))
         variant = self.table.arrays.variant
         share, rest = (own[variant if len(own) > 1 else 0 * variant] for own in (share, rest))
@@ -136,19 +138,19 @@ class Shelf:
         return np.asarray(found)
 
     def vessel(self, laboratory: int, position: int) -> Vessel:
-        """A named view of one vessel, for people and tests."""
+        """Return a named view of one vessel."""
         return Vessel(self, laboratory, position)
 
     def fill(self, laboratory: int, position: int, capacity_l: float, contents: dict[str, float]) -> Vessel:
-        """Put a vessel with ``contents`` (mol) at ``position``: at rest at ambient temperature, settled.
+        """Put a vessel with ``contents`` (mol) at ``position``, settled at ambient temperature.
 
-        Dissolved amounts are not distributed yet; the phase step of whoever uses the vessel does that.
+        Dissolved amounts are not distributed yet; the next phase step on the vessel does that.
         """
         row = self.vessels[laboratory, position]
         row[:] = 0.0
         row[TEMPERATURE] = self.known(laboratory).ambient_temperature
         row[CAPACITY] = capacity_l
-        # The distribution of solutes is worked out from the mixed state on, where it is known.
+        # The distribution of solutes is integrated from the mixed state, where it is known.
         row[CLOCK], row[CLOCK_WAS], row[PRESENT] = CLOCK_SETTLED, T_MIX, 1.0
         for name, mol in contents.items():
             row[AMOUNTS + self.layout.index(name)] += mol
@@ -157,7 +159,7 @@ class Shelf:
 
 @dataclass(frozen=True)
 class Vessel:
-    """One vessel by name; reading and writing go straight to the arrays."""
+    """A vessel by name; reads and writes access the arrays."""
 
     shelf: Shelf
     laboratory: int
@@ -165,12 +167,12 @@ class Vessel:
 
     @property
     def row(self) -> FloatArray:
-        """The vessel's numbers (a view)."""
+        """The vessel's values, as a view."""
         return np.asarray(self.shelf.vessels[self.laboratory, self.position])
 
     @property
     def present(self) -> bool:
-        """Whether a vessel stands here."""
+        """True if there is a vessel."""
         return bool(self.row[PRESENT] > 0.0)
 
     @property
@@ -180,7 +182,7 @@ class Vessel:
 
     @property
     def capacity_l(self) -> float:
-        """Volume the vessel holds, L."""
+        """Capacity in L."""
         return float(self.row[CAPACITY])
 
     @property
@@ -190,12 +192,12 @@ class Vessel:
 
     @property
     def volume_l(self) -> float:
-        """Volume of everything but air, L."""
+        """Volume of everything except air, L."""
         m = len(self.shelf.layout.materials)
         return float(self.row[AMOUNTS : AMOUNTS + m] @ self.shelf.known(self.laboratory).molar_volume)
 
     def amounts(self, at_least_mol: float = 0.0) -> dict[str, float]:
-        """{material: mol} of everything above ``at_least_mol``."""
+        """Return {material: mol} of all amounts above ``at_least_mol``."""
         values = self.row[AMOUNTS : AMOUNTS + len(self.shelf.layout.materials)]
         return {n: float(x) for n, x in zip(self.shelf.layout.materials, values, strict=True) if x > at_least_mol}
 

@@ -12,7 +12,7 @@ __all__ = ["spectrum"]
 
 @inner
 def _next_present(row: FloatArray, i: int, n: int) -> int:
-    """The first material from ``i`` on that is in the vessel, of ``n``; n where none is."""
+    """Return the index of the next material from ``i`` on that is in the vessel; ``n`` if there is none."""
     while i < n and row[AMOUNTS + i] <= 0.0:
         i += 1
     return i
@@ -20,10 +20,10 @@ def _next_present(row: FloatArray, i: int, n: int) -> int:
 
 @helper
 def spectrum(row: FloatArray, chem: Handle, out: FloatArray) -> None:
-    """Absorption of the vessel's contents at 200 wavelengths: sum of concentration x peaks, clipped to [0, 1].
+    """Compute the absorption at 200 wavelengths: the sum of concentration x peaks, clipped to [0, 1].
 
-    Concentrations are mol per litre of liquid; what is suspended absorbs like what is dissolved. Without liquid
-    there is nothing to look through and the spectrum is 0.
+    Concentrations are mol per litre of liquid; suspended material absorbs like dissolved material. Without liquid the
+    spectrum is 0.
     """
     chemistry = opened(Chemistry, chem)
     litres = liquid_volume(row, chem)
@@ -33,7 +33,7 @@ def spectrum(row: FloatArray, chem: Handle, out: FloatArray) -> None:
     basis, n = chemistry.basis, chemistry.role.shape[0]
     i = _next_present(row, 0, n)
     while i < n:
-        # Two at a time: what this takes is mostly reading and writing the sums.
+        # Two at a time, because the time is dominated by memory access to the sums.
         other, following = i, _next_present(row, i + 1, n)
         first, second = row[AMOUNTS + i] / litres, 0.0
         if following < n:

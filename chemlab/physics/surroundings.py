@@ -1,4 +1,4 @@
-"""What a vessel stands in and under while it reacts."""
+"""Surroundings of a reacting vessel."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ __all__ = ["Surroundings"]
 
 
 class Surroundings(NamedTuple):
-    """What a vessel stands in and under while it reacts, and how exactly it is followed; all of them floats."""
+    """Surroundings of a reacting vessel, and tolerances of the integration; all are floats."""
 
     jacket: float
-    """K"""
+    """jacket temperature in K"""
     transfer: float
-    """W/K between contents and jacket; below 0: the contents have its temperature"""
+    """heat transfer in W/K between contents and jacket; below 0: the contents have the jacket's temperature"""
     condenser: float
-    """W that a condenser takes from what boils; below 0: the vessel is sealed"""
+    """cooling power in W of a condenser; below 0: the vessel is sealed"""
     rtol: float
     atol: float
     """mol/L; tolerances as in ``scipy.integrate.solve_ivp``"""

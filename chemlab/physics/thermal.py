@@ -14,7 +14,7 @@ __all__ = ["air_in_open_vessel", "pressure", "seal_vessel"]
 
 @helper
 def air_in_open_vessel(row: FloatArray, chem: Handle) -> float:
-    """mol of ambient-pressure air above the contents of an open vessel, at the vessel's temperature."""
+    """Return mol of ambient-pressure air above the contents of an open vessel, at the vessel's temperature."""
     chemistry = opened(Chemistry, chem)
     headspace = max(row[CAPACITY] - volume(row, chem), 0.0)
     return float(chemistry.ambient_pressure * headspace / (GAS_CONSTANT * row[TEMPERATURE]))
@@ -22,13 +22,14 @@ def air_in_open_vessel(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def seal_vessel(row: FloatArray, chem: Handle) -> None:
-    """Close the vessel: the air above its contents stays in it."""
+    """Close the vessel; the air above its contents stays in it."""
     row[AIR] = air_in_open_vessel(row, chem)
 
 
 @helper
 def pressure(row: FloatArray, chem: Handle) -> float:
-    """Pressure in a sealed vessel, kPa: its air in the headspace, plus vapour."""
-    # A brim-full vessel has no headspace to divide by; one part in a thousand stands for the gap at the lid.
+    """Return the pressure in a sealed vessel in kPa: air in the headspace plus vapour."""
+    # A completely full vessel has no headspace to divide by; a thousandth of the capacity represents the gap at the
+    # lid.
     headspace = max(row[CAPACITY] - volume(row, chem), 1e-3 * row[CAPACITY])
     return float(headspace_gas(row, chem) * GAS_CONSTANT * row[TEMPERATURE] / headspace + vapor_pressure(row, chem))

@@ -1,8 +1,8 @@
-"""Volumes, pouring, draining, adding, spilling: moving matter between rows, balanced to rounding.
+"""Volumes, pouring, draining, adding, spilling: transfer of material between rows, balanced to rounding.
 
-Receiving matter stirs: the settling clock's distance from the mixed state shrinks by the share of volume that
-was already there. The dissolved amounts in a row are valid for CLOCK_WAS; after these operations the
-caller runs :func:`chemlab.physics.backends.partition`, which brings them to CLOCK.
+Added material stirs the contents: the settling clock's distance from the mixed state shrinks by the volume share of the
+previous contents. The dissolved amounts in a row are valid for CLOCK_WAS; after these operations the caller runs
+:func:`chemlab.physics.backends.partition`, which updates them to CLOCK.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
 
 @helper
 def volume(row: FloatArray, chem: Handle) -> float:
-    """Volume of everything in the vessel but gases, L."""
+    """Return the volume of everything in the vessel except gases in L."""
     chemistry = opened(Chemistry, chem)
     total = 0.0
     for i in range(chemistry.role.shape[0]):
@@ -50,13 +50,13 @@ def volume(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def liquid_volume(row: FloatArray, chem: Handle) -> float:
-    """Volume of the liquids and what is dissolved in them, L."""
+    """Return the volume of the liquids and their solutes in L."""
     return volume(row, chem) - solid_volume(row, chem)
 
 
 @helper
 def heat_capacity(row: FloatArray, chem: Handle) -> float:
-    """Heat capacity of the contents without air, J/K."""
+    """Return the heat capacity of the contents without air in J/K."""
     chemistry = opened(Chemistry, chem)
     total = 0.0
     for i in range(chemistry.role.shape[0]):
@@ -66,8 +66,10 @@ def heat_capacity(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def within_range(kelvin: float) -> float:
-    """A temperature, or the bound of the physical range (:data:`chemlab.config.materials.COLDEST_K`,
-    :data:`~chemlab.config.materials.HOTTEST_K`) that it is beyond."""
+    """Clip a temperature to the physical range.
+
+    The range is :data:`chemlab.config.materials.COLDEST_K` to :data:`~chemlab.config.materials.HOTTEST_K`.
+    """
     return min(max(kelvin, COLDEST_K), HOTTEST_K)
 
 
@@ -101,7 +103,7 @@ def remove_fraction(row: FloatArray, fraction: float, chem: Handle, into: FloatA
 
 @helper
 def spill(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
-    """What does not fit goes to waste, an equal share of everything."""
+    """Move the excess over the capacity to waste, an equal share of everything."""
     filled = volume(row, chem)
     if filled > row[CAPACITY] * (1.0 + 1e-12):
         remove_fraction(row, 1.0 - row[CAPACITY] / filled, chem, waste)
@@ -112,7 +114,7 @@ def spill(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray) 
 def pour(
     source: FloatArray, target: FloatArray, fraction: float, chem: Handle, waste: FloatArray, events: FloatArray
 ) -> None:
-    """Pour ``fraction`` (0 to 1) of everything in ``source`` into ``target``; what does not fit spills."""
+    """Pour ``fraction`` (0 to 1) of everything in ``source`` into ``target``; the excess spills."""
     chemistry = opened(Chemistry, chem)
     n = chemistry.role.shape[0]
     before = volume(target, chem)
@@ -143,7 +145,7 @@ def add(
     waste: FloatArray,
     events: FloatArray,
 ) -> None:
-    """Add ``mol`` of a pure material at ``temperature`` (K); what does not fit spills."""
+    """Add ``mol`` of a pure material at ``temperature`` (K); the excess spills."""
     chemistry = opened(Chemistry, chem)
     if mol <= 0.0:
         return
@@ -156,8 +158,10 @@ def add(
 
 @helper
 def pour_out(row: FloatArray, material: int, mol: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
-    """Add as many litres from a bottle as ``mol`` of what its label says take: what is really in it, at ambient
-    temperature."""
+    """Add the volume of ``mol`` of the labelled material from a bottle, at ambient temperature.
+
+    The true contents of the bottle are added.
+    """
     chemistry = opened(Chemistry, chem)
     share, rest = chemistry.bottle_share[material], int(chemistry.bottle_rest[material])
     ambient = chemistry.ambient_temperature
@@ -177,15 +181,15 @@ def drain(
     waste: FloatArray,
     events: FloatArray,
 ) -> None:
-    """Drain the lowest ``pixels`` of ``source`` into ``target``: exactly what the layer profile says is there.
+    """Drain the lowest ``pixels`` of ``source`` into ``target``, exactly as given by the layer profile.
 
     Args:
         source, target: vessel rows.
-        pixels: number of pixels, of the profile's 100 or so; fractions of a pixel count.
+        pixels: number of pixels; may be fractional.
         profile: [C, pixels] layer profile of ``source`` (see :mod:`chemlab.physics.layers`).
         layers: [C + 1] the profile's columns: count, then SOLIDS or a material index each.
         chem: the chemistry.
-        waste: [M] mol, receives what spills.
+        waste: [M] mol, receives spilled material.
         events: safety events row.
     """
     air = opened(Chemistry, chem).air
@@ -214,7 +218,7 @@ def drain(
 
 @helper
 def free_liquid(row: FloatArray, cake_liquid: float, chem: Handle) -> float:
-    """Liquid that runs through a filter, L: all but ``cake_liquid`` litres for each litre of the solids that stay."""
+    """Return the liquid in L that passes a filter: all but ``cake_liquid`` litres per litre of retained solids."""
     return max(liquid_volume(row, chem) - cake_liquid * solid_volume(row, chem), 0.0)
 
 
@@ -228,15 +232,15 @@ def strain(
     waste: FloatArray,
     events: FloatArray,
 ) -> None:
-    """Let ``litres`` of the liquids of ``source`` run into ``target``, of every layer the same share; solids and
+    """Filter ``litres`` of the liquids of ``source`` into ``target``, the same share of every layer; solids and
     crystals stay.
 
     Args:
         source, target: vessel rows.
-        litres: of at most the liquid there is.
+        litres: volume; at most the liquid volume.
         layers: [C + 1] the source's layers (see :func:`chemlab.physics.layers.profile`).
         chem: the chemistry.
-        waste: [M] mol, receives what spills.
+        waste: [M] mol, receives spilled material.
         events: safety events row.
     """
     air, wet = opened(Chemistry, chem).air, liquid_volume(source, chem)
@@ -256,13 +260,13 @@ def strain(
 
 @helper
 def row_has(row: FloatArray, material: int) -> bool:
-    """Whether more than a trace of ``material`` is in the vessel."""
+    """Return True if more than a trace of ``material`` is in the vessel."""
     return bool(row[AMOUNTS + material] > TRACE_MOL)
 
 
 @helper
 def move(source: FloatArray, target: FloatArray) -> None:
-    """Put the vessel of one row into another row; no vessel is left behind."""
+    """Move the vessel of one row to another row."""
     for i in range(source.shape[0]):
         target[i] = source[i]
         source[i] = 0.0
@@ -270,13 +274,13 @@ def move(source: FloatArray, target: FloatArray) -> None:
 
 @helper
 def clear(row: FloatArray) -> None:
-    """No vessel here any more."""
+    """Remove the vessel of a row."""
     row[:] = 0.0
 
 
 @helper
 def place(row: FloatArray, capacity: float, chem: Handle) -> None:
-    """A clean, empty vessel."""
+    """Place a clean, empty vessel."""
     chemistry = opened(Chemistry, chem)
     row[:] = 0.0
     row[TEMPERATURE] = chemistry.ambient_temperature
@@ -288,7 +292,7 @@ def place(row: FloatArray, capacity: float, chem: Handle) -> None:
 
 @helper
 def take(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
-    """Remove ``mol`` of a liquid from the vessel (from every layer alike); never more than is there."""
+    """Remove ``mol`` of a liquid from all layers in proportion, at most the available amount."""
     chemistry = opened(Chemistry, chem)
     n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
     before = row[AMOUNTS + material]
@@ -303,5 +307,5 @@ def take(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
 
 @helper
 def turn_clock(row: FloatArray, by: float) -> None:
-    """Let the vessel settle (``by`` > 0) or mix it (< 0), within [T_MIX, CLOCK_SETTLED]."""
+    """Settle (``by`` > 0) or mix (< 0) the vessel, within [T_MIX, CLOCK_SETTLED]."""
     row[CLOCK] = max(min(row[CLOCK] + by, CLOCK_SETTLED), T_MIX)

@@ -31,7 +31,7 @@ class CrystallizationBench(OperationBench):
     pressure (at most ambient) and the solids' share of the volume in CV, scaled to their ranges; the goal's one-hot.
 
     **Reward** at the end - sum over the vessels of (mol of the goal x its absolute purity there), minus the same sum at
-    the start. Everything counts, solvents too; salt counts as salt whether dissolved or not.
+    the start. All materials count, including solvents; salt counts as salt whether dissolved or not.
     """
 
     positions = ("CV", "F", "W")
@@ -41,8 +41,8 @@ class CrystallizationBench(OperationBench):
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         if scenario.physics == "paper":
             raise DataError(
-                f"{scenario.origin}: benches.{key}.kind: 'crystallization' needs physics = 'real': nothing "
-                f"crystallizes in that of the scenario, {scenario.physics!r}"
+                f"{scenario.origin}: benches.{key}.kind: 'crystallization' needs physics = 'real', "
+                f"given {scenario.physics!r}"
             )
         super().__init__(key, scenario, chemistry)
 

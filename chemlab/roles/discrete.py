@@ -1,4 +1,4 @@
-"""Continuous benches with a choice among a table of actions, for value-based learners: ``actions = "discrete"``."""
+"""Discretised actions of continuous benches, for value-based learners: ``actions = "discrete"``."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ __all__ = ["Discretised", "discretised"]
 
 
 class Discretised(Bench):
-    """What a bench with continuous actions has besides where it is discretised: see :func:`discretised`.
+    """Mixin of a discretised bench: see :func:`discretised`.
 
     Attributes:
-        action_rows: [A, n] the continuous action that each discrete one stands for; the last is to leave everything as
-            it is. All of them are always legal.
+        action_rows: [A, n] continuous action of each discrete one; the last changes nothing. All are always legal.
     """
 
     action_rows: FloatArray
@@ -46,18 +45,20 @@ class Discretised(Bench):
         return np.array([check_discrete(agent, action, len(self.action_rows))])
 
     def nearest(self, actions: FloatArray) -> IntArray:
-        """[B] the discrete action that is most like each continuous one of [B, n] (by squares; of equals the first)."""
+        """Return [B] the nearest discrete action of each continuous one of [B, n] (least squares; the first of
+        equals).
+        """
         distance = ((np.asarray(actions)[:, None, :] - self.action_rows) ** 2).sum(axis=2)
         return np.asarray(distance.argmin(axis=1), dtype=np.int64)
 
     def __reduce_ex__(self, protocol: Any) -> Any:
-        # The class is made at run time, so copies and pickles name what it is made of.
+        # The class is created at run time, so copies and pickles refer to its base class.
         return _empty, (type(self).__mro__[2],), vars(self)
 
 
 @cache
 def discretised(kind: type[Bench]) -> type[Bench]:
-    """A kind of bench with its :meth:`~chemlab.roles.bench.Bench.representative_actions` to choose from."""
+    """Return a bench class with its :meth:`~chemlab.roles.bench.Bench.representative_actions` as discrete actions."""
     doc = f"{kind.__doc__ or kind.__name__}\n\n    Discretised: an action is the number of a representative one.\n    "
     return type(f"Discrete{kind.__name__}", (Discretised, kind), {"__doc__": doc, "__module__": kind.__module__})
 

@@ -1,4 +1,4 @@
-"""The distillation bench (DiT): boil the contents off, one boiling point after the other.
+"""The distillation bench (DiT): boil the contents off, one boiling point after another.
 
 | Observation | Actions | Steps |
 |---|---|---|
@@ -27,7 +27,7 @@ class DistillationBench(OperationBench):
     pressure (at most ambient) in DV, scaled to their ranges; the goal's one-hot.
 
     **Reward** at the end - sum over the vessels of (mol of the goal x its absolute purity there), minus the same sum at
-    the start. Everything counts; salt counts as salt whether dissolved or not.
+    the start. All materials count; salt counts as salt whether dissolved or not.
     """
 
     positions = ("DV", "B1", "B2")

@@ -1,4 +1,4 @@
-"""The extraction bench (ExT): shake, settle, drain; separate solutes by the solvents they prefer.
+"""The extraction bench (ExT): shake, settle, drain; separates solutes by their partition between solvents.
 
 | Observation | Actions | Steps |
 |---|---|---|
@@ -22,11 +22,11 @@ class ExtractionBench(OperationBench):
     -> B2, add the first solvent, add the second, settle, with five magnitudes each; the last action ends the
     experiment.
 
-    **Observation** - for each vessel 100 pixels, bottom first, each showing the grey value of one layer drawn from
-    the profile (what is dissolved in a layer does not show); the goal's one-hot.
+    **Observation** - for each vessel 100 pixels, bottom first, each with the grey value of one layer drawn from the
+    profile (solutes do not change it); the goal's one-hot.
 
-    **Reward** at the end - sum over the vessels of (mol of the goal x its solute purity there), minus the same sum
-    at the start. Solvents do not count; each ion counts; for a salt as goal a pair of ions counts as one.
+    **Reward** at the end - sum over the vessels of (mol of the goal x its solute purity there), minus the same sum at
+    the start. Solvents do not count; each ion counts; for a salt as goal, a pair of ions counts as one.
     """
 
     positions = ("EV", "B1", "B2")

@@ -1,4 +1,4 @@
-"""What a manager may ask of an experiment besides its goal, what its bench is told, and what the bench reports."""
+"""Quality requirements of experiments, hidden parameters revealed to benches, and self-reported outcomes."""
 
 from __future__ import annotations
 
@@ -15,30 +15,33 @@ from ..physics.chemistry import AMOUNTS
 __all__ = ["REPORT", "GradeState", "Grades", "best_vessel", "noisy"]
 
 REPORT = ("amount", "purity", "ticks")
-"""What a bench reports of an experiment: mol of the goal in the vessel that has most of it by mol x purity, the purity
-there, and the ticks it took."""
+"""Self-reported outcome of an experiment: mol of the goal in the vessel with the largest mol x purity, its purity,
+and the elapsed ticks.
+"""
 
 
 class GradeState(NamedTuple):
-    """What a bench's experiments have where a scenario declares grades, or tells benches of its world. N laboratories,
-    T numbers told."""
+    """State of a bench's experiments with quality requirements or revealed hidden parameters.
+
+    N laboratories, T revealed numbers.
+    """
 
     grade: Annotated[IntArray, Field("N")]
-    """[N] index of the experiment's grade"""
+    """[N] index of the experiment's quality requirement"""
     told: Annotated[FloatArray, Field("N T", first=None)]
-    """[N, T] what the bench is told of the world, each from 0 to 1"""
+    """[N, T] revealed hidden parameters, scaled to [0, 1]"""
 
 
 class Grades:
-    """A scenario's grades as arrays.
+    """Quality requirements of a scenario as arrays.
 
     Attributes:
-        names: of the K grades; there may be none.
-        amount: [K] least mol.
-        purity: [K] least purity.
-        ticks: [K] allowed.
-        shown: [K, 3] the same as a bench's agent sees them, from 0 to 1.
-        largest: mol that an amount of 1 stands for.
+        names: names of the K requirements; may be empty.
+        amount: [K] minimum mol.
+        purity: [K] minimum purity.
+        ticks: [K] maximum ticks.
+        shown: [K, 3] the same as observed by a bench's agent, scaled to [0, 1].
+        largest: mol at a scaled amount of 1.
     """
 
     def __init__(self, scenario: Scenario, key: str) -> None:
@@ -52,18 +55,18 @@ class Grades:
         self.shown = np.stack(columns, axis=-1)
 
     def met(self, grade: IntArray, found: FloatArray) -> IntArray:
-        """[B] 1 where the amounts and purities ``found`` [B, 2] are those of the grade, else 0."""
+        """Return [B] 1 if the amounts and purities ``found`` [B, 2] meet the requirement, else 0."""
         enough = (found[:, 0] >= self.amount[grade]) & (found[:, 1] >= self.purity[grade])
         return enough.astype(np.int64)
 
 
 def best_vessel(rows: FloatArray, parts: IntArray, counts: FloatArray) -> FloatArray:
-    """[B, 2] mol of the goal, and its purity, in the vessel where mol x purity is largest.
+    """Return [B, 2] mol of the goal and its purity in the vessel with the largest mol x purity.
 
     Args:
-        rows: [B, P, W] the experiments' vessels.
-        parts: [B, 3] of each one's goal, see :class:`chemlab.roles.bench.Goals`.
-        counts: [B, M] weight of each material in its purity.
+        rows: [B, P, W] vessels of the experiments.
+        parts: [B, 3] parts of each goal, see :class:`chemlab.roles.bench.Goals`.
+        counts: [B, M] weight of each material in the purity.
     """
     amounts = rows[:, :, AMOUNTS : AMOUNTS + counts.shape[1]]
     each = np.arange(len(rows))
@@ -77,7 +80,7 @@ def best_vessel(rows: FloatArray, parts: IntArray, counts: FloatArray) -> FloatA
 
 @kernel
 def noisy(members: IntArray, deviation: float, stream: StreamArray, out: FloatArray) -> None:
-    """Add normal noise from the members' own streams to numbers [B, K] from 0 to 1, which stay there."""
+    """Add normal noise from the members' own streams to numbers [B, K] in [0, 1], and clip them."""
     for b in range(out.shape[0]):
         for k in range(out.shape[1]):
             out[b, k] = min(max(out[b, k] + deviation * normal(stream[members[b]]), 0.0), 1.0)

@@ -1,4 +1,4 @@
-"""Which kinds of bench there are, and how a scenario's benches are built."""
+"""Kinds of benches, and construction of a scenario's benches."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ BENCH_KINDS: dict[str, str] = {
     "distillation": "chemlab.roles.distillation_bench:DistillationBench",
     "crystallization": "chemlab.roles.crystallization_bench:CrystallizationBench",
 }
-"""Bench kinds that a scenario may name in short."""
+"""Built-in kinds of benches by short name."""
 
 
 def build_bench(
@@ -31,10 +31,10 @@ def build_bench(
     reaction_model: ReactionModel | None = None,
     separation_model: SeparationModel | None = None,
 ) -> Bench:
-    """The bench ``key`` of a scenario; models replace the built-in physics of benches that use them.
+    """Build the bench ``key`` of a scenario; models replace the built-in physics of benches that use them.
 
     Raises:
-        DataError: the bench kind cannot be found, or its options are wrong.
+        DataError: the bench kind cannot be found, or its options are invalid.
     """
     cls = load_part(scenario.benches[key].kind, scenario, f"benches.{key}.kind", BENCH_KINDS, Bench)
     bench: Bench = cls(key, scenario, chemistry)
@@ -48,7 +48,7 @@ def build_bench(
 
 
 def discretised_twin(bench: Bench) -> Discretised | None:
-    """The same bench with discrete actions; None where they are discrete already."""
+    """Return the same bench with discrete actions; None if its actions are discrete already."""
     if bench.action_count:
         return None
     scenario = bench.scenario.with_actions("discrete")

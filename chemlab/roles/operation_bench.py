@@ -1,6 +1,6 @@
-"""Benches whose actions are a table of operations on vessels: extraction, distillation, and any of your own.
+"""Benches whose actions are a table of operations on vessels: extraction, distillation, crystallization, or your own.
 
-One table, from the scenario, decodes, masks, documents and carries out every action.
+The scenario's table defines decoding, masks, documentation and execution of every action.
 """
 
 from __future__ import annotations
@@ -65,14 +65,15 @@ class Process(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: str
-    """``drain``, ``mix``, ``pour``, ``add``, ``settle``, ``heat``, ``seed``, ``filter``, ``dry``, or an operation of
-    your own, ``my_parts.py:NAME``."""
+    """``drain``, ``mix``, ``pour``, ``add``, ``settle``, ``heat``, ``seed``, ``filter``, ``dry``, or your own operation
+    as ``my_parts.py:NAME``.
+    """
     vessel: str
     """Position the process works on (``settle`` works on all of the bench's vessels)."""
     target: str | None = None
-    """Position that receives (drain, pour, filter, heat: the condenser's)."""
+    """Receiving position (drain, pour, filter, heat: the condenser's)."""
     material: str | None = None
-    """What ``add`` adds, from stock."""
+    """Material that ``add`` adds from stock."""
     magnitudes: tuple[float, ...] = Field(min_length=1, max_length=1000)
     """drain: percent of the vessel's height; mix, settle: settling clock; pour, filter: fraction; add: L; heat: kJ
     (< 0 cools); seed: g; dry: L of air."""
@@ -87,16 +88,18 @@ class OperationOptions(BaseModel):
     auxiliary_capacity_l: float = Field(default=1.0, gt=0.0, le=100.0)
     """Capacity of the clean vessels the bench provides."""
     settle_per_step: float = Field(default=0.0, ge=0.0, le=100.0)
-    """How far every vessel settles in each step by itself."""
+    """Settling of every vessel per step."""
     hottest_k: float = Field(default=800.0, ge=COLDEST_K, le=HOTTEST_K)
     coolest_k: float = Field(default=273.15, ge=COLDEST_K, le=HOTTEST_K)
     stages: int = Field(default=1, ge=1, le=16)
-    """Theoretical stages between the boiling pot, which is one of them, and the condenser (physics ``real``)."""
+    """Theoretical stages between the boiling pot, which is one of them, and the condenser (physics backend
+    ``real``).
+    """
     reflux: float = Field(default=1.0, ge=0.0, le=100.0)
-    """mol that the head of a column returns for each that it lets pass."""
+    """Reflux ratio: mol that the head of a column returns per mol that passes."""
 
     cake_liquid: float = Field(default=0.4, ge=0.0, le=10.0)
-    """Litres of liquid that a litre of solids keeps in a filter: the void fraction of what is sucked dry, a guess."""
+    """Litres of liquid that a litre of solids retains in a filter: the void fraction of a drained cake, a guess."""
 
     @model_validator(mode="after")
     def _ordered(self) -> OperationOptions:
@@ -106,29 +109,30 @@ class OperationOptions(BaseModel):
 
 
 class ImageState(NamedTuple):
-    """What a bench with layer cameras keeps of its vessels. N laboratories, P positions, C layers."""
+    """State of a bench with layer cameras. N laboratories, P positions, C layers."""
 
     changed: Annotated[BoolArray, Array("N P", first=True)]
-    """[N, P] whether the last action changed a vessel, so that its layers have to be worked out again"""
+    """[N, P] whether the last action changed a vessel, so that its layers have to be recomputed"""
     layers: Annotated[IntArray, Array("N P C+1")]
     """[N, P, C + 1] and profile [N, P, C, pixels]: the layers of its vessels"""
     profile: Annotated[FloatArray, Array("N P C pixels")]
     image: Annotated[FloatArray, Array("N P pixels")]
-    """[N, P, pixels] what the camera saw last"""
+    """[N, P, pixels] latest camera pictures"""
     elapsed: Annotated[FloatArray, Array("N", kept=False)]
-    """[N] how far the vessels settle during the action that is being carried out"""
+    """[N] settling of the vessels during the current action"""
 
 
 class ApparatusRules(NamedTuple):
-    """A scenario's numbers of a bench with a table of operations. A actions."""
+    """Static parameters of a bench with a table of operations. A actions."""
 
     table: Annotated[FloatArray, Array("A 6")]
     """[A, 6] kind, vessel, target, material, magnitude, whether vessels are touched; kind -1 ends the experiment"""
     gauges: Annotated[FloatArray, Array("g 2")]
     """[g, 2] low and high of T (K), V (L), P (kPa), share of solids: the first g of them"""
     limits: Annotated[FloatArray, Array("5")]
-    """K, temperatures of the heating mantle and of the coolant; theoretical stages; mol returned for each distilled;
-    litres of liquid that a litre of solids keeps in a filter"""
+    """[5] temperatures of the heating mantle and of the coolant in K; theoretical stages; reflux ratio; litres of
+    liquid retained per litre of solids in a filter
+    """
     settle_per_step: Annotated[float, Array("")]
 
 
@@ -138,7 +142,7 @@ OperationRules: Any = merged(BenchRules, ApparatusRules)
 
 @helper
 def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
-    """What action ``a`` works on in laboratory ``m``."""
+    """Return the objects of action ``a`` in laboratory ``m``."""
     vessel, target = int(rules.table[a, _VESSEL]), int(rules.table[a, _TARGET])
     kind, magnitude = int(rules.table[a, _KIND]), rules.table[a, _MAGNITUDE]
     if kind == _HEATING:
@@ -163,7 +167,7 @@ def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
 
 @inner
 def _perform(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
-    """Carry out one of chemlab's operations, if it is legal; others have been carried out already."""
+    """Carry out a built-in operation if it is legal; user-defined ones have been carried out already."""
     kind = int(rules.table[a, _KIND])
     if kind >= _BUILT_IN:
         return
@@ -180,7 +184,7 @@ def _perform(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: H
 
 @inner
 def _conclude(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
-    """What follows from an operation: clocks, phases, the end of the experiment."""
+    """Apply the consequences of an operation: clocks, phases, the end of the experiment."""
     ended = int(rules.table[a, _KIND]) == END
     if not state.illegal[m] and not ended:
         touches = rules.table[a, _TOUCHES] > 0.0
@@ -203,7 +207,7 @@ def _conclude(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays, chem: 
 
 @inner
 def _separate(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
-    """Bring dissolved amounts and layer profiles of the vessels that have changed up to date."""
+    """Update dissolved amounts and layer profiles of the changed vessels."""
     for p in range(state.places.shape[1]):
         if state.changed[m, p]:
             row = shelf.rows[state.places[m, p]]
@@ -214,7 +218,7 @@ def _separate(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) 
 
 @inner
 def _look(m: int, state: Any, shelf: ShelfArrays, chem: Handle) -> None:
-    """A new picture of every vessel."""
+    """Take a new picture of every vessel."""
     for p in range(state.places.shape[1]):
         row = shelf.rows[state.places[m, p]]
         camera(row, state.profile[m, p], state.layers[m, p], chem, state.stream[m], state.image[m, p])
@@ -230,7 +234,7 @@ def _step(
     shelf: Handle,
     chemistry: Handle,
 ) -> None:
-    """One step of every member (none where the action is below 0), and where ``look`` says so what is seen of it."""
+    """Step every member (skipped if the action is negative) and, if ``look`` is set, take pictures."""
     state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m, a = members[b], actions[b]
@@ -247,7 +251,7 @@ def _step(
 def _observe(
     members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle, out: ObservationArray
 ) -> None:
-    """Pictures of every vessel, gauges of the first, the goal."""
+    """Write pictures of every vessel, gauges of the first, and the goal."""
     state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
@@ -282,7 +286,7 @@ def _mask(
         chem = chemistry[arrays.variant[m]]
         before, allowed = -1, False
         for a in range(table.shape[0]):
-            # Magnitudes of one process stand together and are legal or not together.
+            # Magnitudes of one process are adjacent and have the same legality.
             if (
                 before < 0
                 or table[a, _KIND] != table[before, _KIND]
@@ -300,8 +304,8 @@ def _mask(
 class OperationBench(Bench):
     """A bench with a flat ``Discrete`` action space: every magnitude of every process, then ``end``.
 
-    Subclasses name their ``positions`` and say what is measured; what each position's camera shows is the observation,
-    followed by the gauges (if any) and the goal.
+    Subclasses define ``positions`` and the score. The observation is the camera picture of each position, followed by
+    the gauges (if any) and the goal.
     """
 
     options_model = OperationOptions
@@ -310,19 +314,19 @@ class OperationBench(Bench):
     kernels = (_step,)
     camera = True
     process_kinds: ClassVar[tuple[str, ...]] = tuple(OPERATIONS)
-    """Processes this bench has the apparatus for."""
+    """Processes that this bench supports."""
 
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         super().__init__(key, scenario, chemistry)
         options: OperationOptions = self.options
         self.separation_model: SeparationModel | None = None
-        """Replaces the built-in layers and partition where set."""
+        """Replaces the built-in layers and partition if set."""
         self._others: list[Operation] = []
-        """Operations that are not chemlab's; numbered after those. What is known of each by its number here:"""
+        """User-defined operations, numbered after the built-in ones. By their number here:"""
         self._names: list[str] = []
         self._numbers: list[FloatArray] = []
         self._own_actions: list[tuple[int, int]] = []
-        """first and last + 1 of the actions of every process that is not chemlab's"""
+        """first and last + 1 of the actions of every user-defined process"""
         self.table, self._meanings = self._build_table(options.process)
         self.gauges = self._gauges()
         shown = tuple(
@@ -352,16 +356,16 @@ class OperationBench(Bench):
         }
 
     def _gauges(self) -> FloatArray:
-        """[g, 2] range of the temperature, volume, pressure and solids gauges, the first g of them."""
+        """Return [g, 2] ranges of the first g gauges: temperature, volume, pressure and solids."""
         return np.zeros((0, 2))
 
     def _operation(self, process: Process, where: str) -> tuple[int, Operation]:
-        """(number, operation) of a process."""
+        """Return the number and the operation of a process."""
         if process.kind in self.process_kinds:
             return list(OPERATIONS).index(process.kind), OPERATIONS[process.kind]
         if ":" not in process.kind:
             raise DataError(
-                f"{where}: kind: this bench can {', '.join(self.process_kinds)}, or one of your own, "
+                f"{where}: kind: must be one of {', '.join(self.process_kinds)}, or your own, "
                 f"'file.py:NAME'; given {process.kind!r}"
             )
         operation: Operation = load_part(process.kind, self.scenario, f"benches.{self.key}.process", of=Operation)
@@ -384,7 +388,7 @@ class OperationBench(Bench):
             for name, given in (("target", process.target), ("material", process.material)):
                 if (given is None) == (name in operation.takes):
                     takers = ", ".join(kind for kind, known in OPERATIONS.items() if name in known.takes)
-                    raise DataError(f"{where}: {name}: needed by {takers}, and by no other process")
+                    raise DataError(f"{where}: {name}: required by {takers}, and not allowed for other processes")
             if process.target == process.vessel:
                 raise DataError(f"{where}: target: must differ from vessel, given {process.target!r}")
             if number >= _BUILT_IN:
@@ -423,7 +427,7 @@ class OperationBench(Bench):
     def _own_turn(
         self, shelf: Shelf, experiments: Experiments, member: int, action: int
     ) -> tuple[str, Operation, Turn]:
-        """The operation of an action that is not chemlab's, its name, and what it works on."""
+        """Return the user-defined operation of an action, its name, and its objects."""
         number = int(self.table[action, _KIND]) - _BUILT_IN
         turn = getattr(_turn, "py_func", _turn)
         made: Turn = turn(member, action, experiments.table.arrays, self.rules.arrays, shelf.table.arrays)
@@ -437,7 +441,7 @@ class OperationBench(Bench):
     def _perform_others(
         self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]
     ) -> None:
-        """Carry out operations that are not chemlab's."""
+        """Carry out user-defined operations."""
         others = self.table[actions, _KIND] >= _BUILT_IN
         for m, a in zip(members[others].tolist(), actions[others].tolist(), strict=True):
             experiments.events[m], experiments.elapsed[m] = 0.0, 0.0
@@ -448,12 +452,12 @@ class OperationBench(Bench):
             with blamed(f"{name}: act()"):
                 elapsed = operation.act(turn, shelf.chem(m))
             experiments.elapsed[m] = checked_numbers(
-                elapsed, (), f"{name}: act(), which returns how far vessels settle (0.0: not)"
+                elapsed, (), f"{name}: act(), which must return the settling of vessels (0.0: none)"
             )
             check_vessels(np.stack([turn.row, turn.target]), f"{name}: act()")
 
     def _show(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
-        """Bring layers and pictures up to date."""
+        """Update layers and pictures."""
         if self.separation_model is not None:
             for m in members.tolist():
                 for place, layers, shares in zip(
@@ -466,7 +470,7 @@ class OperationBench(Bench):
     def _separate_by_model(
         self, row: FloatArray, known: Chemistry, chem: Handle, layers: IntArray, shares: FloatArray
     ) -> None:
-        """The same as the built-in separation of one vessel, by the user's model."""
+        """Separate one vessel by the user's model instead of the built-in one."""
         model = self.separation_model
         assert model is not None
         m, k, n_solvents = len(self.layout.materials), len(known.dissolved), len(known.solvents)
@@ -505,7 +509,7 @@ class OperationBench(Bench):
 
     def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
         _mask(members, *self._handles(shelf, experiments), out)
-        for first, end in self._own_actions:  # a process's magnitudes are legal or not together
+        for first, end in self._own_actions:  # the magnitudes of a process have the same legality
             for row, m in zip(out, members.tolist(), strict=True):
                 row[first:end] = experiments.busy[m] and self._own_legal(shelf, experiments, m, first)
 

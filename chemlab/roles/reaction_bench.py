@@ -55,11 +55,11 @@ __all__ = ["ReactionBench", "ReactionOptions", "Span"]
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _FULLEST = 0.98
-"""The piston stops where the contents would fill this share of the vessel."""
+"""Share of the vessel that the contents may fill at most when the piston moves in."""
 
 
 class Span(BaseModel):
-    """A quantity the agent moves within [low, high], by at most ``step`` a step."""
+    """A quantity that the agent moves within [low, high], by at most ``step`` per step."""
 
     model_config = _FROZEN
 
@@ -75,7 +75,7 @@ class Span(BaseModel):
 
 
 class TemperatureSpan(Span):
-    """A temperature the agent moves, in K."""
+    """A temperature that the agent moves, in K."""
 
     low: float = Field(ge=COLDEST_K, le=HOTTEST_K)
     high: float = Field(ge=COLDEST_K, le=HOTTEST_K)
@@ -87,20 +87,25 @@ class ReactionOptions(BaseModel):
     model_config = _FROZEN
 
     reagents: dict[str, Annotated[float, Field(gt=0.0, le=1e4)]] = Field(min_length=1, max_length=100)
-    """mol of each reagent an experiment may take from stock."""
+    """Maximum mol of each reagent that an experiment takes from stock."""
     temperature_k: TemperatureSpan
     volume_l: Span
     vessel_volume_l: float = Field(default=1.0, gt=0.0, le=100.0)
-    """Where the piston stands when an experiment begins and ends."""
+    """Piston position in L at the start and end of an experiment."""
     rated_pressure_kpa: float = Field(gt=0.0, le=1e6)
     tick: float = Field(gt=0.0, le=1e6)
     """Reaction time of one step, in the unit of the rate constants."""
     jacket_w_k: float | None = Field(default=None, gt=0.0, le=1e4)
-    """Heat that passes between contents and jacket, W/K; the agent then sets the jacket's temperature, and sees it
-    (physics ``real``). Without it the contents are kept at the temperature that the agent sets."""
+    """Heat transfer between contents and jacket in W/K; the agent sets and observes the jacket's temperature.
+
+    It needs the physics backend ``real``. Without it, the contents have the temperature that the agent sets.
+    """
     condenser_w: float | None = Field(default=None, gt=0.0, le=1e6)
-    """Heat that a reflux condenser takes, W: the vessel is open through it, boils at its boiling point and loses vapour
-    only beyond that (physics ``real``). Without it the vessel is sealed."""
+    """Cooling power of a reflux condenser in W, through which the vessel is open.
+
+    The contents boil at their boiling point, and vapour beyond this power is lost (physics backend ``real``). Without
+    it, the vessel is sealed.
+    """
     rtol: float = Field(default=1e-3, ge=1e-12, le=0.1)
     atol: float = Field(default=1e-6, ge=1e-15, le=0.1)
     penalty: dict[str, Annotated[float, Field(ge=-1e4, le=1e4)]] = Field(default_factory=dict, max_length=100)
@@ -108,44 +113,44 @@ class ReactionOptions(BaseModel):
 
 
 class SupplyState(NamedTuple):
-    """What a reaction bench keeps of its experiments. N laboratories, Q reagents."""
+    """State of a reaction bench's experiments. N laboratories, Q reagents."""
 
     supply: Annotated[FloatArray, Array("N Q")]
-    """[N, Q] mol each reagent the experiment may still take"""
+    """[N, Q] remaining mol of each reagent that the experiment may take"""
     jacket: Annotated[FloatArray, Array("N")]
-    """[N] K, temperature of what the vessel stands in"""
+    """[N] K, jacket temperature"""
 
 
 class ReactorRules(NamedTuple):
-    """A scenario's numbers of a reaction bench. Q reagents, G goals, M materials."""
+    """Static parameters of a reaction bench. Q reagents, G goals, M materials."""
 
     coldest: Annotated[float, Array("")]
-    """K, and so on: how far the agent may go, and how far in a step"""
+    """K; bounds of the temperatures, and their changes per step"""
     hottest: Annotated[float, Array("")]
     temperature_step: Annotated[float, Array("")]
     smallest: Annotated[float, Array("")]
-    """L, and so on"""
+    """L; bounds of the volume, and its change per step"""
     largest: Annotated[float, Array("")]
     volume_step: Annotated[float, Array("")]
     vessel_volume: Annotated[float, Array("")]
-    """L, where the piston stands when an experiment begins and ends"""
+    """L, piston position at the start and end of an experiment"""
     rated_pressure: Annotated[float, Array("")]
-    """kPa"""
+    """rated pressure in kPa"""
     pressure_scale: Annotated[float, Array("")]
-    """kPa that the pressure gauge shows as 1"""
+    """kPa at a reading of 1 of the pressure gauge"""
     tick: Annotated[float, Array("")]
     """reaction time of a step"""
     transfer: Annotated[float, Array("")]
-    """W/K between contents and jacket; below 0: the contents have its temperature"""
+    """heat transfer in W/K between contents and jacket; below 0: the contents have the jacket's temperature"""
     condenser: Annotated[float, Array("")]
-    """W that a reflux condenser takes; below 0: the vessel is sealed"""
+    """cooling power of a reflux condenser in W; below 0: the vessel is sealed"""
     rtol: Annotated[float, Array("")]
     atol: Annotated[float, Array("")]
     """mol/L"""
     reagents: Annotated[IntArray, Array("Q")]
     """[Q] material indices"""
     full: Annotated[FloatArray, Array("Q")]
-    """[Q] mol that an experiment may take"""
+    """[Q] maximum mol per experiment"""
     penalty: Annotated[FloatArray, Array("G M")]
     """[G, M] score lost per mol, by goal"""
 
@@ -156,7 +161,7 @@ ReactionRules: Any = merged(BenchRules, ReactorRules)
 
 @inner
 def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
-    """Move the piston, add reagents, set the temperature (theirs too: the vessel has a thermostat)."""
+    """Move the piston, add reagents and set the temperature, which a thermostat also gives to the reagents."""
     row = shelf.rows[state.places[m, 0]]
     state.events[m, :] = 0.0
     jacketed = rules.transfer >= 0.0
@@ -196,7 +201,7 @@ def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays
 
 @inner
 def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> int:
-    """The reactions of a tick; below 0 if they were too stiff."""
+    """React for one tick; return a negative number if the reactions are too stiff."""
     row = shelf.rows[state.places[m, 0]]
     jacket = state.jacket[m] if rules.transfer >= 0.0 else row[TEMPERATURE]
     around = Surroundings(jacket, rules.transfer * state.gain[m, HEAT], rules.condenser, rules.rtol, rules.atol)
@@ -206,10 +211,10 @@ def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> 
 
 @inner
 def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
-    """After the reaction: phases, stirred contents, relief valve."""
+    """Update phases, stirring and relief valve after the reaction."""
     row = shelf.rows[state.places[m, 0]]
     settle_phases(row, chem, shelf.waste[m], state.events[m], rules.work)
-    spill(row, chem, shelf.waste[m], state.events[m])  # reacting changes the volume
+    spill(row, chem, shelf.waste[m], state.events[m])  # reactions change the volume
     row[CLOCK] = T_MIX
     partition(row, chem, rules.work)
     if rules.condenser < 0.0:
@@ -238,8 +243,11 @@ def _conclude_all(members: IntArray, experiment: Handle, bench: Handle, shelf: H
 def _step(
     members: IntArray, actions: FloatArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
 ) -> int:
-    """One step of every member with the built-in kinetics: load, react, conclude. Returns the last member in which the
-    reactions were too stiff, -1 if none."""
+    """Step every member with the built-in kinetics: load, react, conclude.
+
+    Returns:
+        The last member in which the reactions were too stiff, -1 if none.
+    """
     state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     stiff = -1
     for b in range(members.shape[0]):
@@ -256,7 +264,7 @@ def _step(
 def _observe(
     members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle, out: ObservationArray
 ) -> None:
-    """Spectrum, gauges, what is left of the supply, the goal."""
+    """Write spectrum, gauges, remaining supply and goal."""
     state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
@@ -310,10 +318,10 @@ class ReactionBench(Bench):
     """Reaction bench.
 
     **Actions** - ``Box(0, 1, (n + 2,))``: temperature down/up, piston in/out (0.5 = no change, each step at most the
-    scenario's ``step``), then for each of n reagents the fraction of what is left of it to add.
+    scenario's ``step``), then for each of n reagents the share of its remaining supply to add.
 
     **Observation** - 200 absorptions of the UV-Vis spectrum; temperature, volume and pressure scaled to their ranges
-    (pressure: 0 to 1.25 x the rated pressure); the fraction left of each reagent's supply; the goal's one-hot.
+    (pressure: 0 to 1.25 x the rated pressure); the remaining share of each reagent's supply; the goal's one-hot.
 
     **Reward** at the end - mol of the goal produced, minus the scenario's penalties on by-products.
     """
@@ -328,7 +336,7 @@ class ReactionBench(Bench):
         super().__init__(key, scenario, chemistry)
         options: ReactionOptions = self.options
         self.reaction_model: ReactionModel | None = None
-        """Replaces the built-in kinetics where set."""
+        """Replaces the built-in kinetics if set."""
         self.reagent_names = tuple(options.reagents)
         self.reagents = len(options.reagents)
         self._full = np.array(list(options.reagents.values()))
@@ -357,8 +365,11 @@ class ReactionBench(Bench):
         ]
 
     def representative_actions(self) -> list[tuple[str, FloatArray]]:
-        """Each control by itself, and together all that the way to a goal needs, as it is, heating or with more room;
-        see :meth:`Bench.representative_actions`."""
+        """Return each control separately, and combinations on the route to a goal: unheated, heating, or with more
+        volume.
+
+        See :meth:`Bench.representative_actions`.
+        """
         t, v, names = self.options.temperature_k.step, self.options.volume_l.step, self.reagent_names
         rest = np.array([0.5, 0.5, *(0.0 for _ in names)])
         gauges = {f"{t:g} K down": (0, 0.0), f"{t / 4:g} K down": (0, 0.375), f"{t / 4:g} K up": (0, 0.625)}
@@ -461,4 +472,4 @@ class ReactionBench(Bench):
         _observe(members, *self._handles(shelf, experiments), out)
 
     def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
-        """Continuous actions have no mask."""
+        """Do nothing: continuous actions have no mask."""

@@ -1,4 +1,4 @@
-"""How a bench's apparatus errs, drifts and breaks: see :class:`chemlab.config.scenario.WearSpec`."""
+"""Degradation, drift and breakdown of a bench's apparatus: see :class:`chemlab.config.scenario.WearSpec`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["LEAST_GAIN", "MOST_GAIN", "renew", "wear_out"]
 
 _ACTUATOR, _GAIN, _SPREAD, _DRIFT, _LIFE = range(5)
 LEAST_GAIN, MOST_GAIN = 0.01, 100.0
-"""Between these a gain drifts."""
+"""Bounds of a drifting gain."""
 
 
 @kernel
@@ -45,11 +45,11 @@ def _wear_out(members: IntArray, experiment: Handle, bench: Handle) -> None:
 
 
 def renew(bench: Bench, experiments: Experiments, members: IntArray) -> None:
-    """The benches of ``members`` [B] are new, or repaired: gain and life are drawn from their wear's stream."""
+    """Draw gain and lifetime of new or repaired benches of ``members`` [B] from the degradation's stream."""
     _renew(members, experiments.handle, bench.rules.handle)
 
 
 def wear_out(bench: Bench, experiments: Experiments, members: IntArray) -> None:
-    """The benches of ``members`` [B] have worked for a tick: one that breaks ends its experiment."""
+    """Apply one tick of work to the benches of ``members`` [B]; a breakdown ends the experiment."""
     if bench.spec.wear is not None:
         _wear_out(members, experiments.handle, bench.rules.handle)

@@ -94,5 +94,5 @@ def test_the_scenario_says_which(brisk: Scenario) -> None:
     assert restored.physics == "brisk"
     # Defaults are left out.
     assert "physics" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]
-    with pytest.raises(DataError, match="unknown tier 'slow'; known: paper, real, brisk"):
+    with pytest.raises(DataError, match="unknown backend 'slow'; choose from paper, real, brisk"):
         build_chemistry(brisk.model_copy(update={"physics": "slow"}))

@@ -1,11 +1,10 @@
-"""Physical laws, by tier: the one seam between what a laboratory does and which physics it does it by.
+"""Physical laws by backend: the only interface between laboratory processes and the physics that they use.
 
-A *tier* is a module with an implementation of every law below, under the same name. Kernels call the laws; which tier
-is compiled into them follows from the type of the chemistry they are given (its number of dimensions: see
-:class:`chemlab.physics.chemistry.ChemistryTable`), so a choice costs nothing when they run and nobody else has to
-know it.
+A backend is a module that implements every law below under the same name. Kernels call the laws; the backend is
+selected at compile time by the type of the chemistry they receive (its number of dimensions: see
+:class:`chemlab.physics.chemistry.ChemistryTable`), so the selection has no run-time cost.
 
-To add a tier: a module with all of these functions (kernels or helpers), and an entry in
+To add a backend: a module with all of these functions (kernels or helpers), and an entry in
 :data:`chemlab.config.scenario.PHYSICS_TIERS`.
 """
 
@@ -56,9 +55,9 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 _DISTANT: list[str] = []
-"""Laws that kernels of a tier other than the first call by their address, in the order of their addresses."""
+"""Laws that kernels of backends other than the first call by address, in the order of their addresses."""
 _KINDS: dict[str, tuple[Any, Any]] = {}
-"""Of each of them, numba types of its parameters but for ``chem``'s number of dimensions, and of its result."""
+"""numba types of each law's parameters, except the number of dimensions of ``chem``, and of its result."""
 
 
 def _tier(dimensions: int) -> Any:
@@ -66,20 +65,20 @@ def _tier(dimensions: int) -> Any:
 
 
 def work_size(chemistry: ChemistryTable) -> tuple[int, int]:
-    """Shape of the scratch array, ``work``, that a tier's laws need at least; and a last row that holds a vessel's."""
+    """Return the minimum shape of the scratch array ``work`` of a backend's laws; its last row holds a vessel's."""
     rows, columns = _tier(tier_dimensions(chemistry.tier)).work_size(chemistry.world())
     return rows + 1, max(columns, chemistry.layout.width)
 
 
 def _kinds(name: str, dimensions: int) -> tuple[tuple[Any, ...], Any]:
-    """numba types of the parameters of a distant law, and of its result."""
+    """Return numba types of the parameters of a distant law, and of its result."""
     kinds, result = _KINDS[name]
     handle = numba.types.Array(numba.types.int64, dimensions, "C")
     return tuple(handle if kind is None else kind for kind in kinds), result
 
 
 def law_addresses(dimensions: int) -> list[int]:
-    """Where the code of a tier's distant laws is: what its handles end in. Compiles what is not compiled yet."""
+    """Return the addresses of a backend's distant laws, which end its pointer table. Compiles them if necessary."""
     if not COMPILED or dimensions == 1:
         return []
     laws = _compilations(dimensions)
@@ -89,14 +88,14 @@ def law_addresses(dimensions: int) -> list[int]:
 
 
 def _compilations(dimensions: int) -> list[Callable[[], int]]:
-    """What compiles each of a tier's distant laws, and returns its address."""
+    """Return functions that compile each distant law of a backend and return its address."""
     return [
         functools.partial(address, getattr(_tier(dimensions), name), _kinds(name, dimensions)[0]) for name in _DISTANT
     ]
 
 
 def _numba_type(name: str, annotation: str) -> Any:
-    """The numba type of a law's parameter, by its annotation; None for the chemistry."""
+    """Return the numba type of a law's parameter from its annotation; None for the chemistry."""
     array = numba.types.Array(numba.types.float64, 2 if name == "work" else 1, "C")
     types: Any = numba.types
     around = types.NamedUniTuple(types.float64, len(Surroundings._fields), Surroundings)
@@ -105,7 +104,7 @@ def _numba_type(name: str, annotation: str) -> Any:
 
 
 def law(stub: F, distant: bool = False) -> F:
-    """A law of which every tier has its own version; ``stub`` has its parameters, one of them called ``chem``."""
+    """Declare a law that every backend implements; ``stub`` has its parameters, one of them called ``chem``."""
     name, signature = stub.__name__, inspect.signature(stub)
     parameters = list(signature.parameters)
     where = parameters.index("chem")
@@ -134,7 +133,7 @@ def law(stub: F, distant: bool = False) -> F:
                 target = calling(parameters, where, position, *_kinds(name, dimensions))
             else:
                 target = getattr(_tier(dimensions), name)
-            # A function of the law's own parameters that calls the tier's, which keeps its place in the cache.
+            # A function with the law's own parameters that calls the backend's law, so that it can be cached.
             scope = {"_of_tier": target}
             listed = ", ".join(parameters)
             exec(f"def {name}({listed}):\n    return _of_tier({listed})", scope)
@@ -145,25 +144,27 @@ def law(stub: F, distant: bool = False) -> F:
 
 
 distant_law = functools.partial(law, distant=True)
-"""A large law: kernels of tiers after the first call it by its address."""
+"""Declare a large law, which kernels of backends after the first call by address."""
 
 
 @distant_law
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
-    """Pressure of the vapour over the liquids in a vessel, kPa."""
+    """Return the vapour pressure of the liquids in a vessel in kPa."""
     raise NotImplementedError
 
 
 @law
 def headspace_gas(row: FloatArray, chem: Handle) -> float:
-    """mol of gas above the contents of a sealed vessel, vapour not counted."""
+    """Return mol of gas above the contents of a sealed vessel, without vapour."""
     raise NotImplementedError
 
 
 @distant_law
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
-    """Relief valve: above ``rated`` kPa gas leaves until the pressure is back there; lost vapour comes from the liquid
-    and goes to ``waste`` [M], and is an event."""
+    """Open the relief valve: above ``rated`` kPa, gas leaves until the pressure is back at ``rated``.
+
+    Lost vapour is taken from the liquid and added to ``waste`` [M]; it is a safety event.
+    """
     raise NotImplementedError
 
 
@@ -177,20 +178,20 @@ def heat(
     waste: FloatArray,
     events: FloatArray,
 ) -> tuple[float, float]:
-    """Heat (> 0) or cool (< 0) a vessel; what boils condenses into the receiver at ambient temperature.
+    """Heat (> 0) or cool (< 0) a vessel; vapour condenses into the receiver at ambient temperature.
 
     Args:
         row, receiver: vessel rows.
-        joules: heat offered, J.
-        limits: [4, or more] temperatures of the heating mantle and of the coolant, K, past which no heat flows;
-            theoretical stages between pot and condenser (1: the pot alone), and the mol that the column's head returns
-            for each mol that it lets pass.
+        joules: offered heat in J.
+        limits: [4 or more] temperatures in K of the heating mantle and of the coolant, which bound the heat flow;
+            theoretical stages between pot and condenser (1: the pot alone); reflux ratio, the mol that the
+            column's head returns per mol that passes.
         chem: the chemistry.
-        waste: [M] mol, receives what overflows the receiver.
+        waste: [M] mol, receives the overflow of the receiver.
         events: safety events row.
 
     Returns:
-        (heat that went in, heat the condenser took away), J. Heat in = change of (sum n Cp + air) (T - ambient)
+        (absorbed heat, heat removed by the condenser) in J. Heat in = change of (sum n Cp + air) (T - ambient)
         over both vessels + heat to the condenser, as long as nothing spills.
     """
     raise NotImplementedError
@@ -198,7 +199,7 @@ def heat(
 
 @distant_law
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
-    """What happens by itself in any vessel, after any operation: violent reactions, dissolution, precipitation.
+    """Apply the processes that follow every operation in any vessel: violent reactions, dissolution, precipitation.
 
     Args:
         row: vessel row, changed in place.
@@ -212,7 +213,7 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
 
 @distant_law
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
-    """Bring the dissolved amounts of a vessel from CLOCK_WAS to CLOCK; none becomes negative and none is lost.
+    """Update the dissolved amounts of a vessel from CLOCK_WAS to CLOCK; none becomes negative and totals are conserved.
 
     Args:
         row: vessel row, changed in place.
@@ -224,7 +225,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
 
 @law
 def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
-    """Solids, fluid layers and air of a vessel, densest fluid first.
+    """Find the solids, fluid layers and air of a vessel, densest fluid first.
 
     Args:
         row: vessel row.
@@ -240,38 +241,39 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
 
 @law
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
-    """mol of a material that lies in a vessel as a solid."""
+    """Return mol of a material in a vessel that is solid."""
     raise NotImplementedError
 
 
 @law
 def solid_volume(row: FloatArray, chem: Handle) -> float:
-    """Volume of what is not liquid, L."""
+    """Return the volume of non-liquid contents in L."""
     raise NotImplementedError
 
 
 @law
 def layer_density(row: FloatArray, layer: int, chem: Handle) -> float:
-    """Density of a layer (by its code, as :func:`find_layers` gives it) of a vessel, kg/L."""
+    """Return the density in kg/L of a layer, given by its code from :func:`find_layers`."""
     raise NotImplementedError
 
 
 @law
 def layer_shade(row: FloatArray, layer: int, chem: Handle) -> float:
-    """Grey value of a layer of a vessel, as a camera sees it."""
+    """Return the grey value of a layer in the camera picture."""
     raise NotImplementedError
 
 
 @law
 def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float, chem: Handle) -> float:
-    """Move ``share`` (0 to 1) of a layer, or of the solids, with all that it holds; returns the heat capacity of what
-    has moved, J/K."""
+    """Move ``share`` (0 to 1) of a layer, or of the solids, with its contents; return the moved heat capacity in
+    J/K.
+    """
     raise NotImplementedError
 
 
 @law
 def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
-    """Rate constant of a reaction at ``temperature`` (K), in its own unit."""
+    """Return the rate constant of a reaction at ``temperature`` (K), in its own unit."""
     raise NotImplementedError
 
 
@@ -285,20 +287,22 @@ def react(
     events: FloatArray,
     work: FloatArray,
 ) -> int:
-    """Let the contents of one vessel react for ``dt``. Of what boils meanwhile in a vessel that is not sealed, the
-    condenser's share runs back; vapour beyond that is lost, and is an event.
+    """React the contents of one vessel for ``dt``.
+
+    If the vessel is not sealed, the condenser returns its share of the boiling vapour; excess vapour is lost and is a
+    safety event.
 
     Args:
         row: vessel row, changed in place.
         dt: time, in the unit of the rate constants.
-        around: what it stands in and under.
+        around: surroundings of the vessel.
         chem: the chemistry.
-        waste: [M] mol, receives what flies.
+        waste: [M] mol, receives lost vapour.
         events: safety events row.
-        work: scratch of shape :func:`work_size`; its last row is for a copy of the vessel's.
+        work: scratch of shape :func:`work_size`; its last row holds a copy of the vessel's.
 
     Returns:
-        Number of steps taken, rejected ones included; -1 where that would have been too many: then the rest of ``dt``
+        Number of steps, rejected ones included; -1 if it exceeded the limit: then the rest of ``dt``
         has not passed.
     """
     raise NotImplementedError
@@ -306,9 +310,11 @@ def react(
 
 @distant_law
 def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
-    """Air is drawn over the contents of an open vessel: ``litres`` of it leave at the contents' temperature, saturated
-    with the vapour of their liquids, which goes to ``waste`` [M]. The air brings the heat that this takes, so the
-    temperature stays as it is; solids stay, too."""
+    """Draw air over the contents of an open vessel.
+
+    ``litres`` of air leave at the contents' temperature, saturated with vapour of the liquids, which goes to ``waste``
+    [M]. The air supplies the heat of vaporization, so the temperature is constant. Solids stay.
+    """
     raise NotImplementedError
 
 
@@ -316,17 +322,17 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
 def elapse(
     row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> bool:
-    """Time passes for an open vessel, wherever it stands.
+    """Let time pass for an open vessel, anywhere in the laboratory.
 
     Args:
         row: vessel row, changed in place.
-        ticks: of laboratory time.
+        ticks: laboratory time in ticks.
         chem: the chemistry.
-        waste: [M] mol, receives what flies.
+        waste: [M] mol, receives lost vapour.
         events: safety events row.
         work: scratch of shape :func:`work_size`.
 
     Returns:
-        Whether its contents have changed.
+        True if the contents have changed.
     """
     raise NotImplementedError

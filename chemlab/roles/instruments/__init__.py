@@ -1,7 +1,7 @@
-"""Instruments of the characterization bench: a vessel goes in, a reading comes out. One file each.
+"""Instruments of the characterization bench: each takes a vessel and returns a reading. One file each.
 
-To add one of chemlab's: a file with an ``INSTRUMENT``, and an entry in :data:`INSTRUMENTS`. One of your own is an
-:class:`~chemlab.roles.instruments.instrument.Instrument` in a file beside your scenario, named there as
+To add a built-in instrument: a file with an ``INSTRUMENT``, and an entry in :data:`INSTRUMENTS`. A user-defined one is
+an :class:`~chemlab.roles.instruments.instrument.Instrument` in a file beside the scenario, named there as
 ``kind = "my_parts.py:NAME"``.
 """
 
@@ -33,4 +33,4 @@ INSTRUMENTS: dict[str, Instrument] = {
     "melting_point": melting_point.INSTRUMENT,
     "hplc": hplc.INSTRUMENT,
 }
-"""Kinds of instrument that a scenario may name in short; their order numbers them."""
+"""Built-in kinds of instruments; their index is their order."""

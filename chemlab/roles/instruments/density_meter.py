@@ -1,4 +1,4 @@
-"""Density meter: mass of a litre of the liquids, layers together and without solids."""
+"""Density meter: mass per litre of the liquids, all layers together, without solids."""
 
 from __future__ import annotations
 

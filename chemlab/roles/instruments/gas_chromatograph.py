@@ -17,7 +17,7 @@ __all__ = ["INSTRUMENT"]
 
 
 HOTTEST_COLUMN_K = 750.0
-"""What boils above this does not pass the column; it counts as residue."""
+"""Boiling point in K above which a material does not pass the column and counts as residue."""
 
 
 @inner
@@ -25,7 +25,7 @@ def _read(reading: Reading, chem: Handle) -> float:
     row, out, role = reading.row, reading.out, opened(Chemistry, chem).role
     total, volatile = 0.0, 0.0
     for i in range(role.shape[0]):
-        # With the weighed sample and an internal standard the residue is known though it never leaves the column.
+        # The weighed sample and an internal standard determine the residue, which does not leave the column.
         total += row[AMOUNTS + i] * (0.5 if role[i] == ROLE_ION else 1.0)
     count = reading.analytes.shape[0]
     for a in range(count):

@@ -1,6 +1,6 @@
-"""Liquid chromatograph (HPLC): mole fraction of every molecule, whether it flies or not, and of ions together.
+"""Liquid chromatograph (HPLC): mole fraction of every molecule, volatile or not, and of all ions together.
 
-What does not dissolve (metals, undissolved salts) stays in the filter and is not seen.
+Insoluble material (metals, undissolved salts) stays in the filter and is not detected.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def _read(reading: Reading, chem: Handle) -> float:
     count, ions = reading.analytes.shape[0], 0.0
     for i in range(role.shape[0]):
         if role[i] == ROLE_ION:
-            ions += 0.5 * row[AMOUNTS + i]  # two make a salt
+            ions += 0.5 * row[AMOUNTS + i]  # a pair is one salt
     total = ions
     for a in range(count):
         total += row[AMOUNTS + reading.analytes[a]]

@@ -1,4 +1,4 @@
-"""What an instrument is: what its reading is, how it is taken, how it is spoken of and drawn."""
+"""Interface of an instrument: reading, measurement, description, and picture."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ __all__ = ["Instrument", "Reading", "in_numbers", "no_analytes", "no_numbers", "
 
 
 class Reading(NamedTuple):
-    """What an instrument works on in one laboratory."""
+    """Objects of a measurement in one laboratory."""
 
     row: FloatArray
     """[W] the vessel"""
     analytes: IntArray
-    """[A] material indices that the instrument tells apart"""
+    """[A] indices of the distinguished materials"""
     stream: StreamArray
     """random stream"""
     layers: IntArray
@@ -30,30 +30,30 @@ class Reading(NamedTuple):
     shares: FloatArray
     work: FloatArray
     numbers: FloatArray
-    """what :attr:`Instrument.numbers` has made of the chemistry"""
+    """result of :attr:`Instrument.numbers`"""
     out: FloatArray
-    """[size] the reading, to be written: values in [0, 1]"""
+    """[size] the reading to write: values in [0, 1]"""
 
 
 def no_analytes(chemistry: Chemistry) -> IntArray:
-    """For instruments that do not tell materials apart."""
+    """Return an empty array, for instruments that do not distinguish materials."""
     return np.zeros(0, dtype=np.int64)
 
 
 def no_numbers(chemistry: ChemistryTable) -> FloatArray:
-    """For instruments that need nothing of the materials."""
+    """Return an empty array, for instruments that need no values of the materials."""
     return np.zeros(0)
 
 
 def in_numbers(values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
-    """A reading in words: one number with its unit, or how many there are."""
+    """Describe a reading: one number with its unit, or the number of values."""
     if channel.size == 1:
         return f"{channel.low + values[0] * (channel.high - channel.low):.3f} {channel.unit}"
     return f"{channel.size} values of {channel.unit}"
 
 
 def shares_in_words(values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
-    """Mole fractions of analytes in words; the last one is named as the channel's meaning ends."""
+    """Describe mole fractions of analytes; the last one is named after the end of the channel's meaning."""
     rest = channel.meaning.rsplit(", ", 1)[-1].split(" (")[0]
     parts = [f"{name} {value:.1%}" for name, value in zip([*analytes, rest], values, strict=True) if value >= 5e-4]
     return ", ".join(parts) or "empty"
@@ -64,18 +64,18 @@ class Instrument(Part):
     """A kind of instrument.
 
     Attributes:
-        summary: what it measures.
-        channel: what its reading is, given the instrument's name in the scenario and the analytes' names.
-        read: ``read(reading, chem)``, a kernel or a function: writes ``reading.out``. Noise is added and the sample
-            taken by whoever calls it.
-        analytes: material indices that it tells apart.
-        words: the reading in words.
-        numbers: what it needs to know of the materials by their names (``chemistry.layout.materials``), worked out
-            once for a scenario: ``reading.numbers``.
-        picture: how it is drawn: as a ``number``, a ``curve``, a ``column`` of grey values, or ``bars``.
-        rest: what the last of its ``bars`` is of; those before are of the analytes.
-        needs: what it reads of the chemistry besides the fields of :class:`~chemlab.physics.chemistry.Chemistry`:
-            only tiers of physics that have these can have the instrument.
+        summary: the measured quantity.
+        channel: channel of its reading, given the instrument's name in the scenario and the analytes' names.
+        read: ``read(reading, chem)``, a kernel or a function: writes ``reading.out``. The caller adds noise and takes
+            the sample.
+        analytes: indices of the distinguished materials.
+        words: description of the reading.
+        numbers: values that it needs of the materials by name (``chemistry.layout.materials``), computed once per
+            scenario: ``reading.numbers``.
+        picture: representation in pictures: a ``number``, a ``curve``, a ``column`` of grey values, or ``bars``.
+        rest: meaning of the last of its ``bars``; the others are the analytes.
+        needs: fields of the chemistry that it reads besides those of :class:`~chemlab.physics.chemistry.Chemistry`;
+            only physics backends with these fields support the instrument.
     """
 
     summary: str

@@ -29,7 +29,7 @@ def _read(reading: Reading, chem: Handle) -> float:
 
 
 def _numbers(chemistry: ChemistryTable) -> FloatArray:
-    """[M] 1 for water, 0 for all else."""
+    """Return [M] 1 for water, 0 for all other materials."""
     return np.array([float(name == WATER) for name in chemistry.layout.materials])
 
 

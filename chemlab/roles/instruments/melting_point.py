@@ -1,8 +1,8 @@
-"""Melting point apparatus: where the last crystals of a solid go, lowered by what else is in the melt.
+"""Melting point apparatus: temperature at which the last crystals melt, lowered by impurities in the melt.
 
-Schroeder and van Laar, of an ideal melt (van 't Hoff's depression): 1 / T = 1 / T_m - R / H_fus ln x, with x the mole
-fraction of what crystallizes among all that melts or dissolves in the melt. Of several crystals those of which there is
-most are looked at. Salts and metals do not melt with it.
+Schroeder and van Laar for an ideal melt (van 't Hoff's depression): 1 / T = 1 / T_m - R / H_fus ln x, with x the mole
+fraction of the crystallizing material among all that melts or dissolves in the melt. Of several crystals, the most
+abundant one is measured. Salts and metals do not melt with it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .instrument import Instrument, Reading, in_numbers
 __all__ = ["INSTRUMENT"]
 
 COLDEST_K, HOTTEST_K = 173.15, 673.15
-"""The lowest value stands for no reading."""
+"""The lowest value means no reading."""
 
 
 @inner

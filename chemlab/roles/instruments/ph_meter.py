@@ -14,7 +14,7 @@ from .instrument import Instrument, Reading, in_numbers
 __all__ = ["INSTRUMENT"]
 
 LOWEST, HIGHEST = -2.0, 16.0
-"""Beyond what a glass electrode is good for; the lowest value stands for no reading."""
+"""Range beyond that of a glass electrode; the lowest value means no reading."""
 
 
 @inner

@@ -1,4 +1,4 @@
-"""The scenario's instruments as arrays, and the kernel that takes their readings."""
+"""Arrays of the scenario's instruments, and the kernel that takes their readings."""
 
 from __future__ import annotations
 
@@ -29,31 +29,31 @@ _read = chained([instrument.read for instrument in INSTRUMENTS.values()], 0.0)
 
 
 class InstrumentRules(NamedTuple):
-    """A scenario's instruments. I instruments, A analytes of all of them, C layers."""
+    """Arrays of a scenario's instruments: I instruments, A analytes in total, C layers."""
 
     kind: Annotated[IntArray, Field("I")]
-    """[I] number of the kind; those that are not chemlab's come after"""
+    """[I] index of the kind; user-defined kinds follow the built-in ones"""
     start: Annotated[IntArray, Field("I+1")]
-    """[I + 1] where each reading begins among all of them"""
+    """[I + 1] offset of each reading in the concatenated readings"""
     price: Annotated[FloatArray, Field("I")]
-    """[I] score for one use"""
+    """[I] price of one use in units of the score"""
     sample: Annotated[FloatArray, Field("I")]
-    """[I] fraction of the contents that one use takes"""
+    """[I] share of the contents that one use consumes"""
     noise: Annotated[FloatArray, Field("I")]
     """[I] standard deviation added to every value"""
     gain: Annotated[FloatArray, Field("I")]
-    """[I] what every value is multiplied by, and ``bias`` what is added"""
+    """[I] factor of every value; ``bias`` is added"""
     bias: Annotated[FloatArray, Field("I")]
     least: Annotated[FloatArray, Field("I")]
-    """[I] below which a value reads 0"""
+    """[I] detection limit, below which a value reads 0"""
     analytes: Annotated[IntArray, Field("A")]
-    """[A] material indices, those of each instrument together"""
+    """[A] material indices, concatenated over instruments"""
     first_analyte: Annotated[IntArray, Field("I+1")]
-    """[I + 1] where each instrument's begin"""
+    """[I + 1] offset of each instrument's analytes"""
     numbers: Annotated[FloatArray, Field("n")]
-    """[n] what each instrument has made of the chemistry, one after the other"""
+    """[n] values of each instrument's ``numbers``, concatenated"""
     first_number: Annotated[IntArray, Field("I+1")]
-    """[I + 1] where each instrument's begin"""
+    """[I + 1] offset of each instrument's numbers"""
     layers: Annotated[IntArray, Field("C+1")]
     """scratch, as ``shares`` and ``work``"""
     shares: Annotated[FloatArray, Field("C pixels")]
@@ -78,8 +78,11 @@ def _take(
     shelf: Handle,
     chemistry: Handle,
 ) -> None:
-    """Let instrument ``used[b]`` read the vessel of slot ``slots[b]`` into ``readings`` [N, S, R], for each b of
-    ``members`` [B], and take its sample. What is not chemlab's has been read already."""
+    """Let instrument ``used[b]`` measure the vessel in slot ``slots[b]`` into ``readings`` [N, S, R], for b of
+    ``members`` [B].
+
+    The sample is consumed. Readings of user-defined instruments have been taken already.
+    """
     rules, arrays = opened(InstrumentRules, instruments), opened(ShelfArrays, shelf)
     vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
     for b in range(members.shape[0]):
@@ -101,7 +104,7 @@ def _err(
     drifted: FloatArray,
     instruments: Handle,
 ) -> None:
-    """Calibration, drift, noise and detection limit of what has been read; ``drifted`` [N, R] or, for all, [1, R]."""
+    """Apply calibration, drift, noise and detection limit to the readings; ``drifted`` [N, R] or, for all, [1, R]."""
     rules = opened(InstrumentRules, instruments)
     for b in range(members.shape[0]):
         m, i = members[b], used[b]
@@ -116,11 +119,11 @@ class InstrumentTable:
     """The scenario's instruments.
 
     Attributes:
-        names: in the scenario's order.
-        kinds: what each is.
-        channels: what each reading is.
-        analytes: names of the materials each tells apart.
-        rules: what kernels need (:class:`InstrumentRules`).
+        names: names in the scenario's order.
+        kinds: their kinds.
+        channels: channels of their readings.
+        analytes: names of the materials that each distinguishes.
+        rules: static parameters for kernels (:class:`InstrumentRules`).
     """
 
     def __init__(self, scenario: Scenario, chemistry: ChemistryTable) -> None:
@@ -136,14 +139,14 @@ class InstrumentTable:
             if name in _TAKEN or not re.fullmatch("[a-z][a-z0-9_]*", name):
                 raise DataError(
                     f"{where}: must be lower-case letters, digits and _, and none of "
-                    f"{', '.join(sorted(_TAKEN))}, which name what the manager sees of a vessel anyway"
+                    f"{', '.join(sorted(_TAKEN))}, which are other channels of the manager's observation"
                 )
             kind = INSTRUMENTS.get(spec.kind) or self._own_kind(spec.kind, scenario, where)
             missing = [field for field in kind.needs if not hasattr(known, field)]
             if missing:
                 raise DataError(
                     f"{where}.kind: {spec.kind!r} needs {missing[0]!r} of the materials, which physics = "
-                    f"{chemistry.tier!r} does not know; choose physics = 'real', or another instrument"
+                    f"{chemistry.tier!r} does not have; choose physics = 'real' or another instrument"
                 )
             with blamed(f"{where}: {spec.kind}"):
                 own = kind.analytes(known)
@@ -152,7 +155,7 @@ class InstrumentTable:
                 self._numbers.append(np.asarray(kind.numbers(chemistry), dtype=np.float64))
             if not isinstance(channel, Channel) or channel.size < 1 or channel.name != name:
                 raise PartError(
-                    f"{where}: {spec.kind}: channel() must return a Channel called {name!r} of a size of at least 1, "
+                    f"{where}: {spec.kind}: channel() must return a Channel named {name!r} with a size of at least 1, "
                     f"given {channel!r}"
                 )
             self.kinds.append(kind)
@@ -187,23 +190,23 @@ class InstrumentTable:
 
     @property
     def start(self) -> IntArray:
-        """[I + 1] where each reading begins among all of them."""
+        """[I + 1] offset of each reading in the concatenated readings."""
         return self.rules.arrays.start
 
     @property
     def price(self) -> FloatArray:
-        """[I] score for one use."""
+        """[I] price of one use in units of the score."""
         return self.rules.arrays.price
 
     def words(self, instrument: int, values: FloatArray) -> str:
-        """A reading (in [0, 1]) of instrument number ``instrument`` in words."""
+        """Describe a reading (in [0, 1]) of the instrument with index ``instrument``."""
         return self.kinds[instrument].words(values, self.channels[instrument], self.analytes[instrument])
 
     @staticmethod
     def _own_kind(kind: str, scenario: Scenario, where: str) -> Instrument:
         if ":" not in kind:
             raise DataError(
-                f"{where}.kind: unknown kind {kind!r}; known: {', '.join(INSTRUMENTS)}; or one of your own, "
+                f"{where}.kind: unknown kind {kind!r}; choose from {', '.join(INSTRUMENTS)}, or your own, "
                 "'file.py:NAME'"
             )
         part: Instrument = load_part(
@@ -221,8 +224,11 @@ class InstrumentTable:
         used: IntArray,
         drifted: FloatArray | None = None,
     ) -> None:
-        """Let instrument ``used`` [B] read the vessel of slot ``slots`` [B], in laboratories ``members`` [B], into
-        ``readings`` [N, S, R]; takes their samples. ``drifted`` [N, R] is what every value is off by; None: nothing."""
+        """Let instrument ``used`` [B] measure the vessels of slots ``slots`` [B] in laboratories ``members`` [B].
+
+        Readings are written to ``readings`` [N, S, R] and samples are consumed. ``drifted`` [N, R] is the drift of
+        every value; None: no drift.
+        """
         if any(self._own):
             rules: Any = self.rules.arrays
             reading = getattr(_reading, "py_func", _reading)

@@ -1,7 +1,7 @@
-"""Operations: what a bench with an action table can do to vessels, one file each.
+"""Operations: processes of a bench with an action table, one file each.
 
-To add one of chemlab's: a file with an ``OPERATION``, and an entry in :data:`OPERATIONS`. One of your own is an
-:class:`~chemlab.roles.operations.operation.Operation` in a file beside your scenario, named there as
+To add a built-in operation: a file with an ``OPERATION``, and an entry in :data:`OPERATIONS`. A user-defined one is an
+:class:`~chemlab.roles.operations.operation.Operation` in a file beside the scenario, named there as
 ``kind = "my_parts.py:NAME"``.
 """
 
@@ -22,9 +22,9 @@ OPERATIONS: dict[str, Operation] = {
     "filter": filter.OPERATION,
     "dry": dry.OPERATION,
 }
-"""Operations by kind; their order numbers them."""
+"""Operations by kind; their index is their order."""
 
 act = chained([operation.act for operation in OPERATIONS.values()], 0.0)
-"""Carry out operation ``number``, inside a kernel: ``act(number, turn, chem)``."""
+"""Carry out operation ``number`` inside a kernel: ``act(number, turn, chem)``."""
 legal = chained([operation.legal for operation in OPERATIONS.values()], True)
-"""Whether operation ``number`` is possible, inside a kernel: ``legal(number, turn, chem)``."""
+"""Return True if operation ``number`` is legal, inside a kernel: ``legal(number, turn, chem)``."""

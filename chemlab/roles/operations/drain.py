@@ -1,4 +1,4 @@
-"""Drain: the lowest part of a vessel into another, bottom first."""
+"""Drain: the lowest part of a vessel into another."""
 
 from __future__ import annotations
 

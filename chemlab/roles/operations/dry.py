@@ -1,4 +1,4 @@
-"""Dry: air is drawn over the contents and takes vapour along; what does not fly stays."""
+"""Dry: draw air over the contents, which removes vapour; non-volatile material stays."""
 
 from __future__ import annotations
 

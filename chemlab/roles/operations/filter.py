@@ -1,4 +1,4 @@
-"""Filter: the liquid runs into the target; solids and crystals stay, wet with some of it."""
+"""Filter: the liquid runs into the target; solids and crystals stay with some of it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from .operation import Operation, Turn
 __all__ = ["OPERATION"]
 
 _CAKE_LIQUID = 4
-"""Place in ``Turn.limits``."""
+"""Index in ``Turn.limits``."""
 _LEAST_L = 1e-6
 
 

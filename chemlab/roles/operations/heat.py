@@ -1,4 +1,4 @@
-"""Heat or cool: what boils condenses into the target."""
+"""Heat or cool: vapour condenses into the target."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an operation is: what it does to vessels, when it is possible, and how it is spoken of."""
+"""Interface of an operation: effect, legality, and description."""
 
 from __future__ import annotations
 
@@ -20,55 +20,57 @@ __all__ = ["Operation", "Turn", "always", "no_numbers", "not_empty"]
 
 
 class Turn(NamedTuple):
-    """What an operation works on in one laboratory."""
+    """Objects of an operation in one laboratory."""
 
     row: FloatArray
     """[W] the vessel"""
     target: FloatArray
-    """[W] the vessel that receives; the vessel itself where none does"""
+    """[W] the receiving vessel; the vessel itself if there is none"""
     magnitude: float
     material: int
-    """index of the material, -1 if the operation takes none"""
+    """index of the material, -1 if the operation needs none"""
     stock: FloatArray
     """[M] mol in the bottles"""
     waste: FloatArray
     """[M] mol in the waste can"""
     events: FloatArray
-    """[E] safety events, to be added to"""
+    """[E] safety events, to which an operation adds"""
     layers: IntArray
-    """[C + 1] the vessel's layers, and ``profile`` [C, pixels] their shares of each pixel (see
-    :func:`chemlab.physics.layers.profile`)"""
+    """[C + 1] the vessel's layers; ``profile`` [C, pixels] has their shares of each pixel (see
+    :func:`chemlab.physics.layers.profile`)
+    """
     profile: FloatArray
     limits: FloatArray
-    """[5] of the apparatus: see :func:`chemlab.physics.backends.heat`; then the litres of liquid that a litre of solids
-    keeps in a filter"""
+    """[5] limits of the apparatus: see :func:`chemlab.physics.backends.heat`; then litres of liquid retained per litre
+    of solids in a filter
+    """
     goal: int
-    """index of the material that the experiment is for"""
+    """index of the goal of the experiment"""
     numbers: FloatArray
-    """what :attr:`Operation.numbers` has made of the scenario"""
+    """result of :attr:`Operation.numbers`"""
 
 
 def no_numbers(bench: Bench) -> FloatArray:
-    """For operations that need nothing of the scenario."""
+    """Return an empty array, for operations that need no values of the scenario."""
     return np.zeros(0)
 
 
 @dataclass(frozen=True)
 class Operation(Part):
-    """A kind of process that a bench's action table may have.
+    """A kind of process in a bench's action table.
 
     Attributes:
-        unit: of the magnitude.
-        words: how an action begins in words, with ``{vessel}``, ``{target}`` and ``{material}``.
-        act: ``act(turn, chem) -> float``: carries it out, a kernel or a function; returns how far all the bench's
-            vessels settle meanwhile.
-        legal: ``legal(turn, chem) -> bool``: whether it is possible; magnitudes make no difference.
-        takes: of ``target`` and ``material``, what it needs.
+        unit: unit of the magnitude.
+        words: beginning of an action's description, with ``{vessel}``, ``{target}`` and ``{material}``.
+        act: ``act(turn, chem) -> float``: carries it out, as a kernel or a function; returns the settling of all the
+            bench's vessels meanwhile.
+        legal: ``legal(turn, chem) -> bool``: whether it is legal, independent of the magnitude.
+        takes: its required keys, of ``target`` and ``material``.
         top: largest magnitude.
-        negative: in words how it begins where the magnitude is below 0; None: it must be above.
-        touches: whether it changes the vessels it works on (apart from settling).
-        numbers: what it needs of the scenario, worked out once for a bench: ``turn.numbers``. Of a safety event of
-            its own, say, ``bench.scenario.safety_events.index(NAME)``, where ``turn.events`` counts it.
+        negative: beginning of the description if the magnitude is below 0; None: magnitudes must be above 0.
+        touches: whether it changes the vessels it works on, apart from settling.
+        numbers: values of the scenario that it needs, computed once per bench: ``turn.numbers``. For its own safety
+            event, for instance, ``bench.scenario.safety_events.index(NAME)``, the index in ``turn.events``.
     """
 
     unit: str
@@ -84,11 +86,11 @@ class Operation(Part):
 
 @helper
 def always(turn: Turn, chem: Handle) -> bool:
-    """Possible at any time."""
+    """Return True: legal at any time."""
     return True
 
 
 @helper
 def not_empty(turn: Turn, chem: Handle) -> bool:
-    """Possible where the vessel holds something."""
+    """Return True if the vessel is not empty."""
     return bool(volume(turn.row, chem) > 0.0)

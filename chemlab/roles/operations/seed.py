@@ -1,4 +1,4 @@
-"""Seed: a pinch of pure crystals of the goal, from stock, on which more of it can grow."""
+"""Seed: add a pinch of pure crystals of the goal from stock, on which more can grow."""
 
 from __future__ import annotations
 

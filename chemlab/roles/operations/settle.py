@@ -1,4 +1,4 @@
-"""Settle: all of the bench's vessels stand for a while."""
+"""Settle: let all of the bench's vessels stand for a while."""
 
 from __future__ import annotations
 

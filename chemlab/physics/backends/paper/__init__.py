@@ -1,4 +1,4 @@
-"""The tier ``paper``: the laws of the ChemGymRL paper, mended where they did not conserve (docs/physics.md).
+"""Backend ``paper``: the laws of the ChemGymRL paper, corrected where they violated conservation (docs/physics.md).
 
 Arguments and results are those of :mod:`chemlab.physics.backends`.
 """

@@ -1,4 +1,4 @@
-"""Boiling: liquids boil one after the other, lowest boiling point first, each at its own (PHYSICS section 4)."""
+"""Boiling: liquids boil one after another, lowest boiling point first, each at its own (PHYSICS section 4)."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ def heat(
     waste: FloatArray,
     events: FloatArray,
 ) -> tuple[float, float]:
-    """Heat (> 0) or cool (< 0) a vessel; what boils condenses into the receiver at ambient temperature.
+    """Heat (> 0) or cool (< 0) a vessel; vapour condenses into the receiver at ambient temperature.
 
-    Liquids boil one after the other, lowest boiling point first, each at its own boiling point.
+    Liquids boil one after another, lowest boiling point first, each at its own boiling point.
     """
     chemistry = opened(Chemistry, chem)
     hottest, coolest = limits[0], limits[1]
@@ -38,7 +38,7 @@ def heat(
         return 0.0, 0.0
     air = air_in_open_vessel(row, chem) * chemistry.heat_capacity[chemistry.air]
     if joules < 0.0:
-        # Cooling a vessel that is colder than the coolant already takes nothing out of it.
+        # A vessel that is already colder than the coolant is not cooled further.
         target = max(row[TEMPERATURE] + joules / (contents + air), min(coolest, row[TEMPERATURE]))
         taken = (contents + air) * (target - row[TEMPERATURE])
         row[TEMPERATURE] = target
@@ -56,7 +56,7 @@ def heat(
         if left < needed:
             row[TEMPERATURE] += left / capacity
             return joules, condenser
-        # Poured onto something hotter than its boiling point, a liquid boils from that heat first (needed < 0).
+        # A liquid poured onto hotter contents boils from their heat first (needed < 0).
         left -= needed
         row[TEMPERATURE] = chemistry.boiling_point[i]
         vapor = min(left / chemistry.vaporization[i], amount)
@@ -78,6 +78,6 @@ def heat(
     target = max(min(row[TEMPERATURE] + left / capacity, hottest), row[TEMPERATURE])
     left -= capacity * (target - row[TEMPERATURE])
     row[TEMPERATURE] = target
-    # What the vessel itself gave up when something boiled from its heat does not flow back into the mantle.
+    # Heat of the vessel itself that was spent on boiling does not return to the mantle.
     refused = min(left, joules)
     return joules - refused, condenser + (left - refused)

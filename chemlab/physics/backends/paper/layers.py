@@ -1,4 +1,4 @@
-"""Layers: every solvent is one of its own, with what is dissolved in it (PHYSICS section 2)."""
+"""Layers: every solvent is a layer with its solutes (PHYSICS section 2)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_
 
 @helper
 def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
-    """Volumes of solids, fluid layers and air, densest fluid first."""
+    """Find the volumes of solids, fluid layers and air, densest fluid first."""
     chemistry = opened(Chemistry, chem)
     n, n_solvents, n_dissolved = chemistry.role.shape[0], chemistry.solvents.shape[0], chemistry.dissolved.shape[0]
     layers[1], volumes[0] = SOLIDS, 0.0
@@ -53,13 +53,13 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
 
 @helper
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
-    """All of what is a solid."""
+    """Return all of a solid's mol."""
     return float(row[AMOUNTS + material]) if opened(Chemistry, chem).role[material] == ROLE_SOLID else 0.0
 
 
 @helper
 def solid_volume(row: FloatArray, chem: Handle) -> float:
-    """Volume of the solids, L."""
+    """Return the volume of the solids in L."""
     chemistry = opened(Chemistry, chem)
     total = 0.0
     for i in range(chemistry.role.shape[0]):
@@ -69,20 +69,22 @@ def solid_volume(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def layer_density(row: FloatArray, layer: int, chem: Handle) -> float:
-    """kg/L of the layer's solvent."""
+    """Return the density of the layer's solvent in kg/L."""
     return float(opened(Chemistry, chem).density[layer])
 
 
 @helper
 def layer_shade(row: FloatArray, layer: int, chem: Handle) -> float:
-    """Grey value of the layer's solvent: what is dissolved in it does not show."""
+    """Return the grey value of the layer's solvent; solutes do not change it."""
     return float(opened(Chemistry, chem).shade[layer])
 
 
 @helper
 def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float, chem: Handle) -> float:
-    """Move ``share`` of a solvent with what is dissolved in it, or of the solids, and of ions where no liquid holds
-    them; returns the heat capacity of what has moved, J/K."""
+    """Move ``share`` of a solvent with its solutes, or of the solids; return the moved heat capacity in J/K.
+
+    Ions that no liquid holds move with the solids.
+    """
     chemistry = opened(Chemistry, chem)
     n, n_solvents, n_dissolved = chemistry.role.shape[0], chemistry.solvents.shape[0], chemistry.dissolved.shape[0]
     solvent_present, arriving = False, 0.0

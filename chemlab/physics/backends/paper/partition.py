@@ -1,4 +1,4 @@
-"""Where solutes are: the paper's partition between solvents, made to conserve each solute (PHYSICS section 3)."""
+"""Partition of solutes between solvents as in the paper, modified to conserve each solute (PHYSICS section 3)."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ from ...shelf import T_MIX
 __all__ = ["equilibrium", "partition", "set_dissolved_total"]
 
 _DECAY = 30.0
-"""The paper's rate at which the mixed distribution gives way to the polarity-driven one."""
+"""The paper's rate of transition from the mixed to the polarity-driven distribution."""
 
 
 @helper
 def equilibrium(row: FloatArray, chem: Handle, material: int, clock: float, share: FloatArray) -> int:
-    """S*(clock) / [S]: the share of a solute that each solvent tends to hold; the shares add up to one.
+    """Compute S*(clock) / [S], the equilibrium share of a solute in each solvent; the shares add up to one.
 
     Args:
-        row: vessel row (how much of each solvent there is; solvents count by volume).
+        row: vessel row with the amounts of solvents, which count by volume.
         chem: the chemistry.
         material: the solute.
         clock: settling clock.
         share: [L] out.
 
     Returns:
-        Number of solvents present; with none, every share is 0.
+        Number of solvents present; without any, every share is 0.
     """
     chemistry = opened(Chemistry, chem)
     n_solvents = chemistry.solvents.shape[0]
@@ -38,7 +38,7 @@ def equilibrium(row: FloatArray, chem: Handle, material: int, clock: float, shar
         if row[AMOUNTS + chemistry.solvents[layer]] > TRACE_MOL:
             present += 1
             only = layer
-    if present < 2:  # the common case, and nothing to work out
+    if present < 2:  # the common case, which needs no computation
         if present == 1:
             share[only] = 1.0
         return present
@@ -53,7 +53,7 @@ def equilibrium(row: FloatArray, chem: Handle, material: int, clock: float, shar
             weighted += volume * distance
     decay = _DECAY * (clock - T_MIX)
     alpha = math.exp(-decay) if decay < 40.0 else 0.0
-    # Solvents that are all exactly as polar as the solute: nothing to tell them apart by.
+    # All solvents have exactly the solute's polarity and are equivalent.
     norm = 1.0 - weighted / (litres * distances) if distances > 0.0 else 0.0
     for layer in range(n_solvents):
         i = chemistry.solvents[layer]
@@ -68,8 +68,11 @@ def equilibrium(row: FloatArray, chem: Handle, material: int, clock: float, shar
 
 @helper
 def set_dissolved_total(row: FloatArray, chem: Handle, k: int, total: float, share: FloatArray) -> None:
-    """Set the total of dissolvable material ``k`` (mol): what leaves leaves every solvent alike, what is new
-    dissolves where the solute tends to be. ``share`` is [L] scratch."""
+    """Set the total of dissolvable material ``k`` in mol.
+
+    A decrease is taken from all solvents in proportion; an increase is distributed by the equilibrium shares. ``share``
+    is [L] scratch.
+    """
     chemistry = opened(Chemistry, chem)
     n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
     material = chemistry.dissolved[k]
@@ -90,10 +93,10 @@ def set_dissolved_total(row: FloatArray, chem: Handle, k: int, total: float, sha
 
 @kernel
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
-    """Bring the dissolved amounts from CLOCK_WAS to CLOCK: the paper's three-case update.
+    """Update the dissolved amounts from CLOCK_WAS to CLOCK by the paper's three-case rule.
 
-    Settling (t > t') keeps the deviation from S*; mixing (t < t') shrinks it in proportion. Then amounts are clipped
-    at 0 and scaled to the solute's total, so none is negative and none is lost.
+    Settling (t > t') keeps the deviation from S*; mixing (t < t') shrinks it in proportion. Amounts are then clipped at
+    0 and scaled to the solute's total, so that none is negative and the total is conserved.
     """
     chemistry = opened(Chemistry, chem)
     n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
@@ -116,7 +119,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
                 row[first + layer] = total * now[layer]
             continue
         equilibrium(row, chem, material, was, then)
-        # What has not been placed yet (a vessel just filled, a product just made) is taken to be where it tends to be.
+        # Amounts without a location (a newly filled vessel, a new product) start at their equilibrium distribution.
         placed = 0.0
         for layer in range(n_solvents):
             placed += row[first + layer]

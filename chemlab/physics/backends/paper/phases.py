@@ -1,5 +1,4 @@
-"""Dissolution, precipitation and reactions that go to completion at once: every vessel, on every bench (PHYSICS
-section 5)."""
+"""Dissolution, precipitation and instantaneous reactions in every vessel on every bench (PHYSICS section 5)."""
 
 from __future__ import annotations
 
@@ -25,8 +24,10 @@ def _set_amount(row: FloatArray, chem: Handle, material: int, total: float, shar
 
 @helper
 def react_violently(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, share: FloatArray) -> None:
-    """Run every violent reaction until one of its reactants is gone; gases are vented to ``waste``. The event that a
-    reaction counts as grows by the mol of its first reactant."""
+    """Run every violent reaction until one of its reactants is consumed; gases are vented to ``waste``.
+
+    A reaction's safety event grows by the mol of its first reactant.
+    """
     chemistry = opened(Chemistry, chem)
     n = chemistry.role.shape[0]
     for v in range(chemistry.violent.shape[0]):
@@ -58,11 +59,11 @@ def react_violently(row: FloatArray, chem: Handle, waste: FloatArray, events: Fl
 
 @helper
 def settle_salts(row: FloatArray, chem: Handle, share: FloatArray) -> None:
-    """Take every salt to the equilibrium [salt][solvent] = [cation][anion], all solvents counted.
+    """Bring every salt to the equilibrium [salt][solvent] = [cation][anion], summed over all solvents.
 
-    Salts that share a cation have one quadratic in common: with c mol of it in solution, S mol of solvent, A mol of
-    their anions and C mol of the cation (dissolved and solid), c^2 + (S + A - C) c - C S = 0, and every salt has
-    the same share c / (S + c) undissolved. The liquid's volume cancels.
+    Salts with a common cation share one quadratic: with c mol of it in solution, S mol of solvent, A mol of their
+    anions and C mol of the cation (dissolved and solid), c^2 + (S + A - C) c - C S = 0, and every salt has the same
+    undissolved share c / (S + c). The liquid's volume cancels.
     """
     chemistry = opened(Chemistry, chem)
     n_salts = chemistry.salts.shape[0]
@@ -96,11 +97,11 @@ def settle_salts(row: FloatArray, chem: Handle, share: FloatArray) -> None:
 
 @helper
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
-    """What happens by itself in any vessel, after any operation: violent reactions, then salts; gases leave."""
+    """Apply violent reactions, then salt equilibria; gases leave."""
     react_violently(row, chem, waste, events, work[0])
     settle_salts(row, chem, work[0])
     role = opened(Chemistry, chem).role
     for i in range(role.shape[0]):
-        if role[i] == ROLE_GAS:  # what reactions make of it does not stay
+        if role[i] == ROLE_GAS:  # gases made by reactions leave
             waste[i] += row[AMOUNTS + i]
             row[AMOUNTS + i] = 0.0

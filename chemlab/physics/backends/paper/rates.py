@@ -1,4 +1,4 @@
-"""Reactions at the temperature that the vessel is kept at (PHYSICS section 1)."""
+"""Reactions at the controlled temperature of the vessel (PHYSICS section 1)."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def react(
     events: FloatArray,
     work: FloatArray,
 ) -> int:
-    """Mass action at the temperature of the contents: reactions have no heat, so nothing comes to a boil."""
+    """React by mass action at the temperature of the contents; reactions have no heat, so nothing boils."""
     return integrate(row, chem, liquid_volume(row, chem), row[TEMPERATURE], dt, around.rtol, around.atol, work)
 
 
@@ -30,11 +30,11 @@ def react(
 def elapse(
     row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> bool:
-    """Nothing happens in a vessel that nobody works on."""
+    """Do nothing: idle vessels do not change."""
     return False
 
 
 def work_size(chemistry: Chemistry) -> tuple[int, int]:
-    """Of the scratch of reactions and of the partition."""
+    """Return the shape of the scratch of reactions and partition."""
     rows, columns = react_work_size(chemistry)
     return max(rows, 2), max(columns, len(chemistry.solvents))

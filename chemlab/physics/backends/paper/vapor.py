@@ -1,5 +1,4 @@
-"""Vapour pressures and the relief valve: Raoult's law, Clausius-Clapeyron from the normal boiling point (PHYSICS
-section 1)."""
+"""Vapour pressures and the relief valve: Raoult's law with Clausius-Clapeyron vapour pressures (PHYSICS section 1)."""
 
 from __future__ import annotations
 
@@ -16,13 +15,13 @@ from ...transfer import take, volume
 __all__ = ["dry", "headspace_gas", "vapor_pressure", "vent"]
 
 _STEP = 0.05
-"""Share of the liquids that a step of drying takes."""
+"""Share of the liquids that evaporates in one step of drying."""
 _MOST_STEPS = 1000
 
 
 @helper
 def _atmospheres(material: int, temperature: float, chem: Handle) -> float:
-    """Vapour pressure of a pure liquid over that at its normal boiling point."""
+    """Return the vapour pressure of a pure liquid relative to that at its normal boiling point."""
     chemistry = opened(Chemistry, chem)
     power = (
         chemistry.vaporization[material] / GAS_CONSTANT * (1.0 / chemistry.boiling_point[material] - 1.0 / temperature)
@@ -32,7 +31,9 @@ def _atmospheres(material: int, temperature: float, chem: Handle) -> float:
 
 @helper
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
-    """Sum of x_i p_i(T) over the liquids (Raoult; Clausius-Clapeyron from the normal boiling point), kPa."""
+    """Return the sum of x_i p_i(T) over the liquids in kPa (Raoult; Clausius-Clapeyron from the normal boiling
+    point).
+    """
     chemistry = opened(Chemistry, chem)
     moles, partial = 0.0, 0.0
     for i in range(chemistry.role.shape[0]):
@@ -46,16 +47,17 @@ def vapor_pressure(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def headspace_gas(row: FloatArray, chem: Handle) -> float:
-    """mol of air: other gases do not stay."""
+    """Return mol of air; other gases have left."""
     return float(row[AIR])
 
 
 @kernel
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
-    """Relief valve: above ``rated`` kPa gas leaves until the pressure is back there, air and vapour in the
-    proportion of their pressures; lost vapour comes from the liquid and goes to waste, and is an event.
+    """Open the relief valve: above ``rated`` kPa, gas leaves until the pressure is back at ``rated``.
 
-    The liquid replaces lost vapour at once, so a vessel whose vapour alone exceeds the rating vents every tick.
+    Air and vapour leave in proportion to their pressures. Lost vapour is taken from the liquid and added to waste; it
+    is a safety event. The liquid replaces lost vapour at once, so a vessel whose vapour pressure alone exceeds the
+    rating vents every tick.
     """
     chemistry = opened(Chemistry, chem)
     total = pressure(row, chem)
@@ -84,14 +86,14 @@ def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events:
 
 @kernel
 def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
-    """Air leaves saturated with every liquid's x_i p_i(T), in steps that count the air by what it has taken."""
+    """Remove air saturated with every liquid's x_i p_i(T), in steps of a fixed evaporated share."""
     chemistry = opened(Chemistry, chem)
     left = litres
     for _step in range(_MOST_STEPS):
         moles = 0.0
         for j in range(chemistry.volatile.shape[0]):
             moles += row[AMOUNTS + chemistry.volatile[j]]
-        rate = vapor_pressure(row, chem) / (GAS_CONSTANT * row[TEMPERATURE])  # mol a litre of air
+        rate = vapor_pressure(row, chem) / (GAS_CONSTANT * row[TEMPERATURE])  # mol per litre of air
         if moles <= TRACE_MOL or rate <= 0.0 or left <= 1e-9 * litres:
             return
         air = min(left, _STEP * moles / rate)

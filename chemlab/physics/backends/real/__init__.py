@@ -1,4 +1,4 @@
-"""The tier ``real``: non-ideal liquids, heats, crystals, acids and bases (docs/physics_real.md).
+"""Backend ``real``: non-ideal liquids, heats, crystals, acids and bases (docs/physics_real.md).
 
 Arguments and results are those of :mod:`chemlab.physics.backends`.
 """

@@ -1,8 +1,8 @@
-"""Acids and bases in the aqueous layer, at equilibrium at any time: who has the protons, and what a pH meter reads.
+"""Acid-base equilibrium of the aqueous layer: protonation states, and the reading of a pH meter.
 
-With the activity of H+ as the only unknown the balance of protons is a monotonic function; it is solved by Newton's
-method within brackets. Ionic strength, temperature and the mass of water follow from the result and are found with it,
-by repetition. Water, H+ and OH- close the balances of atoms and charge, so these hold to rounding.
+With the activity of H+ as the only unknown, the proton balance is a monotonic function. It is solved by Newton's method
+within brackets. Ionic strength, temperature and the mass of water depend on the result and are found by fixed-point
+iteration. Water, H+ and OH- close the balances of atoms and charge, so these hold to rounding.
 """
 
 from __future__ import annotations
@@ -22,32 +22,32 @@ __all__ = ["acid_work_size", "ionizes", "ph", "settle_acids"]
 
 _LN10 = math.log(10.0)
 _SALTIEST = 0.5
-"""mol/kg; above it the Davies equation does not hold, and activity coefficients stay as they are there."""
+"""Ionic strength in mol/kg above which the Davies equation is invalid; activity coefficients are constant beyond."""
 _FARTHEST = 25.0 * _LN10
-"""ln of the activity of H+ is sought within this of 0."""
+"""Bound on the absolute value of ln of the activity of H+."""
 _MOST_TRIALS, _MOST_ROUNDS = 200, 100
 _CLOSE = 1e-13
 _WATER_KEPT = 1e-3
-"""Share of the water that is there in any case while the equilibrium is sought."""
+"""Minimum share of the water that remains while the equilibrium is sought."""
 
 
 class _Solution(NamedTuple):
-    """What the balance of protons is between, in mol, and at which activities."""
+    """Inputs of the proton balance, in mol, and activities."""
 
     kilograms: float
-    """of water"""
+    """kilograms of water"""
     temperature: float
-    """K"""
+    """temperature in K"""
     log_gamma: float
     """ln of the activity coefficient of an ion of charge 1"""
     protons: float
-    """[H+] - [OH-] and the protons on all acids, which reactions leave as it is"""
+    """[H+] - [OH-] plus the protons on all acids, which acid-base reactions conserve"""
     inert: float
-    """mol of charge squared of the other ions"""
+    """mol of squared charge of the other ions"""
 
 
 def acid_work_size(chemistry: RealChemistry) -> tuple[int, int]:
-    """Shape of the scratch array :func:`settle_acids` needs."""
+    """Return the shape of the scratch array that :func:`settle_acids` needs."""
     return max(chemistry.acid.shape[0], 1), 2 * chemistry.acid.shape[1] + 1
 
 
@@ -56,7 +56,7 @@ def acid_work_size(chemistry: RealChemistry) -> tuple[int, int]:
 
 @helper
 def _column(row: FloatArray, chem: Handle, material: int) -> int:
-    """Where a row has the amount of a material in the aqueous layer, the first one."""
+    """Return the column of a row with the amount of a material in the aqueous layer, which is the first."""
     chemistry = opened(RealChemistry, chem)
     m, k = chemistry.role.shape[0], chemistry.dissolved_at[material]
     if k < 0:
@@ -66,10 +66,10 @@ def _column(row: FloatArray, chem: Handle, material: int) -> int:
 
 @helper
 def _set_amount(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
-    """Set the amount of a material in the aqueous layer, and its total with it."""
+    """Set the amount of a material in the aqueous layer, and update its total."""
     column = _column(row, chem, material)
     if column != AMOUNTS + material:
-        # What is elsewhere: in another layer, or crystals.
+        # The amount outside the aqueous layer: in another layer, or crystals.
         elsewhere = max(row[AMOUNTS + material] - row[column], 0.0)
         row[AMOUNTS + material] = elsewhere + mol
     row[column] = mol
@@ -77,14 +77,14 @@ def _set_amount(row: FloatArray, chem: Handle, material: int, mol: float) -> Non
 
 @helper
 def ionizes(chem: Handle) -> bool:
-    """Whether H+, OH- and water are materials of a chemistry, which settle with acids and bases."""
+    """Return True if H+, OH- and water are materials of a chemistry, which equilibrate with acids and bases."""
     ionization = opened(RealChemistry, chem).ionization
     return bool(ionization[0] >= 0 and ionization[1] >= 0 and ionization[2] >= 0)
 
 
 @helper
 def _kilograms(row: FloatArray, chem: Handle) -> float:
-    """Water in the aqueous layer, kg."""
+    """Return the mass of water in the aqueous layer in kg."""
     chemistry = opened(RealChemistry, chem)
     water = chemistry.ionization[2]
     if water < 0:
@@ -95,7 +95,7 @@ def _kilograms(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def _charges(row: FloatArray, chem: Handle) -> float:
-    """Sum of mol times charge squared over the ions of the aqueous layer."""
+    """Return the sum of mol times squared charge over the ions of the aqueous layer."""
     chemistry = opened(RealChemistry, chem)
     total = 0.0
     for k in range(chemistry.dissolved.shape[0]):
@@ -107,10 +107,10 @@ def _charges(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def _log_gamma(strength: float, temperature: float, chem: Handle) -> float:
-    """ln of the activity coefficient of an ion of charge 1 at an ionic strength (mol/kg): Davies, J. Chem. Soc. 1938,
-    2093, with the 0.3 of his Ion Association (1962). That of charge z is its z^2-fold.
+    """Return ln of the activity coefficient of an ion of charge 1 at an ionic strength in mol/kg.
 
-    A follows temperature by the permittivity of water (Malmberg and Maryott, J. Res. NBS 56 (1956) 1).
+    Davies, J. Chem. Soc. 1938, 2093, with the 0.3 of his Ion Association (1962). For charge z it is z^2 times this
+    value. A follows temperature by the permittivity of water (Malmberg and Maryott, J. Res. NBS 56 (1956) 1).
     """
     t = min(max(temperature - 273.15, 0.0), 100.0)
     permittivity = 87.740 - 0.40008 * t + 9.398e-4 * t * t - 1.410e-6 * t * t * t
@@ -122,7 +122,7 @@ def _log_gamma(strength: float, temperature: float, chem: Handle) -> float:
 
 @helper
 def _log_water(temperature: float, chem: Handle) -> float:
-    """ln Kw at a temperature (K)."""
+    """Return ln Kw at a temperature in K."""
     chemistry = opened(RealChemistry, chem)
     return float(
         -_LN10 * chemistry.water_pk + chemistry.water_heat / GAS_CONSTANT * (1.0 / STANDARD_K - 1.0 / temperature)
@@ -134,10 +134,10 @@ def _log_water(temperature: float, chem: Handle) -> float:
 
 @inner
 def _share(chem: Handle, work: FloatArray, a: int, log_h: float, solution: _Solution) -> tuple[float, float, float]:
-    """Share out acid ``a`` at an activity of H+ into the first columns of its row of ``work``.
+    """Distribute acid ``a`` over its species at an activity of H+, into the first columns of its row of ``work``.
 
     Returns:
-        Protons on a mole of it (over the last species), their variance, charge squared of a mole of it.
+        Per mole of acid: protons (relative to the last species), their variance, squared charge.
     """
     chemistry = opened(RealChemistry, chem)
     inverse = (1.0 / STANDARD_K - 1.0 / solution.temperature) / GAS_CONSTANT
@@ -166,7 +166,7 @@ def _share(chem: Handle, work: FloatArray, a: int, log_h: float, solution: _Solu
 
 @inner
 def _balance(chem: Handle, work: FloatArray, log_h: float, solution: _Solution) -> tuple[float, float, float]:
-    """At an activity of H+: protons too many (mol), the derivative with its logarithm, mol of charge squared."""
+    """Return the excess of protons (mol) at an activity of H+, its derivative with ln of it, mol of squared charge."""
     chemistry = opened(RealChemistry, chem)
     proton = solution.kilograms * math.exp(log_h - solution.log_gamma)
     hydroxide = solution.kilograms * math.exp(_log_water(solution.temperature, chem) - log_h - solution.log_gamma)
@@ -183,7 +183,7 @@ def _balance(chem: Handle, work: FloatArray, log_h: float, solution: _Solution) 
 
 @inner
 def _solve(chem: Handle, work: FloatArray, start: float, solution: _Solution) -> float:
-    """ln of the activity of H+ at which the protons balance, by Newton's method within brackets."""
+    """Return ln of the activity of H+ that balances the protons, by Newton's method within brackets."""
     low, high, log_h = -_FARTHEST, _FARTHEST, min(max(start, -_FARTHEST), _FARTHEST)
     for _ in range(_MOST_TRIALS):
         excess, slope, _charges_there = _balance(chem, work, log_h, solution)
@@ -204,8 +204,11 @@ def _solve(chem: Handle, work: FloatArray, start: float, solution: _Solution) ->
 
 @inner
 def _gather(row: FloatArray, chem: Handle, work: FloatArray) -> tuple[float, float]:
-    """Take up the acids: amounts as they are and totals into ``work``. Returns (mol of protons of the balance, mol of
-    charge squared of the acids, H+ and OH-)."""
+    """Copy amounts and totals of the acids into ``work``.
+
+    Returns:
+        mol of protons in the balance, and mol of squared charge of the acids, H+ and OH-.
+    """
     chemistry = opened(RealChemistry, chem)
     width, last = chemistry.acid.shape[1], work.shape[1] - 1
     proton = row[_column(row, chem, chemistry.ionization[0])]
@@ -228,7 +231,7 @@ def _gather(row: FloatArray, chem: Handle, work: FloatArray) -> tuple[float, flo
 
 @inner
 def _balance_species(chem: Handle, work: FloatArray) -> float:
-    """Turn shares into amounts that add up to their totals; returns the mol of protons set free."""
+    """Convert shares to amounts that add up to their totals; return the mol of released protons."""
     chemistry = opened(RealChemistry, chem)
     width, last = chemistry.acid.shape[1], work.shape[1] - 1
     freed = 0.0
@@ -250,15 +253,17 @@ def _balance_species(chem: Handle, work: FloatArray) -> float:
         work[a, most] = max(rest, 0.0)
         for p in range(width):
             if chemistry.acid[a, p] >= 0:
-                # A proton less for each place further on.
+                # One proton less for each further species.
                 freed += p * (work[a, p] - work[a, width + p])
     return freed
 
 
 @inner
 def _heat_released(chem: Handle, work: FloatArray, proton: float, hydroxide: float) -> tuple[float, float]:
-    """(J at 298.15 K, change of heat capacity in J/K) of the change to the amounts in ``work``, with ``proton`` mol
-    more H+ and ``hydroxide`` mol more OH-, for which water went."""
+    """Return the heat of the change to the amounts in ``work``: J at 298.15 K, and change of heat capacity in J/K.
+
+    ``proton`` mol of H+ and ``hydroxide`` mol of OH- are formed in addition, from water.
+    """
     chemistry = opened(RealChemistry, chem)
     h, oh, water = chemistry.ionization[0], chemistry.ionization[1], chemistry.ionization[2]
     heat = proton * chemistry.formation[h] + hydroxide * (chemistry.formation[oh] - chemistry.formation[water])
@@ -276,10 +281,10 @@ def _heat_released(chem: Handle, work: FloatArray, proton: float, hydroxide: flo
 
 @kernel
 def settle_acids(row: FloatArray, chem: Handle, work: FloatArray) -> None:
-    """Bring acids, bases and water of the aqueous layer to their equilibrium; its heat changes the temperature.
+    """Bring acids, bases and water of the aqueous layer to equilibrium; the heat changes the temperature.
 
     Args:
-        row: vessel row, changed in place; without water as it is.
+        row: vessel row, changed in place; unchanged without water.
         chem: the chemistry.
         work: scratch of shape :func:`acid_work_size`.
     """
@@ -301,7 +306,7 @@ def settle_acids(row: FloatArray, chem: Handle, work: FloatArray) -> None:
         solution = _Solution(mass, temperature, gamma, protons, inert)
         log_h = _solve(chem, work, log_h, solution)
         charges = _balance(chem, work, log_h, solution)[2]
-        # Of H+ and OH- the rarer one is as the equilibrium has it; the other closes the balance of charge.
+        # The rarer of H+ and OH- is set by the equilibrium; the other closes the charge balance.
         left = proton_was - hydroxide_was + _balance_species(chem, work)
         if left >= 0.0:
             hydroxide = mass * math.exp(_log_water(temperature, chem) - log_h - gamma)
@@ -334,7 +339,7 @@ def settle_acids(row: FloatArray, chem: Handle, work: FloatArray) -> None:
 
 @helper
 def _log_activity(row: FloatArray, chem: Handle, kilograms: float, log_gamma: float) -> float:
-    """ln of the activity of H+ by what is there of it, or else of OH-; that of pure water without either."""
+    """Return ln of the activity of H+ from the amount of H+, or else of OH-; that of pure water without either."""
     chemistry = opened(RealChemistry, chem)
     proton = row[_column(row, chem, chemistry.ionization[0])]
     if proton > 0.0:
@@ -348,8 +353,11 @@ def _log_activity(row: FloatArray, chem: Handle, kilograms: float, log_gamma: fl
 
 @helper
 def _log_activity_alone(row: FloatArray, chem: Handle, kilograms: float, log_gamma: float) -> float:
-    """ln of the activity of H+ where one of H+ and OH- at most is a material of its own, so that nothing else takes
-    or gives a proton: by the ionization of water and the balance of charge."""
+    """Return ln of the activity of H+ if at most one of H+ and OH- is a material, so that nothing else exchanges
+    protons.
+
+    It follows from the ionization of water and the charge balance.
+    """
     ionization = opened(RealChemistry, chem).ionization
     excess = 0.0
     for ion in range(2):
@@ -357,7 +365,7 @@ def _log_activity_alone(row: FloatArray, chem: Handle, kilograms: float, log_gam
             excess += (1.0 - 2.0 * ion) * row[_column(row, chem, ionization[ion])] / kilograms
     log_water = _log_water(row[TEMPERATURE], chem)
     half = 0.5 * abs(excess)
-    # mol/kg of the ion that there is more of
+    # mol/kg of the more abundant ion
     more = half + math.sqrt(half * half + math.exp(log_water - 2.0 * log_gamma))
     log_more = math.log(more) + log_gamma
     return log_more if excess > 0.0 else log_water - log_more
@@ -365,8 +373,10 @@ def _log_activity_alone(row: FloatArray, chem: Handle, kilograms: float, log_gam
 
 @helper
 def ph(row: FloatArray, chem: Handle) -> float:
-    """What a pH meter reads in a vessel that has settled (:func:`settle_acids`): -log10 of the activity of H+ in the
-    aqueous layer; not a number without one."""
+    """Return the reading of a pH meter in an equilibrated vessel (:func:`settle_acids`).
+
+    It is -log10 of the activity of H+ in the aqueous layer; NaN without an aqueous layer.
+    """
     kilograms = _kilograms(row, chem)
     if kilograms <= 0.0:
         return math.nan

@@ -1,7 +1,7 @@
 """Boiling: differential distillation (Rayleigh 1902) of a non-ideal pot, through a column of theoretical stages.
 
 The pot is stirred by its own boiling, so its phases are at equilibrium; its vapour has the bubble point's composition.
-A column has constant molar flows, holds nothing up and a total condenser.
+A column has constant molar flows, no holdup and a total condenser.
 """
 
 from __future__ import annotations
@@ -26,34 +26,36 @@ from .vapor import bubble_point, latent_heat, write_back
 __all__ = ["evaporate", "heat"]
 
 _STEP = 0.15
-"""Share of the liquid that may boil off in a step of the integration (second order)."""
+"""Maximum share of the liquid that boils off in one step of the integration (second order)."""
 _MOST_STEPS = 400
 _MOST_ATTEMPTS = 6
 _SHORT = 0.999
-"""Of the heat that is left, what a step may take that would have taken more."""
+"""Share of the remaining heat that a step uses if its own demand is larger."""
 _TRIFLE = 2e-3
-"""Of the heat, what may be left over at the end: boiling contents do not take it."""
+"""Share of the heat that may remain unused at the end by boiling contents."""
 
 
 @inner
 def evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: FloatArray, liquids: Liquids) -> None:
-    """Amounts after ``mol`` of vapour with the composition ``partial`` has left ``before``, each at the rate that it
-    has at the amounts ``at``: none becomes negative, however volatile."""
+    """Remove ``mol`` of vapour with the composition ``partial`` from the amounts ``before``.
+
+    Each molecule leaves at the rate that belongs to the amounts ``at``; none becomes negative, however volatile.
+    """
     total = 0.0
     for a in range(n):
         total += partial[a]
     for a in range(n):
-        share = total * at[a]  # of the last of something it may be too small a number
+        share = total * at[a]  # too small for the division when almost nothing is left
         rate = partial[a] / share if share > 0.0 else 0.0
         liquids.mol[a] = before[a] * math.exp(-min(rate * mol, 700.0))
 
 
 class _Still(NamedTuple):
-    """A column's numbers, and scratch of the integration."""
+    """Parameters of a column, and scratch of the integration."""
 
     trays: int
     returned: float
-    """mol that run back for each that leaves"""
+    """reflux ratio: mol returned per mol that leaves"""
     hottest: float
     ladder: FloatArray
     partial: FloatArray
@@ -65,9 +67,12 @@ class _Still(NamedTuple):
 def _boil(
     row: FloatArray, n: int, boiling: float, left: float, begun: bool, still: _Still, chem: Handle, liquids: Liquids
 ) -> tuple[float, float]:
-    """A step of the integration, by the midpoint, of at most ``left`` joules: leaves the pot's amounts in ``liquids``,
-    those that it had in ``still.before``. Returns the joules that went into vapour, and by how many K the pot follows
-    its boiling point; vapour leaves it halfway."""
+    """Integrate one midpoint step of at most ``left`` joules; the new amounts are in ``liquids``, the old in
+    ``still.before``.
+
+    Returns:
+        Joules spent on vapour, and the change in K of the boiling point that the pot follows; vapour leaves halfway.
+    """
     chemistry = opened(RealChemistry, chem)
     ambient, before, halfway, partial = chemistry.ambient_pressure, still.before, still.halfway, still.partial
     mol, spent, rise = 0.0, 0.0, 0.0
@@ -86,7 +91,7 @@ def _boil(
         if still.trays > 0:
             overhead(n, still.trays, still.returned, True, chem, liquids, still.ladder, partial)
         evaporate(n, mol, partial, before, halfway, liquids)
-        # The pot goes along with its boiling point, as hot as what heats it.
+        # The pot follows its boiling point up to the temperature of the heat source.
         rise = max(min(2.0 * (warmer - boiling), still.hottest - boiling), 0.0)
         spent, warming = 0.0, rise * heat_capacity(row, chem)
         for a in range(n):
@@ -106,7 +111,7 @@ def _boil(
         capacity = chemistry.heat_capacity[int(liquids.who[a])]
         taken += 0.5 * rise * (before[a] - liquids.mol[a]) * capacity
     if taken > left:
-        # What little else is in the pot has no heat to give: as much evaporates as there is heat for.
+        # A small remainder in the pot has no heat content of its own: evaporation is limited by the supplied heat.
         for a in range(n):
             liquids.mol[a] = before[a] - left / taken * (before[a] - liquids.mol[a])
         spent *= left / taken
@@ -115,7 +120,7 @@ def _boil(
 
 @inner
 def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: float, chem: Handle) -> float:
-    """Warm (> 0) or cool (< 0) the contents, not beyond the limits; returns the joules that went in."""
+    """Warm (> 0) or cool (< 0) the contents within the limits; return the absorbed joules."""
     capacity, was = heat_capacity(row, chem), row[TEMPERATURE]
     if capacity <= LEAST_CAPACITY:
         row[TEMPERATURE] = opened(RealChemistry, chem).ambient_temperature
@@ -134,7 +139,7 @@ def heat(
     waste: FloatArray,
     events: FloatArray,
 ) -> tuple[float, float]:
-    """Heat (> 0) or cool (< 0) a vessel; what boils condenses into the receiver at ambient temperature."""
+    """Heat (> 0) or cool (< 0) a vessel; vapour condenses into the receiver at ambient temperature."""
     chemistry = opened(RealChemistry, chem)
     hottest, coolest = limits[0], limits[1]
     if joules == 0.0 or heat_capacity(row, chem) <= LEAST_CAPACITY:
@@ -165,10 +170,10 @@ def heat(
         needed = heat_capacity(row, chem) * (boiling - row[TEMPERATURE])
         if left < needed:
             break
-        # Poured onto something hotter than its boiling point, a liquid boils from that heat first (needed < 0).
+        # A liquid poured onto hotter contents boils from their heat first (needed < 0).
         left -= needed
         row[TEMPERATURE] = boiling
-        # Only here: where the last of something volatile has gone, a step warms the pot beyond its new boiling point.
+        # Only here: after the last of a volatile material has left, a step warms the pot beyond its new boiling point.
         if left <= _TRIFLE * joules:
             hottest = boiling
             break
@@ -195,11 +200,11 @@ def heat(
             i = int(liquids.who[a])
             add(receiver, i, distilled[a], chemistry.ambient_temperature, chem, waste, events)
             if crystallizes(receiver, chem, i):
-                condenser += distilled[a] * chemistry.fusion[i]  # it freezes there
+                condenser += distilled[a] * chemistry.fusion[i]  # it solidifies in the receiver
     if dry:
         events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
     if left > 0.0:
         left -= _change_warmth(row, left, 0.0, hottest, chem)
-    # What the vessel itself gave up when something boiled from its heat does not flow back into the mantle.
+    # Heat of the vessel itself that was spent on boiling does not return to the mantle.
     refused = min(max(left, 0.0), joules)
     return joules - refused, condenser + (left - refused)

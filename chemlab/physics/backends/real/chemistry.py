@@ -1,9 +1,9 @@
-"""What the tier ``real`` knows of its materials besides :class:`chemlab.physics.chemistry.Chemistry`, as arrays.
+"""Arrays of the backend ``real`` in addition to those of :class:`chemlab.physics.chemistry.Chemistry`.
 
-Its liquid phases are two: water with all that it holds, and everything else. They stand where the paper's tier has its
-solvents (``solvents`` has two entries, the materials the phases are named after), and its fluids (everything that a
-liquid can hold: solvents, solutes, ions) where the other has what dissolves: a vessel row ends in [K, 2] mol of each
-fluid in each phase. What a row holds of a fluid beyond that is its crystals.
+There are two liquid phases: water with its solutes, and everything else. They replace the solvents of the paper's
+backend (``solvents`` has two entries, the materials that name the phases). The fluids (every material that a liquid can
+hold: solvents, solutes, ions) replace its dissolvable materials. A vessel row ends in [K, 2] mol of each fluid in each
+phase. The remainder of a fluid's total is its crystals.
 """
 
 from __future__ import annotations
@@ -28,66 +28,71 @@ __all__ = ["AQUEOUS", "CURVE_POINTS", "MOST_FLUIDS", "ORGANIC", "FluidFields", "
 AQUEOUS, ORGANIC = 0, 1
 """The two liquid phases."""
 MOST_FLUIDS = 32
-"""Molecules that a scenario's liquids may hold: kernels have room for as many."""
+"""Maximum number of molecules in a scenario's liquids, for which kernels reserve room."""
 CURVE_POINTS = 257
 _COLDEST_K, _HOTTEST_K = 150.0, 900.0
 _KILOPASCAL = 1e-3
 _WATSON = 0.38
-"""Exponent that carries a heat of vaporization to other temperatures (Watson, Ind. Eng. Chem. 35 (1943) 398)."""
+"""Exponent of the temperature dependence of heats of vaporization (Watson, Ind. Eng. Chem. 35 (1943) 398)."""
 _INVERSE = np.linspace(1.0 / _HOTTEST_K, 1.0 / _COLDEST_K, CURVE_POINTS)
-"""1/K, where curves have their points."""
+"""Grid of the curves in 1/K."""
 _LEAST_SOLUBILITY = 0.01
-"""mol/kg that every liquid counts as dissolving in a mixture with water: less would have a trace of it throw out all
-salt. A guess; ethanol dissolves 0.011 mol/kg of NaCl."""
+"""Minimum solubility in mol/kg of salt in any liquid of a mixture with water.
+
+A smaller value would let a trace of the liquid precipitate all salt. It is a guess; ethanol dissolves 0.011 mol/kg of
+NaCl.
+"""
 _NEVER = -700.0
-"""ln of what counts as nothing."""
+"""ln of a negligible value."""
 _HIGHEST = 100.0
-"""ln of the highest vapour pressure in kPa that a curve goes to: sums over mixtures stay finite."""
+"""ln of the highest vapour pressure in kPa of a curve, so that sums over mixtures stay finite."""
 
 
 class FluidFields(NamedTuple):
-    """Fluids, their vapour, their crystals. M materials, K of them fluids, n salts, G points of a curve."""
+    """Fluids, their vapour and crystals. M materials, K of them fluids, n salts, G points of a curve."""
 
     liquid: Annotated[IntArray, Structure("M")]
-    """[M] whether activity coefficients are known: 1 for molecules that can be liquid, 2 for ions (which stay in
-    water), 0 for what is never in a liquid"""
+    """[M] 1 for molecules that can be liquid, 2 for ions (which stay in water), 0 for materials that are never in a
+    liquid
+    """
     water: Annotated[int, Structure("")]
     """material index of water, -1 without it"""
     nrtl: Annotated[FloatArray, Structure("M M 4")]
     """[M, M, 4] a, b (K), c and alpha of tau_ij = a + b / T + c ln(T / 300 K)"""
     vapor: Annotated[FloatArray, Structure("M G")]
-    """[M, G] ln of the vapour pressure in kPa, at points evenly spaced in 1 / T; of what forms dimers, of its monomers;
-    what never evaporates has -700"""
+    """[M, G] ln of the vapour pressure in kPa on the grid in 1 / T; for dimerizing vapours, of the monomer; -700 for
+    non-volatile materials
+    """
     dimer: Annotated[FloatArray, Structure("M 2")]
-    """[M, 2] a, b (K) of ln sqrt(K) = a + b / T, K in 1/kPa, of the vapour's dimers; 0, 0: it has none"""
+    """[M, 2] a, b (K) of ln sqrt(K) = a + b / T, K in 1/kPa, of the vapour's dimers; 0, 0 without dimers"""
     vaporizing: Annotated[FloatArray, Structure("M G")]
-    """[M, G] J/mol, heat of vaporization at the same points"""
+    """[M, G] heat of vaporization in J/mol on the same grid"""
     curve: Annotated[FloatArray, Structure("2")]
-    """[2] 1/K, the points' first 1 / T and their distance"""
+    """[2] 1/K, first point and spacing of the grid in 1 / T"""
     formation: Annotated[FloatArray, Parameter("M")]
-    """[M] J/mol at 298.15 K, of a fluid: liquid or dissolved; of others: as they are"""
+    """[M] formation enthalpy in J/mol at 298.15 K; of fluids in the liquid or dissolved state"""
     fusion: Annotated[FloatArray, Parameter("M")]
-    """[M] J/mol, 0 for what does not crystallize"""
+    """[M] heat of fusion in J/mol, 0 for materials that do not crystallize"""
     melting: Annotated[FloatArray, Parameter("M")]
-    """[M] K"""
+    """[M] melting point in K"""
     solubility: Annotated[FloatArray, Structure("n M G")]
-    """[n, M, G] ln of the mol of a salt that a kilogram of a liquid dissolves, at the same points"""
+    """[n, M, G] ln of the solubility of a salt in mol per kilogram of a liquid, on the same grid"""
     crystal_rate: Annotated[float, Parameter("")]
-    """1/s, of the approach to saturation of a slurry"""
+    """rate in 1/s of the approach of a slurry to saturation"""
     metastable: Annotated[float, Parameter("")]
-    """ratio to saturation below which nothing crystallizes where there are no crystals"""
+    """ratio to saturation below which nothing crystallizes without crystals"""
     room_transfer: Annotated[float, Parameter("")]
-    """W/K/L, of a vessel that stands in the room"""
+    """heat transfer in W/K/L of a vessel to the room"""
     tick_seconds: Annotated[float, Structure("")]
-    """s, a tick of laboratory time"""
+    """duration of a laboratory tick in s"""
 
 
 RealChemistry: Any = merged(Chemistry, FluidFields, KineticFields, AcidFields)
-"""One world's chemistry as the tier's kernels see it."""
+"""Chemistry of one world as seen by this backend's kernels."""
 
 
 def _curves(materials: list[Material]) -> dict[str, FloatArray]:
-    """Vapour pressures and heats of vaporization of all materials, at points evenly spaced in 1 / T."""
+    """Return vapour pressures and heats of vaporization of all materials on the grid in 1 / T."""
     temperature = 1.0 / _INVERSE
     vapor = np.full((len(materials), CURVE_POINTS), _NEVER)
     vaporizing, dimer = np.zeros_like(vapor), np.zeros((len(materials), 2))
@@ -95,13 +100,13 @@ def _curves(materials: list[Material]) -> dict[str, FloatArray]:
         real = material.real
         if real is None or real.vapor_pressure is None or real.critical_temperature_k is None:
             continue
-        with np.errstate(over="ignore"):  # far beyond its range a formula may say anything
+        with np.errstate(over="ignore"):  # far beyond its range a formula may overflow
             pressure = np.minimum(real.vapor_pressure.pascal(temperature) * _KILOPASCAL, math.exp(_HIGHEST))
         if real.dimerization is not None:
             dimer[i] = real.dimerization.log_root_constant()
             pressure = real.dimerization.monomer(temperature, pressure)
         vapor[i] = np.log(np.maximum(pressure, math.exp(_NEVER)))
-        # Close to the critical point nothing is left of it; a floor keeps the energy balance in hand.
+        # The heat vanishes near the critical point; a floor keeps the energy balance solvable.
         left = np.maximum(1.0 - temperature / real.critical_temperature_k, 0.02)
         boiling = 1.0 - material.boiling_point_k / real.critical_temperature_k
         vaporizing[i] = material.vaporization_enthalpy_j_mol * (left / boiling) ** _WATSON
@@ -110,18 +115,18 @@ def _curves(materials: list[Material]) -> dict[str, FloatArray]:
 
 
 def _heats(names: list[str], materials: list[Material], ambient: float, where: str) -> dict[str, FloatArray]:
-    """Formation enthalpies (of fluids: liquid), heats of fusion, melting points.
+    """Return formation enthalpies (of fluids: liquid), heats of fusion, and melting points.
 
-    What is liquid at room temperature does not freeze: what is poured into a cold vessel would have to say whether it
-    is a liquid or its crystals.
+    Materials that are liquid at room temperature do not freeze; otherwise every addition to a cold vessel would have to
+    state whether it is liquid or crystalline.
     """
     formation, fusion, melting = np.zeros((3, len(names)))
     for i, (name, material) in enumerate(zip(names, materials, strict=True)):
         real = material.real
         if real is None:
             raise DataError(
-                f"{where}: materials: {name!r} has no [{name}.real] with its formation enthalpy and what else "
-                "physics = 'real' needs; add it to its file, or choose physics = 'paper'"
+                f"{where}: materials: {name!r} has no [{name}.real] with the formation enthalpy and other values that "
+                "physics = 'real' needs; add it to its file, or set physics = 'paper'"
             )
         formation[i] = real.formation_enthalpy_j_mol
         fluid = material.role in ("solvent", "solute")
@@ -131,12 +136,12 @@ def _heats(names: list[str], materials: list[Material], ambient: float, where: s
         if fluid and real.formation_state == "s":
             formation[i] += heat or 0.0
         if fluid and real.formation_state == "g":
-            raise DataError(f"{where}: materials: {name!r}: real.formation_state: of a liquid it must be 'l' or 's'")
+            raise DataError(f"{where}: materials: {name!r}: real.formation_state: must be 'l' or 's' for a liquid")
     return {"formation": formation, "fusion": fusion, "melting": melting}
 
 
 def _solubility(scenario: Scenario, names: list[str]) -> FloatArray:
-    """[n, M, G] ln (mol/kg) of each salt, in the order of ``Chemistry.salts``."""
+    """Return [n, M, G] ln (mol/kg) of each salt, in the order of ``Chemistry.salts``."""
     salts = sorted(scenario.family.salt, key=lambda salt: names.index(salt.cation))
     out = np.zeros((len(salts), len(names), CURVE_POINTS))
     for row, salt in zip(out, salts, strict=True):
@@ -151,14 +156,14 @@ def _solubility(scenario: Scenario, names: list[str]) -> FloatArray:
 
 
 def build(scenario: Scenario, layout: Layout, values: Chemistry) -> tuple[Layout, Any]:
-    """The chemistry of a scenario with ``physics = "real"``.
+    """Build the chemistry of a scenario with ``physics = "real"``.
 
     Args:
-        scenario: which.
-        layout, values: as the paper's tier has them.
+        scenario: the scenario.
+        layout, values: layout and values of the backend ``paper``.
 
     Raises:
-        DataError: a material, a pair of liquids or a salt lacks what the tier needs.
+        DataError: a material, a pair of liquids or a salt lacks data that the backend needs.
     """
     names, table = list(layout.materials), list(scenario.materials.values())
     roles = [material.role for material in table]
@@ -166,7 +171,7 @@ def build(scenario: Scenario, layout: Layout, values: Chemistry) -> tuple[Layout
     molecules = [i for i in fluids if roles[i] != "ion"]
     if len(molecules) > MOST_FLUIDS:
         raise DataError(
-            f"{scenario.origin}: {len(molecules)} liquids and molecules that dissolve; physics = 'real' takes at most "
+            f"{scenario.origin}: {len(molecules)} liquids and soluble molecules; physics = 'real' supports at most "
             f"{MOST_FLUIDS}"
         )
     liquid = np.zeros(len(names), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""A distilling column above a boiling pot: stage by stage, at a constant reflux ratio.
+"""A distillation column above a boiling pot: stage by stage, at a constant reflux ratio.
 
 With V mol of vapour rising, V R / (1 + R) mol returned and V / (1 + R) mol taken off, a balance from the top down to
 between the stages k and k + 1 reads, for each molecule, y_k = (R x_(k+1) + y_top) / (1 + R). At given ratios K = y / x
@@ -21,20 +21,22 @@ __all__ = ["LADDER", "MOST_STAGES", "overhead"]
 MOST_STAGES = 16
 LADDER = MOST_STAGES * MOST_FLUIDS
 _CLOSE = 1e-4
-"""Of every ln K."""
+"""Convergence tolerance of every ln K."""
 _MOST_ROUNDS = 60
 _DAMPING = 0.9
 _STEEPEST = 40.0
-"""Largest ln K, either way: the product of those of all stages is a number, and as good as none or all."""
+"""Bound on |ln K|, for which the product over all stages is finite."""
 
 
 @inner
 def _ratios(n: int, chem: Handle, tray: Liquids, guess: float, out: FloatArray, at: int) -> float:
-    """ln (y / x) of every molecule at the boiling point of one liquid phase with the mole fractions of ``tray``, into
-    ``out[at : at + n]``; returns that temperature, K."""
+    """Compute ln (y / x) of every molecule at the bubble point of a liquid with the mole fractions of ``tray``.
+
+    The result is in ``out[at : at + n]``; the temperature in K is returned.
+    """
     chemistry = opened(RealChemistry, chem)
     temperature, pressure = guess, chemistry.ambient_pressure
-    # Activities are those at the guess: it is the result of the round before.
+    # Activity coefficients at the guessed temperature, which is the result of the previous iteration.
     prepare(n, temperature, chem, tray)
     nrtl(n, ORGANIC, tray)
     mol = 1.0
@@ -77,16 +79,16 @@ def overhead(
     ladder: FloatArray,
     partial: FloatArray,
 ) -> None:
-    """Turn the composition of the pot's vapour, ``partial`` [n], into that of what leaves the column's top.
+    """Convert the composition of the pot's vapour, ``partial`` [n], to that of the distillate.
 
     Args:
         n: number of molecules.
         trays: theoretical stages above the pot.
-        reflux: mol returned for each mol taken off.
-        warm: whether ``ladder`` holds the ln K of the trays of a composition close by.
+        reflux: mol returned per mol taken off.
+        warm: whether ``ladder`` holds the ln K of the trays for a similar composition.
         chem, liquids: the pot.
         ladder: [trays * n] ln K, stage after stage.
-        partial: [n] in: of the pot's vapour; out: of the distillate (any scale).
+        partial: [n] in: composition of the pot's vapour; out: of the distillate (any scale).
     """
     tray = clear_liquids()
     fraction, total = scratch(MOST_FLUIDS), 0.0
@@ -101,7 +103,7 @@ def overhead(
     for k in range(trays):
         temperature[k] = 350.0
     if not warm:
-        # From the bottom up as if everything were returned: x of each tray is y of the one below.
+        # Initial guess at total reflux, from the bottom up: x of each tray is y of the one below.
         for a in range(n):
             tray.x[n + a] = fraction[a]
         for k in range(trays):

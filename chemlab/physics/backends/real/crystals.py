@@ -1,5 +1,7 @@
-"""Crystals of molecules: which there are, and what saturates the liquids. They approach that while a vessel reacts
-(:mod:`.kinetics`)."""
+"""Crystals of molecules: existing ones, and saturation of the liquids.
+
+Vessels approach saturation while they react (:mod:`.kinetics`).
+"""
 
 from __future__ import annotations
 
@@ -19,15 +21,18 @@ __all__ = ["find_crystals", "limit", "saturate"]
 
 _MOST_ROUNDS = 60
 _SATURATED = 1e-9
-"""Of the logarithm of what is dissolved, where saturation counts as found."""
+"""Convergence tolerance of ln of the dissolved amount at saturation."""
 _FLAT = 0.1
-"""Slope of an activity over the logarithm of its amount, below which its secant is not followed."""
+"""Slope of an activity over the logarithm of its amount below which bisection replaces the secant."""
 
 
 @inner
 def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liquids: Liquids) -> float:
-    """mol of molecule ``at`` that the vessel's liquids hold in equilibrium with its crystals, by the secant of its
-    activity over the logarithm of its amount, within a bracket; infinity where all that there is dissolves."""
+    """Return mol of molecule ``at`` in the vessel's liquids in equilibrium with its crystals; infinity if all
+    dissolves.
+
+    Solved by a bracketed secant method in the logarithm of the amount.
+    """
     chemistry = opened(RealChemistry, chem)
     i = int(liquids.who[at])
     total = row[AMOUNTS + i]
@@ -45,7 +50,8 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
             return math.inf
         else:
             low = here
-        # In a thin solution the activity goes with the amount; where it hardly changes, or turns, halves are safe.
+        # In dilute solution the activity is proportional to the amount; where it is flat or decreasing, bisection is
+        # safe.
         slope = (gap - gap_before) / (here - before) if here != before else 1.0
         there = here - gap / slope if slope > _FLAT else low
         if not low < there < high:
@@ -58,8 +64,10 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
 
 @inner
 def saturate(row: FloatArray, chem: Handle, work: FloatArray) -> None:
-    """Find the mol of every fluid that saturate the liquids: into a row of the scratch, infinity where all of it is
-    not enough, and for what does not crystallize; with the share of it that goes into the organic phase."""
+    """Compute the mol of every fluid that saturate the liquids, and their share in the organic phase, into the scratch.
+
+    The value is infinity for fluids that do not crystallize, and if the total amount does not saturate the liquids.
+    """
     chemistry = opened(RealChemistry, chem)
     for k in range(chemistry.dissolved.shape[0]):
         i = chemistry.dissolved[k]
@@ -75,7 +83,7 @@ def saturate(row: FloatArray, chem: Handle, work: FloatArray) -> None:
         for a in range(n):
             others += liquids.mol[a] if a != at else 0.0
         if others <= TRACE_MOL:
-            work[SATURATION, k] = 0.0  # a melt below its melting point
+            work[SATURATION, k] = 0.0  # the molten state below its melting point
             continue
         if at < 0:
             if n == MOST_FLUIDS:
@@ -89,14 +97,15 @@ def saturate(row: FloatArray, chem: Handle, work: FloatArray) -> None:
 
 @helper
 def limit(row: FloatArray, chem: Handle, k: int) -> float:
-    """Times saturation up to which fluid ``k`` stays dissolved."""
+    """Return the ratio to saturation up to which fluid ``k`` stays dissolved."""
     return 1.0 if crystals(row, chem, k) > TRACE_MOL else float(opened(RealChemistry, chem).metastable)
 
 
 @inner
 def find_crystals(row: FloatArray, chem: Handle, work: FloatArray) -> int:
-    """Describe in the scratch the crystals that dissolve or grow at the saturations that are there; returns how many
-    kinds there are."""
+    """Describe in the scratch the crystals that dissolve or grow at the current saturations; return the number of
+    kinds.
+    """
     chemistry = opened(RealChemistry, chem)
     found, columns = 0, chemistry.species.shape[0]
     for k in range(chemistry.dissolved.shape[0]):

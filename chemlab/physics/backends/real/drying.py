@@ -1,4 +1,4 @@
-"""Drying: what evaporates into a stream of air that is drawn over the contents of a vessel."""
+"""Drying: evaporation into a stream of air over the contents of a vessel."""
 
 from __future__ import annotations
 
@@ -15,14 +15,16 @@ from .vapor import write_back
 __all__ = ["dry"]
 
 _STEP = 0.1
-"""Share of the liquids that a step of the integration (second order) may take."""
+"""Maximum share of the liquids evaporated in one step of the integration (second order)."""
 _MOST_STEPS = 400
 
 
 @kernel
 def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
-    """Air leaves saturated: with x gamma p_i(T) of each liquid, so that a little of one goes at a rate of first order.
-    Air is counted by what it has taken, which is exact where the pressure stays the same."""
+    """Remove air saturated with x gamma p_i(T) of each liquid; small amounts of a liquid decay at first order.
+
+    Air is measured by its vapour uptake, which is exact at constant pressure.
+    """
     liquids = clear_liquids()
     partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
     n = gather(row, chem, liquids)
@@ -54,9 +56,9 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
             gone += before[a] - liquids.mol[a]
         left -= gone / rate
     for a in range(n):
-        if liquids.mol[a] <= TRACE_MOL:  # the last of it
+        if liquids.mol[a] <= TRACE_MOL:  # the remainder of this liquid
             waste[int(liquids.who[a])] += liquids.mol[a]
             liquids.mol[a] = 0.0
     if n > 0:
         write_back(row, n, chem, liquids)
-        settle_salts(row, chem)  # at that temperature, too: air and room bring what all of it takes
+        settle_salts(row, chem)  # at constant temperature, because air and room supply the required heat

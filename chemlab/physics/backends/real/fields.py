@@ -1,4 +1,4 @@
-"""What kinetics and acids of the tier ``real`` are computed from, as fields of its chemistry."""
+"""Fields of the chemistry for kinetics and acids of the backend ``real``."""
 
 from __future__ import annotations
 
@@ -21,67 +21,79 @@ __all__ = ["STANDARD_K", "AcidFields", "KineticFields", "acid_fields", "independ
 STANDARD_K = 298.15
 """Temperature of tabulated constants and formation enthalpies, K."""
 _HEAT_TOLERANCE = 5000.0
-"""J/mol, by which a reaction's heat and its materials' formation enthalpies may differ: what compilations do."""
+"""Allowed difference in J/mol between a reaction's heat and its materials' formation enthalpies, as between
+compilations.
+"""
 _DEBYE = 0.509
-"""A in -log10 gamma = A z^2 sqrt(I) of water at 298.15 K, (kg/mol)^(1/2) (Bates, Determination of pH, 2nd ed. 1973,
-appendix)."""
+"""A in -log10 gamma = A z^2 sqrt(I) of water at 298.15 K, in (kg/mol)^(1/2).
+
+Bates, Determination of pH, 2nd ed. 1973, appendix.
+"""
 _WATER_PK, _WATER_HEAT = 13.995, 55_815.0
-"""Ionization of water at 298.15 K: pKw at infinite dilution (Harned and Owen, The Physical Chemistry of Electrolytic
-Solutions, 3rd ed. 1958; Marshall and Franck, J. Phys. Chem. Ref. Data 10 (1981) 295), J/mol (CODATA key values 1989:
-OH- -230.015, H2O -285.830 kJ/mol)."""
+"""Ionization of water at 298.15 K: pKw at infinite dilution, and heat in J/mol.
+
+pKw: Harned and Owen, The Physical Chemistry of Electrolytic Solutions, 3rd ed. 1958; Marshall and Franck, J. Phys.
+Chem. Ref. Data 10 (1981) 295. Heat: CODATA key values 1989: OH- -230.015, H2O -285.830 kJ/mol.
+"""
 
 
 class KineticFields(NamedTuple):
-    """What :class:`~chemlab.physics.chemistry.Chemistry` does not say of its R reactions over S species."""
+    """Kinetic fields in addition to :class:`~chemlab.physics.chemistry.Chemistry`: R reactions over S species."""
 
     independent: Annotated[IntArray, Structure("B")]
-    """[B] reactions that the others are made of, as far as what they change goes"""
+    """[B] reactions whose stoichiometries are a basis of all stoichiometries"""
     parts: Annotated[IntArray, Structure("R P")]
-    """[R, P] which of these each reaction is made of, then -1"""
+    """[R, P] basis reactions of each reaction, then -1"""
     part_numbers: Annotated[FloatArray, Structure("R P")]
-    """[R, P] how many of each"""
+    """[R, P] their coefficients"""
     forward: Annotated[IntArray, Structure("R F")]
-    """[R, F] species whose concentrations multiply to the rate, catalysts too, then -1"""
+    """[R, F] species in the rate law, catalysts included, then -1"""
     forward_order: Annotated[FloatArray, Structure("R F")]
     """[R, F] their orders"""
     backward: Annotated[IntArray, Structure("R G")]
-    """[R, G] the same of the reverse reaction; -1 everywhere where there is none"""
+    """[R, G] species in the rate law of the reverse reaction; -1 everywhere without one"""
     backward_order: Annotated[FloatArray, Structure("R G")]
     """[R, G] their orders"""
     inhibitors: Annotated[IntArray, Structure("R I")]
-    """[R, I] species that slow a reaction down, then -1"""
+    """[R, I] inhibitors, then -1"""
     inhibition: Annotated[FloatArray, Parameter("R I")]
-    """[R, I] L/mol; the rate is divided by 1 + the sum of inhibition times concentration"""
+    """[R, I] inhibition constants in L/mol; the rate is divided by 1 + the sum of constant times concentration"""
     equilibrium: Annotated[FloatArray, Parameter("R")]
-    """[R] equilibrium constant at 298.15 K, of mol/L; infinite where a reaction does not go back"""
+    """[R] equilibrium constant at 298.15 K in terms of mol/L; infinite for irreversible reactions"""
     equilibrium_heat: Annotated[FloatArray, Parameter("R")]
-    """[R] J/mol, with which it follows temperature"""
+    """[R] heat in J/mol of its temperature dependence"""
 
 
 class AcidFields(NamedTuple):
-    """Acids and their bases: A of them, of at most P species; M materials."""
+    """Acids and their bases: A acids of at most P species; M materials."""
 
     charge: Annotated[FloatArray, Structure("M")]
-    """[M] in elementary charges"""
+    """[M] charge in elementary charges"""
     acid: Annotated[IntArray, Structure("A P")]
-    """[A, P] materials, each with a proton less than the one before; then -1"""
+    """[A, P] materials, each with one proton less than the previous one; then -1"""
     acid_pk: Annotated[FloatArray, Parameter("A P")]
     """[A, P] pK at 298.15 K of the step to the next one"""
     acid_heat: Annotated[FloatArray, Parameter("A P")]
-    """[A, P] J/mol, with which it follows temperature"""
+    """[A, P] heat in J/mol of its temperature dependence"""
     ionization: Annotated[IntArray, Structure("3")]
-    """[3] materials H+, OH-, water; -1 where one is not there"""
+    """[3] materials H+, OH-, water; -1 for missing ones"""
     water_pk: Annotated[float, Parameter("")]
     """pKw at 298.15 K"""
     water_heat: Annotated[float, Parameter("")]
-    """J/mol, with which it follows temperature"""
+    """heat in J/mol of its temperature dependence"""
     debye: Annotated[float, Parameter("")]
     """A in the Davies equation at 298.15 K, (kg/mol)^(1/2); 0 makes solutions ideal"""
 
 
 def independent_reactions(stoichiometry: FloatArray) -> dict[str, npt.NDArray[Any]]:
-    """The first reactions that are no combination of those before them, and all as combinations of these: the fields
-    ``independent``, ``parts`` and ``part_numbers``, from the stoichiometry [R, S]."""
+    """Select linearly independent reactions and express all reactions by them.
+
+    Args:
+        stoichiometry: [R, S].
+
+    Returns:
+        The fields ``independent``, ``parts`` and ``part_numbers``.
+    """
     chosen: list[int] = []
     for r in range(len(stoichiometry)):
         if np.linalg.matrix_rank(stoichiometry[[*chosen, r]]) > len(chosen):
@@ -93,7 +105,7 @@ def independent_reactions(stoichiometry: FloatArray) -> dict[str, npt.NDArray[An
 
 
 def padded(rows: Sequence[Mapping[int, float]]) -> tuple[IntArray, FloatArray]:
-    """([n, width] keys, then -1; [n, width] values, then 0) of some mappings."""
+    """Return mappings as padded arrays: ([n, width] keys, then -1; [n, width] values, then 0)."""
     width = max((len(row) for row in rows), default=0)
     keys, values = np.full((len(rows), width), -1, dtype=np.int64), np.zeros((len(rows), width))
     for r, row in enumerate(rows):
@@ -102,7 +114,7 @@ def padded(rows: Sequence[Mapping[int, float]]) -> tuple[IntArray, FloatArray]:
 
 
 def _summed(*orders: Mapping[str, float]) -> dict[str, float]:
-    """Orders by material of factors that are multiplied: a product may catalyse its own reaction."""
+    """Return orders by material, summed over factors; a product may catalyse its own reaction."""
     total: dict[str, float] = {}
     for part in orders:
         for name, order in part.items():
@@ -113,15 +125,15 @@ def _summed(*orders: Mapping[str, float]) -> dict[str, float]:
 def kinetic_fields(
     scenario: Scenario, names: Sequence[str], formation: FloatArray
 ) -> dict[str, npt.NDArray[Any] | float]:
-    """The :class:`KineticFields` of a scenario.
+    """Return the :class:`KineticFields` of a scenario.
 
     Args:
-        scenario: whose reactions.
+        scenario: the scenario with its reactions.
         names: its materials, in the order of a vessel row.
-        formation: [M] J/mol, their formation enthalpies.
+        formation: [M] formation enthalpies in J/mol.
 
     Raises:
-        DataError: a reaction's heat is not that of its materials' formation enthalpies.
+        DataError: a reaction's heat contradicts its materials' formation enthalpies.
     """
     steps = scenario.family.reaction
     taking_part = [name for name in names if any(name in step.materials() for step in steps)]
@@ -133,7 +145,7 @@ def kinetic_fields(
         if abs(heats[-1] - formed) > _HEAT_TOLERANCE:
             raise DataError(
                 f"{scenario.origin}: reactions {scenario.family.name!r}: reaction {step.words}: enthalpy_j_mol = "
-                f"{heats[-1]:g}: the formation enthalpies of its materials make {formed:.0f}, and may differ by "
+                f"{heats[-1]:g}: the formation enthalpies of its materials give {formed:.0f}, and may differ by "
                 f"{_HEAT_TOLERANCE:g}; leave it out, or correct real.formation_enthalpy_j_mol of a material"
             )
 
@@ -164,7 +176,7 @@ def kinetic_fields(
 
 
 def acid_fields(scenario: Scenario, names: Sequence[str], formation: FloatArray) -> dict[str, npt.NDArray[Any] | float]:
-    """The :class:`AcidFields` of a scenario; arguments as of :func:`kinetic_fields`."""
+    """Return the :class:`AcidFields` of a scenario; arguments as for :func:`kinetic_fields`."""
     index = {name: i for i, name in enumerate(names)}
     acids = scenario.family.acid
     width = max((len(acid.species) for acid in acids), default=0)

@@ -1,4 +1,4 @@
-"""Heat contents: what stays the same when nothing but heat goes in or out."""
+"""Enthalpy of vessel contents, which changes only by heat transfer."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ __all__ = ["add_heat", "crystals", "dissolved", "enthalpy", "set_enthalpy"]
 
 @helper
 def dissolved(row: FloatArray, chem: Handle, k: int) -> float:
-    """mol of fluid ``k`` (its place among the fluids) in both liquids."""
+    """Return mol of fluid ``k`` (index among the fluids) in both liquids."""
     at = AMOUNTS + opened(RealChemistry, chem).role.shape[0] + 2 * k
     return float(row[at + AQUEOUS] + row[at + ORGANIC])
 
 
 @helper
 def crystals(row: FloatArray, chem: Handle, k: int) -> float:
-    """mol of fluid ``k`` (its place among the fluids) that is in no liquid."""
+    """Return mol of fluid ``k`` (index among the fluids) that is in no liquid."""
     chemistry = opened(RealChemistry, chem)
     at = AMOUNTS + chemistry.role.shape[0] + 2 * k
     return float(max(row[AMOUNTS + chemistry.dissolved[k]] - row[at + AQUEOUS] - row[at + ORGANIC], 0.0))
@@ -30,7 +30,7 @@ def crystals(row: FloatArray, chem: Handle, k: int) -> float:
 
 @helper
 def _standard_enthalpy(row: FloatArray, chem: Handle) -> float:
-    """What the contents of a vessel would have at 298.15 K, J."""
+    """Return the enthalpy of a vessel's contents at 298.15 K in J."""
     chemistry = opened(RealChemistry, chem)
     total = 0.0
     for i in range(chemistry.role.shape[0]):
@@ -43,15 +43,19 @@ def _standard_enthalpy(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def enthalpy(row: FloatArray, chem: Handle) -> float:
-    """Enthalpy of the contents of a vessel without air, J: the sum of n (formation + Cp (T - 298.15 K)), less the heat
-    of fusion of what has crystallized."""
+    """Return the enthalpy of the contents without air in J.
+
+    It is the sum of n (formation + Cp (T - 298.15 K)), less the heat of fusion of crystals.
+    """
     return _standard_enthalpy(row, chem) + float(heat_capacity(row, chem) * (row[TEMPERATURE] - STANDARD_K))
 
 
 @helper
 def add_heat(row: FloatArray, joules: float, chem: Handle) -> None:
-    """Warm (> 0) or cool (< 0) the contents of a vessel. Contents with next to no heat capacity take the ambient
-    temperature; no others leave the range of temperatures."""
+    """Warm (> 0) or cool (< 0) the contents of a vessel, within the range of temperatures.
+
+    Contents with negligible heat capacity take the ambient temperature.
+    """
     capacity = heat_capacity(row, chem)
     if capacity > LEAST_CAPACITY:
         row[TEMPERATURE] = within_range(row[TEMPERATURE] + joules / capacity)
@@ -61,8 +65,11 @@ def add_heat(row: FloatArray, joules: float, chem: Handle) -> None:
 
 @helper
 def set_enthalpy(row: FloatArray, value: float, chem: Handle) -> None:
-    """Give the contents of a vessel the temperature at which they have an enthalpy of ``value`` J, within the range of
-    temperatures; contents with next to no heat capacity take the ambient temperature."""
+    """Set the temperature of a vessel so that its contents have an enthalpy of ``value`` J, within the range of
+    temperatures.
+
+    Contents with negligible heat capacity take the ambient temperature.
+    """
     capacity = heat_capacity(row, chem)
     if capacity > LEAST_CAPACITY:
         row[TEMPERATURE] = within_range(STANDARD_K + (value - _standard_enthalpy(row, chem)) / capacity)

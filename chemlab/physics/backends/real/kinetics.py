@@ -1,10 +1,10 @@
-"""Reactions with their heat: reversible, catalysed, inhibited, stiff or not, in a vessel that a jacket heats or cools.
+"""Reactions with heat: reversible, catalysed, inhibited, stiff or not, in a vessel with a heating or cooling jacket.
 
-The unknowns are the extents of independent reactions (of A -> B, B -> C and A -> C the first two: where matter goes in
-circles, extents of all of them would grow without bound, and rounding with them) and the heat that has come through
-the jacket; temperature follows from them by the enthalpy balance. So atoms and energy are conserved to rounding,
-whatever the integrator's error. Crystals that dissolve or grow meanwhile are unknowns like extents
-(:func:`.spans.prepare`). It is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable and
+The unknowns are the extents of independent reactions and the heat through the jacket; the temperature follows from them
+by the enthalpy balance. Atoms and energy are therefore conserved to rounding, whatever the integrator's error. Only
+independent reactions are used (of A -> B, B -> C and A -> C the first two), because in cycles the extents of all
+reactions, and their rounding errors, would grow without bound. Crystals that dissolve or grow are further unknowns
+(:func:`.spans.prepare`). The method is RODAS3, a linearly implicit method of order 3(2) with four stages, L-stable and
 stiffly accurate (Sandu et al., Atmos. Environ. 31 (1997) 3459; for such methods Hairer and Wanner, Solving Ordinary
 Differential Equations II, 2nd ed. 1996, section IV.7).
 """
@@ -48,83 +48,85 @@ __all__ = [
 _GAMMA = 0.5
 _MOST_STEPS = 100_000
 _USED_UP = 1e-15
-"""mol; a reactant of which there is less is used up."""
+"""mol below which a reactant counts as consumed."""
 _LEAST_MOL = 1e-200
-"""mol; a ratio to less, as to a denormal number, may be infinite."""
+"""mol; divisions by less, as by a denormal number, may overflow."""
 _ROUNDING = 4e-15
-"""mol/L, and relative: what sums leave of a species of which nothing is left must not react on, least of all below 0,
-where what a species catalyses itself would run away."""
+"""Rounding error of sums in mol/L, and relative.
+
+A remainder of this size must not react, least of all below 0, where an autocatalytic reaction would diverge.
+"""
 _LEAST_ERROR, _LONGEST_RATIO = 1e-3, 8.0
-"""An error below which steps grow no further, and by how much they may at once."""
+"""Error below which step sizes grow no further, and maximum growth factor."""
 _LEAST_LITRES = 1e-9
-"""Of a liquid that anything reacts in: what is left of one in a dry vessel, by rounding, has no concentrations."""
+"""Minimum volume in L of a reacting liquid; smaller remainders are rounding errors without concentrations."""
 _FIRST_SHARE = 0.1
-"""Share of a reactant that the first trial step may use up at the first rate."""
+"""Maximum share of a reactant that the first trial step uses at the initial rate."""
 _HEAT_SCALE_K = 10.0
-"""Temperature error that weighs as much as an error of a whole concentration: rates double about every 10 K."""
+"""Temperature error equivalent to an error of a whole concentration: rates double about every 10 K."""
 _SMALL = 0.01
-"""Times the absolute tolerance: the concentration below which orders under 1, with an infinite slope at 0, become 1."""
+"""Concentration, as a multiple of the absolute tolerance, below which orders under 1 (infinite slope at 0) become 1."""
 _MOST_SWEEPS = 50
 _SMALLEST_POWER, _LARGEST_POWER = -600.0, 300.0
-"""Of e in a rate constant; what is beyond is as good as zero or at once."""
+"""Bounds of the exponent of a rate constant; beyond them it is effectively 0 or instantaneous."""
 _OVERSHOT_K = 1.0
-"""Beyond the temperature at which it is to end, as far as a step may go."""
+"""Allowed overshoot in K of a step beyond the final temperature."""
 _COLDEST_K, _HOTTEST_K = 50.0, 5000.0
-"""Between which rate constants are worked out: a trial step may err further."""
+"""Temperature range of rate constants; trial steps may leave it."""
 
-# Rows of the scratch: of length B + 1, the unknowns; R, reactions; S, species. The Jacobian and its factors follow.
+# Rows of the scratch: unknowns (length B + 1), reactions (R), species (S). The Jacobian and its factors follow.
 _EXTENT, _TRIAL, _K1, _K2, _K3, _K4, _RATES, _PIVOT, _HEAT, _CAPACITY = range(10)
 _FORWARD, _BACKWARD = range(10, 12)
 _START, _NOW, _CONC, _POWERS = range(12, 16)
 _VECTORS = 16
 
-# Rows from the end of the scratch, which integration reads and everything else leaves alone: a copy of the vessel row
-# (:mod:`.reacting`), another one; of each fluid the mol that saturate the liquids and the share of what dissolves that
-# goes into the organic phase; of the fluids whose crystals dissolve or grow their place among the fluids, column among
-# the concentrations, mol of crystals, mol at saturation, that share; mol of each species as integration leaves it.
-# Before them, for each unknown, what it changes besides the species of its reaction.
+# Rows from the end of the scratch, which the integration reads and nothing else changes: a copy of the vessel row
+# (:mod:`.reacting`), and another one; for each fluid the mol that saturate the liquids and the share of dissolved fluid
+# in the organic phase; for the fluids whose crystals dissolve or grow, their index among the fluids, column among the
+# concentrations, mol of crystals, mol at saturation, and that share; mol of each species after the integration. Before
+# them, for each unknown, its changes besides the species of its reaction.
 KEPT, PROBE, SATURATION, SHARES, PLACE, COLUMN, CRYSTALS, SATURATED, SHARE, PREDICTED = range(-1, -11, -1)
 _ROWS_AT_END = 10
 
 
 class Ways(NamedTuple):
-    """What happens in a vessel besides its reactions, for :func:`integrate`."""
+    """Processes in a vessel besides its reactions, for :func:`integrate`."""
 
     crystals: int
-    """fluids that dissolve or grow, described in the last rows of the scratch"""
+    """number of fluids that dissolve or grow, described in the last rows of the scratch"""
     shifts: bool
-    """whether acids, bases or salts share out what reactions make and use up: :func:`extra` says how"""
+    """whether acids, bases or salts redistribute products and reactants, as given by :func:`extra`"""
     leaves: bool
-    """whether gas leaves the vessel as it is made, so that it does not react"""
+    """whether gas leaves the vessel as it is formed, so that it does not react"""
 
 
 ALONE = Ways(0, False, False)
-"""Reactions and nothing else."""
+"""Reactions only."""
 
 
 class _Vessel(NamedTuple):
-    """What stays the same while a vessel reacts, by litre of its liquid."""
+    """Constants of a reacting vessel, per litre of its liquid."""
 
     energy: float
-    """J/L, heat content over 298.15 K at the start"""
+    """J/L, enthalpy relative to 298.15 K at the start"""
     capacity: float
     """J/K/L at the start"""
     jacket: float
-    """K"""
+    """jacket temperature in K"""
     transfer: float
-    """W/K/L; < 0: the contents are as warm as the jacket"""
+    """W/K/L; < 0: the contents have the jacket's temperature"""
     rtol: float
     atol: float
     """mol/L"""
     hottest: float
-    """K, at which it ends"""
+    """K, temperature at which the integration ends"""
     ways: Ways
     litres: float
     work: FloatArray
 
 
 def react_work_size(chemistry: RealChemistry) -> tuple[int, int]:
-    """Shape of the scratch array :func:`integrate` needs."""
+    """Return the shape of the scratch array that :func:`integrate` needs."""
     crystals = int((chemistry.fusion[chemistry.dissolved] > 0.0).sum())
     extents = chemistry.independent.shape[0] + crystals
     rows = _VECTORS + 2 * (extents + 1) + extents + _ROWS_AT_END
@@ -134,17 +136,16 @@ def react_work_size(chemistry: RealChemistry) -> tuple[int, int]:
 
 @helper
 def extra(work: FloatArray, u: int) -> int:
-    """The row of the scratch that has what unknown ``u`` changes of each concentration beside the stoichiometry of its
-    reaction."""
+    """Return the scratch row with the changes of each concentration by unknown ``u`` besides its stoichiometry."""
     return int(work.shape[0] - _ROWS_AT_END - 1 - u)
 
 
-# -- what is there ---------------------------------------------------------------------------------------------------
+# -- contents --------------------------------------------------------------------------------------------------------
 
 
 @helper
 def available(row: FloatArray, chem: Handle, j: int) -> float:
-    """mol of species ``j`` that can react: of what dissolves, what is dissolved."""
+    """Return mol of species ``j`` that can react: for dissolvable materials, the dissolved amount."""
     chemistry = opened(RealChemistry, chem)
     m, i = chemistry.role.shape[0], chemistry.species[j]
     k = chemistry.dissolved_at[i]
@@ -159,7 +160,7 @@ def available(row: FloatArray, chem: Handle, j: int) -> float:
 
 @helper
 def _can_react(row: FloatArray, chem: Handle) -> bool:
-    """Whether any reaction has all it needs, in one direction or the other."""
+    """Return True if any reaction has all its reactants, in one direction or the other."""
     chemistry = opened(RealChemistry, chem)
     for r in range(chemistry.forward.shape[0]):
         ready = True
@@ -183,8 +184,10 @@ def _can_react(row: FloatArray, chem: Handle) -> bool:
 
 @helper
 def _exchange_heat(row: FloatArray, chem: Handle, dt: float, around: Surroundings, hottest: float) -> float:
-    """Let the contents come to the jacket's temperature, or until they are as hot as ``hottest`` (K); without a
-    reaction that has a closed form. Returns the time that has passed."""
+    """Exchange heat with the jacket up to its temperature or ``hottest`` (K); return the elapsed time.
+
+    Without reactions there is a closed form.
+    """
     at, jacket, transfer = row[TEMPERATURE], around.jacket, around.transfer
     if transfer == 0.0 or at == jacket or dt <= 0.0:
         return dt
@@ -202,9 +205,11 @@ def _exchange_heat(row: FloatArray, chem: Handle, dt: float, around: Surrounding
 
 @inner
 def add_species(row: FloatArray, chem: Handle, j: int, change: float, shifts: bool) -> None:
-    """Add ``change`` mol of species ``j`` (less than none is none) where it is already; what is nowhere yet goes to all
-    layers by their volume, an ion to water. Where equilibria shift, what is used up beyond that stands as less than
-    none in water, until they have settled."""
+    """Add ``change`` mol of species ``j`` (negative removes it) in proportion to its present distribution.
+
+    A species that is not yet present goes to all layers by volume, an ion to water. If equilibria shift, a deficit
+    stays as a negative amount in water until they have settled.
+    """
     chemistry = opened(RealChemistry, chem)
     m, i = chemistry.role.shape[0], chemistry.species[j]
     k, n_dissolved = chemistry.dissolved_at[i], chemistry.dissolved.shape[0]
@@ -217,7 +222,7 @@ def add_species(row: FloatArray, chem: Handle, j: int, change: float, shifts: bo
         row[AMOUNTS + i] += change
         row[AMOUNTS + m + k * ((row.shape[0] - AMOUNTS - m) // n_dissolved)] += change
         return
-    # Crystals of it stay as they are.
+    # Its crystals stay unchanged.
     row[AMOUNTS + i] = max(row[AMOUNTS + i] - before, 0.0) + after
     layers = (row.shape[0] - AMOUNTS - m) // n_dissolved
     first = AMOUNTS + m + k * layers
@@ -247,8 +252,11 @@ def add_species(row: FloatArray, chem: Handle, j: int, change: float, shifts: bo
 
 @helper
 def _power(concentration: float, order: float, small: float) -> float:
-    """A concentration to the power of an order. Orders below 1, of which the slope at 0 is infinite, go over smoothly
-    to order 1 below ``small``; order 1 goes on below 0, where a trial step may be."""
+    """Return a concentration to the power of an order.
+
+    Orders below 1, whose slope at 0 is infinite, change smoothly to order 1 below ``small``. Order 1 extends below 0,
+    which trial steps may reach.
+    """
     if order == 1.0:
         return concentration
     if order < 1.0 and concentration < small:
@@ -263,7 +271,7 @@ def _power(concentration: float, order: float, small: float) -> float:
 
 @helper
 def _slope(concentration: float, order: float, small: float, power: float) -> float:
-    """Derivative with the concentration of its ``power`` (:func:`_power`)."""
+    """Return the derivative of ``power`` (:func:`_power`) with respect to the concentration."""
     if order == 1.0:
         return 1.0
     if order < 1.0 and concentration < small:
@@ -276,7 +284,7 @@ def _slope(concentration: float, order: float, small: float, power: float) -> fl
 
 @inner
 def _temperature(chem: Handle, vessel: _Vessel, y: FloatArray) -> tuple[float, float]:
-    """(K, J/K/L) temperature and heat capacity at some extents and heat from the jacket, by the enthalpy balance."""
+    """Return temperature (K) and heat capacity (J/K/L) at given extents and jacket heat, by the enthalpy balance."""
     n = opened(RealChemistry, chem).independent.shape[0] + vessel.ways.crystals
     energy, capacity = vessel.energy, vessel.capacity
     for b in range(n):
@@ -290,7 +298,7 @@ def _temperature(chem: Handle, vessel: _Vessel, y: FloatArray) -> tuple[float, f
 
 @helper
 def _of_gas(chem: Handle, factors: IntArray, r: int) -> bool:
-    """Whether a gas is among the factors of a rate."""
+    """Return True if a gas is among the factors of a rate."""
     chemistry = opened(RealChemistry, chem)
     for f in range(factors.shape[1]):
         if factors[r, f] >= 0 and chemistry.role[chemistry.species[factors[r, f]]] == ROLE_GAS:
@@ -300,7 +308,7 @@ def _of_gas(chem: Handle, factors: IntArray, r: int) -> bool:
 
 @inner
 def _set_constants(chem: Handle, vessel: _Vessel, temperature: float) -> None:
-    """Rate constants of all reactions and of their reverse at a temperature (K); 0 where they need gas that leaves."""
+    """Set forward and reverse rate constants at a temperature (K); 0 for reactions of gas that leaves."""
     chemistry, work = opened(RealChemistry, chem), vessel.work
     bounded = min(max(temperature, _COLDEST_K), _HOTTEST_K)
     inverse = (1.0 / bounded - 1.0 / STANDARD_K) / GAS_CONSTANT
@@ -308,7 +316,7 @@ def _set_constants(chem: Handle, vessel: _Vessel, temperature: float) -> None:
         forward = rate_constant(r, bounded, chem)
         power = min(max(chemistry.equilibrium_heat[r] * inverse, _SMALLEST_POWER), _LARGEST_POWER)
         work[_FORWARD, r] = forward
-        # Divided by infinity, nothing is left of it.
+        # Dividing by infinity gives 0.
         back = chemistry.equilibrium[r] < math.inf
         work[_BACKWARD, r] = forward * (math.exp(power) / chemistry.equilibrium[r]) if back else 0.0
         if vessel.ways.leaves and _of_gas(chem, chemistry.forward, r):
@@ -319,19 +327,19 @@ def _set_constants(chem: Handle, vessel: _Vessel, temperature: float) -> None:
 
 @helper
 def _first_extra(chem: Handle, vessel: _Vessel) -> int:
-    """The first unknown that changes more than the species of its reaction."""
+    """Return the first unknown that changes more than the species of its reaction."""
     return 0 if vessel.ways.shifts else opened(RealChemistry, chem).independent.shape[0]
 
 
 @helper
 def _columns(chem: Handle, vessel: _Vessel) -> int:
-    """How many concentrations there are: of species, then of crystals that are none."""
+    """Return the number of concentrations: species, then crystals that are not species."""
     return int(opened(RealChemistry, chem).species.shape[0] + vessel.ways.crystals)
 
 
 @inner
 def _concentrations(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
-    """Concentrations at some extents."""
+    """Compute the concentrations at given extents."""
     chemistry, work, columns = opened(RealChemistry, chem), vessel.work, _columns(chem, vessel)
     for j in range(columns):
         work[_CONC, j] = work[_START, j]
@@ -351,7 +359,7 @@ def _concentrations(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
 
 @inner
 def _made(chem: Handle, extents: FloatArray, j: int) -> float:
-    """What some extents of reactions make of species ``j``."""
+    """Return the amount of species ``j`` formed by given extents."""
     chemistry = opened(RealChemistry, chem)
     total = 0.0
     for b in range(chemistry.independent.shape[0]):
@@ -361,7 +369,7 @@ def _made(chem: Handle, extents: FloatArray, j: int) -> float:
 
 @inner
 def _change(chem: Handle, vessel: _Vessel, extents: FloatArray, j: int) -> float:
-    """By how much some extents (or their rates) change concentration ``j``."""
+    """Return the change of concentration ``j`` by given extents (or their rates)."""
     chemistry = opened(RealChemistry, chem)
     total = _made(chem, extents, j) if j < chemistry.species.shape[0] else 0.0
     for u in range(_first_extra(chem, vessel), chemistry.independent.shape[0] + vessel.ways.crystals):
@@ -371,7 +379,7 @@ def _change(chem: Handle, vessel: _Vessel, extents: FloatArray, j: int) -> float
 
 @inner
 def _effect(chem: Handle, vessel: _Vessel, u: int, j: int) -> float:
-    """By how much a unit of unknown ``u`` changes concentration ``j``."""
+    """Return the change of concentration ``j`` per unit of unknown ``u``."""
     chemistry = opened(RealChemistry, chem)
     reaction = u < chemistry.independent.shape[0] and j < chemistry.species.shape[0]
     total = chemistry.stoichiometry[chemistry.independent[u], j] if reaction else 0.0
@@ -382,20 +390,20 @@ def _effect(chem: Handle, vessel: _Vessel, u: int, j: int) -> float:
 
 @helper
 def _lacking(vessel: _Vessel, q: int) -> float:
-    """mol/L that the liquids lack of crystals ``q`` to saturation."""
+    """Return the undersaturation of the liquids with crystals ``q`` in mol/L."""
     work = vessel.work
     return float(work[SATURATED, q] / vessel.litres - work[_CONC, int(work[COLUMN, q])])
 
 
 @helper
 def _left(vessel: _Vessel, q: int, dissolved: float) -> float:
-    """mol/L that are left of crystals ``q`` after some have ``dissolved``."""
+    """Return the mol/L of crystals ``q`` that remain after some have ``dissolved``."""
     return float(vessel.work[CRYSTALS, q] / vessel.litres - dissolved)
 
 
 @inner
 def _slowing(chem: Handle, work: FloatArray, r: int) -> float:
-    """What inhibitors leave of a rate."""
+    """Return the factor by which inhibitors reduce a rate."""
     chemistry = opened(RealChemistry, chem)
     total = 1.0
     for f in range(chemistry.inhibitors.shape[1]):
@@ -407,7 +415,7 @@ def _slowing(chem: Handle, work: FloatArray, r: int) -> float:
 
 @inner
 def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> None:
-    """Rates of the unknowns: of independent reactions (mol/L per time unit) and of heat through the jacket (W/L)."""
+    """Compute the rates of independent reactions (mol/L per time unit) and of heat through the jacket (W/L)."""
     chemistry = opened(RealChemistry, chem)
     n, work, small = chemistry.independent.shape[0], vessel.work, _SMALL * vessel.atol
     crystals = vessel.ways.crystals
@@ -439,7 +447,7 @@ def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> Non
 
 @inner
 def _spread(chem: Handle, vessel: _Vessel, r: int, j: int, slope: float) -> None:
-    """Add to the Jacobian what the slope of rate ``r`` with the concentration of species ``j`` makes."""
+    """Add the contribution of one rate's slope with respect to species ``j`` to the Jacobian."""
     chemistry, matrix = opened(RealChemistry, chem), vessel.work[_VECTORS:]
     for p in range(chemistry.parts.shape[1]):
         b = chemistry.parts[r, p]
@@ -451,8 +459,9 @@ def _spread(chem: Handle, vessel: _Vessel, r: int, j: int, slope: float) -> None
 
 @inner
 def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, constant: float) -> float:
-    """Add one direction of reaction ``r`` to the Jacobian; returns its rate. ``constant`` is its rate constant, with
-    its sign."""
+    """Add one direction of reaction ``r`` to the Jacobian; return its rate. ``constant`` is its signed rate
+    constant.
+    """
     chemistry = opened(RealChemistry, chem)
     factors = chemistry.backward if backward else chemistry.forward
     orders = chemistry.backward_order if backward else chemistry.forward_order
@@ -480,7 +489,9 @@ def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, consta
 
 @inner
 def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
-    """Derivatives of :func:`_rates` with the extents and the heat; concentrations and constants are those at ``y``."""
+    """Compute derivatives of :func:`_rates` with respect to the unknowns; concentrations and constants are those at
+    ``y``.
+    """
     chemistry, work = opened(RealChemistry, chem), vessel.work
     reactions = chemistry.independent.shape[0]
     n = reactions + vessel.ways.crystals
@@ -511,7 +522,7 @@ def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
         for s in range(n):
             matrix[u, s] = -chemistry.crystal_rate * _effect(chem, vessel, s, int(work[COLUMN, q]))
     matrix[n, n] = -vessel.transfer
-    # So far the last column is the slope with temperature; that follows from extents and heat.
+    # So far the last column is the slope with temperature, which depends on extents and heat.
     for b in range(n + 1):
         slope = matrix[b, n] / capacity if vessel.transfer >= 0.0 else 0.0
         for s in range(n):
@@ -524,7 +535,7 @@ def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
 
 @inner
 def _factorize(n: int, h: float, work: FloatArray) -> bool:
-    """LU factors of 1 / (gamma h) - Jacobian, with pivoting; False where it is singular."""
+    """Compute LU factors of 1 / (gamma h) - Jacobian with pivoting; return False if it is singular."""
     jacobian, lu, pivot = work[_VECTORS:], work[_VECTORS + n :], work[_PIVOT]
     for r in range(n):
         for s in range(n):
@@ -568,7 +579,7 @@ def _solve(n: int, work: FloatArray, x: FloatArray) -> None:
 
 @inner
 def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
-    """The four stages of RODAS3; leaves the new unknowns in the trial row, and the error estimate in that of k4."""
+    """Compute the four stages of RODAS3; the new unknowns are in the trial row, the error estimate in that of k4."""
     work = vessel.work
     y, trial, rates = work[_EXTENT], work[_TRIAL], work[_RATES]
     k1, k2, k3, k4 = work[_K1], work[_K2], work[_K3], work[_K4]
@@ -596,7 +607,9 @@ def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
 
 @inner
 def _error(chem: Handle, vessel: _Vessel) -> float:
-    """Error of a trial step over what is allowed: root mean square over the concentrations, or the temperature's."""
+    """Return the error of a trial step relative to the tolerance: RMS over concentrations, or the temperature's if
+    larger.
+    """
     chemistry = opened(RealChemistry, chem)
     n, columns = chemistry.independent.shape[0] + vessel.ways.crystals, _columns(chem, vessel)
     work = vessel.work
@@ -613,15 +626,18 @@ def _error(chem: Handle, vessel: _Vessel) -> float:
         for b in range(n):
             heat -= (work[_HEAT, b] + work[_CAPACITY, b] * (temperature - STANDARD_K)) * work[_K4, b]
         off = abs(heat / capacity) / (vessel.rtol * _HEAT_SCALE_K)
-        # Not max(): it would hide what is no number.
+        # Not max(), which would hide NaN.
         worst = off if not off <= worst else worst
     return worst
 
 
 @inner
 def _hold_back(chem: Handle, vessel: _Vessel) -> bool:
-    """Take back from a trial step what would use up more of a species than there is, of all that uses it alike. Where
-    that is more than the tolerance, or does not end, the step is no good: False."""
+    """Limit a trial step to the available amounts, reducing all consumers of a species alike.
+
+    Returns:
+        False if the reduction exceeds the tolerance or does not converge; then the step is rejected.
+    """
     chemistry, work, rtol, atol = opened(RealChemistry, chem), vessel.work, vessel.rtol, vessel.atol
     y, trial = work[_EXTENT], work[_TRIAL]
     n = chemistry.independent.shape[0]
@@ -661,7 +677,7 @@ def _hold_back(chem: Handle, vessel: _Vessel) -> bool:
 
 @inner
 def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, dt: float) -> float:
-    """Fill the scratch for the contents of a vessel; returns the first trial step, 0 where nothing runs."""
+    """Fill the scratch for the contents of a vessel; return the first trial step, 0 if nothing reacts."""
     chemistry, litres = opened(RealChemistry, chem), vessel.litres
     n, work, crystals = chemistry.independent.shape[0], vessel.work, vessel.ways.crystals
     for j in range(chemistry.species.shape[0]):
@@ -693,7 +709,7 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, dt: float) -> float:
         running = running or abs(rates[n + q]) * dt * litres > _USED_UP
     if not running:
         return 0.0
-    # A first step that would use up much of a reactant tells nothing about its own error.
+    # The error estimate of a first step that consumes most of a reactant is not meaningful.
     for j in range(_columns(chem, vessel)):
         change = _change(chem, vessel, rates, j)
         if change < 0.0:
@@ -703,9 +719,11 @@ def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, dt: float) -> float:
 
 @inner
 def _next_step(error: float, last_error: float, ratio: float) -> float:
-    """How much longer than a step of an ``error`` the next one may be, after one of ``last_error`` (0: none) over which
-    it was longer by ``ratio``. Errors that have grown will go on to (Gustafsson, ACM Trans. Math. Softw. 20 (1994)
-    496)."""
+    """Return the ratio of the next step to one with ``error``.
+
+    The previous step had ``last_error`` (0: none), and this one was longer by ``ratio``. The controller is predictive:
+    growing errors are expected to grow further (Gustafsson, ACM Trans. Math. Softw. 20 (1994) 496).
+    """
     error, last_error = max(error, _LEAST_ERROR), max(last_error, _LEAST_ERROR) if last_error > 0.0 else 0.0
     longer = 0.9 * error ** (-1.0 / 3.0)
     if last_error > 0.0:
@@ -715,8 +733,11 @@ def _next_step(error: float, last_error: float, ratio: float) -> float:
 
 @inner
 def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float) -> tuple[int, float]:
-    """Bring the extents from 0 to ``dt``, or until the contents are too hot; returns the number of steps, -1 where
-    there would be too many, and the time that has passed."""
+    """Integrate the extents from 0 to ``dt``, or until the contents are too hot.
+
+    Returns:
+        Number of steps, -1 if there are too many; elapsed time.
+    """
     chemistry = opened(RealChemistry, chem)
     n, work = chemistry.independent.shape[0] + vessel.ways.crystals, vessel.work
     n += 1 if vessel.transfer > 0.0 else 0
@@ -767,8 +788,10 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float) -> tuple[
 
 @inner
 def _dissolve(row: FloatArray, chem: Handle, k: int, mol: float, share: float) -> None:
-    """Crystals of fluid ``k`` go into the liquids, as what is dissolved of it is shared out or by ``share``, or (< 0)
-    grow out of them."""
+    """Dissolve (or, for negative ``mol``, crystallize) mol of fluid ``k``.
+
+    It is distributed like the dissolved amount, or by ``share``.
+    """
     at = AMOUNTS + opened(RealChemistry, chem).role.shape[0] + 2 * k
     held = dissolved(row, chem, k)
     if held > TRACE_MOL:
@@ -782,11 +805,11 @@ def _dissolve(row: FloatArray, chem: Handle, k: int, mol: float, share: float) -
 
 @inner
 def _finish(row: FloatArray, chem: Handle, vessel: _Vessel) -> None:
-    """Give a row what extents and crystals have come to, and its temperature."""
+    """Write the final extents, crystals and temperature to a row."""
     chemistry, work = opened(RealChemistry, chem), vessel.work
     n, extent, litres = chemistry.independent.shape[0], work[_EXTENT], vessel.litres
     temperature = _temperature(chem, vessel, extent)[0]
-    for growing in range(2):  # what dissolves may be used up, what is made may crystallize
+    for growing in range(2):  # dissolved material may be consumed, and products may crystallize
         for q in range(vessel.ways.crystals):
             if (extent[n + q] < 0.0) == (growing == 1):
                 _dissolve(row, chem, int(work[PLACE, q]), litres * extent[n + q], work[SHARE, q])
@@ -805,29 +828,28 @@ def _finish(row: FloatArray, chem: Handle, vessel: _Vessel) -> None:
 def integrate(
     row: FloatArray, dt: float, around: Surroundings, hottest: float, ways: Ways, chem: Handle, work: FloatArray
 ) -> tuple[int, float]:
-    """Let the contents of one vessel react and exchange heat with a jacket, at constant volume, as if nothing could
-    boil.
+    """React the contents of one vessel with a jacket at constant volume, without boiling.
 
     Args:
         row: vessel row; its amounts (mol) and temperature (K) change in place.
         dt: time, in the unit of the rate constants, which is the second where heat passes through the wall.
-        around: jacket and tolerances, that of temperature being ``rtol`` times 10 K. A transfer of 0 is a perfect
+        around: jacket and tolerances; that of temperature is ``rtol`` times 10 K. A transfer of 0 is a perfect
             insulator, infinity (or a negative number) keeps the contents as warm as the jacket.
-        hottest: K, at which (or up to 1 K beyond) this ends before ``dt``; contents that are to have the jacket's
-            temperature do not look at it.
-        ways: crystals that dissolve or grow, equilibria that shift: at saturations and shifts that stay as they are.
+        hottest: temperature in K at which (or up to 1 K above) this ends before ``dt``; ignored for contents at the
+            jacket's temperature.
+        ways: crystals that dissolve or grow, and shifting equilibria, with constant saturations and shifts.
         chem: the chemistry.
         work: scratch of shape :func:`react_work_size`.
 
     Returns:
-        (number of steps taken, rejected ones included; time that has passed). The number is -1 where it would have been
-        more than 100,000: nothing has changed then.
+        (number of steps, rejected ones included; elapsed time). The number is -1 if it exceeded
+        100,000; nothing has changed then.
     """
     litres = 0.0
     if dt > 0.0 and (ways.crystals > 0 or _can_react(row, chem)):
         litres = liquid_volume(row, chem)
     if ways.crystals > 0 and dt > 0.0:
-        litres = max(litres, 2.0 * _LEAST_LITRES)  # they dissolve in a trace, and freeze out of the last of a melt
+        litres = max(litres, 2.0 * _LEAST_LITRES)  # for traces that dissolve, and remainders of a melt
     if litres <= _LEAST_LITRES:
         return 0, _exchange_heat(row, chem, dt, around, hottest)
     capacity = heat_capacity(row, chem) / litres

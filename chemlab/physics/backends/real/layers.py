@@ -1,4 +1,4 @@
-"""What stands in a vessel: solids and crystals, water, the organic phase, air."""
+"""Layers of a vessel: solids and crystals, water, the organic phase, air."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_
 
 @helper
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
-    """All of what is a solid, and the crystals of a fluid."""
+    """Return all of a solid's mol, or the crystals of a fluid."""
     chemistry = opened(RealChemistry, chem)
     if chemistry.role[material] == ROLE_SOLID:
         return float(row[AMOUNTS + material])
@@ -25,7 +25,7 @@ def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
 
 @helper
 def solid_volume(row: FloatArray, chem: Handle) -> float:
-    """Volume of solids and crystals, L."""
+    """Return the volume of solids and crystals in L."""
     chemistry = opened(RealChemistry, chem)
     total = 0.0
     for i in range(chemistry.role.shape[0]):
@@ -35,7 +35,7 @@ def solid_volume(row: FloatArray, chem: Handle) -> float:
 
 @helper
 def _phase(row: FloatArray, code: int, weights: FloatArray, chem: Handle) -> float:
-    """Sum of mol x weight over what a liquid layer holds."""
+    """Return the sum of mol x weight over the contents of a liquid layer."""
     chemistry = opened(RealChemistry, chem)
     at = AMOUNTS + chemistry.role.shape[0] + (FIRST_PHASE - code)
     total = 0.0
@@ -46,7 +46,7 @@ def _phase(row: FloatArray, code: int, weights: FloatArray, chem: Handle) -> flo
 
 @helper
 def layer_density(row: FloatArray, code: int, chem: Handle) -> float:
-    """kg/L of a layer."""
+    """Return the density of a layer in kg/L."""
     chemistry = opened(RealChemistry, chem)
     if code > FIRST_PHASE:
         return float(chemistry.density[code])
@@ -56,7 +56,7 @@ def layer_density(row: FloatArray, code: int, chem: Handle) -> float:
 
 @helper
 def layer_shade(row: FloatArray, code: int, chem: Handle) -> float:
-    """Grey value of a layer: its materials', by volume."""
+    """Return the grey value of a layer, the mean of its materials by volume."""
     chemistry = opened(RealChemistry, chem)
     if code > FIRST_PHASE:
         return float(chemistry.shade[code])
@@ -72,7 +72,7 @@ def layer_shade(row: FloatArray, code: int, chem: Handle) -> float:
 
 @helper
 def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
-    """Volumes of solids, liquid phases and air, densest liquid first."""
+    """Find the volumes of solids, liquid phases and air, densest liquid first."""
     chemistry = opened(RealChemistry, chem)
     layers[1], volumes[0] = SOLIDS, solid_volume(row, chem)
     count = 1
@@ -94,7 +94,7 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
 
 @helper
 def drain_layer(source: FloatArray, target: FloatArray, code: int, share: float, chem: Handle) -> float:
-    """Move ``share`` of a layer, or of the solids and crystals; returns their heat capacity, J/K."""
+    """Move ``share`` of a layer, or of the solids and crystals; return their heat capacity in J/K."""
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
     arriving = 0.0

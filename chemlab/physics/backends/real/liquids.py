@@ -1,7 +1,7 @@
-"""Liquid mixtures: activity coefficients (NRTL), vapour pressures, and the split into water and an organic phase.
+"""Liquid mixtures: activity coefficients (NRTL), vapour pressures, and the split into an aqueous and an organic phase.
 
-Renon and Prausnitz, AIChE J. 14 (1968) 135 (NRTL). Neutral molecules are driven out of salty water by Setschenow's
-rule; ions stay in water and dilute it.
+Renon and Prausnitz, AIChE J. 14 (1968) 135 (NRTL). Neutral molecules are salted out of water by Setschenow's rule; ions
+stay in water and dilute it.
 """
 
 from __future__ import annotations
@@ -33,31 +33,33 @@ __all__ = [
 _ROOM = MOST_FLUIDS * MOST_FLUIDS
 _BOTH = 2 * MOST_FLUIDS
 _SETSCHENOW = 0.2
-"""L/mol (base 10) of dissolved salt: benzene in NaCl 0.195, typical of neutral organics (Xie, Shiu, Mackay, Mar.
-Environ. Res. 44 (1997) 429)."""
+"""Setschenow constant in L/mol (base 10) of dissolved salt: benzene in NaCl 0.195, typical of neutral organics.
+
+Xie, Shiu, Mackay, Mar. Environ. Res. 44 (1997) 429.
+"""
 _MOST_ROUNDS = 200
 _FORESIGHT, _STEADY = 3, 0.95
-"""Every how many rounds steps are taken further, and the largest factor by which they may shrink for that."""
+"""Interval of extrapolation in iterations, and maximum contraction factor for which it is used."""
 _CLOSE = 1e-6
-"""Of every ln K, where the split counts as found."""
+"""Convergence tolerance of every ln K of the split."""
 _SAME = 1e-4
-"""ln K of everything below which two phases are one."""
+"""|ln K| of all molecules below which two phases are identical."""
 _STEEPEST = 300.0
 _MOST_BOUND = 1e100
-"""Square root of a pressure of dimers, kPa: far beyond any, and its square is a number."""
+"""Upper bound of the square root of a dimer pressure in kPa, whose square is finite."""
 
 
 class Liquids(NamedTuple):
-    """The molecules in the liquids of a vessel, n of them, and their two phases: scratch of one kernel."""
+    """The n molecules in the liquids of a vessel, and their two phases: scratch of one kernel."""
 
     who: FloatArray
     """[n] material indices"""
     mol: FloatArray
     """[n] mol in both phases"""
     share: FloatArray
-    """[n] of its mol in the organic phase"""
+    """[n] share of its mol in the organic phase"""
     tau: FloatArray
-    """[n * n] NRTL parameters at the temperature, and G = exp(-alpha tau)"""
+    """[n * n] NRTL parameters at the temperature; in ``g``, exp(-alpha tau)"""
     g: FloatArray
     log_gamma: FloatArray
     """[2 * n] ln of the activity coefficients, phase after phase"""
@@ -66,15 +68,16 @@ class Liquids(NamedTuple):
     work: FloatArray
     """[2 * n]"""
     parting: FloatArray
-    """[n] J/mol, what a molecule's heat of vaporization has more in the mixture's vapour than in its own, which has
-    more dimers"""
+    """[n] J/mol, excess of a molecule's heat of vaporization in the mixture over that in its own vapour, which has more
+    dimers
+    """
     ions: FloatArray
-    """[2] mol of ions; and what ln gamma of a molecule in water gains by them"""
+    """[2] mol of ions; increase of ln gamma of a molecule in water by them"""
 
 
 @inner
 def clear_liquids() -> Liquids:
-    """Room for the liquids of a vessel, in the kernel that asks."""
+    """Allocate scratch for the liquids of a vessel in the calling kernel."""
     return Liquids(
         scratch(MOST_FLUIDS),
         scratch(MOST_FLUIDS),
@@ -91,8 +94,9 @@ def clear_liquids() -> Liquids:
 
 @inner
 def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
-    """Take up what is liquid in a vessel: molecules of which there is more than a trace, as they stand in its phases.
-    Returns how many there are."""
+    """Collect the liquid molecules of a vessel above a trace, with their distribution over its phases; return their
+    number.
+    """
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
     n, ions, litres = 0, 0.0, 0.0
@@ -118,7 +122,7 @@ def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
 
 @inner
 def prepare(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
-    """NRTL parameters at a temperature (K)."""
+    """Compute the NRTL parameters at a temperature in K."""
     chemistry = opened(RealChemistry, chem)
     inverse, rest = 1.0 / temperature, math.log(temperature / REFERENCE_K)
     for a in range(n):
@@ -133,7 +137,7 @@ def prepare(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
 
 @inner
 def nrtl(n: int, phase: int, liquids: Liquids) -> None:
-    """ln of the activity coefficients of a phase, by its mole fractions."""
+    """Compute ln of the activity coefficients of a phase from its mole fractions."""
     x, tau, g, out, work = liquids.x, liquids.tau, liquids.g, liquids.log_gamma, liquids.work
     at = phase * n
     for j in range(n):
@@ -153,7 +157,9 @@ def nrtl(n: int, phase: int, liquids: Liquids) -> None:
 
 @inner
 def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
-    """Mole fractions and activity coefficients in both phases as they stand (an absent one has those of the other)."""
+    """Compute mole fractions and activity coefficients in both current phases (an absent one has those of the
+    other).
+    """
     aqueous, organic = 0.0, 0.0
     for a in range(n):
         organic += liquids.mol[a] * liquids.share[a]
@@ -178,7 +184,7 @@ def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> No
 
 @inner
 def _salt(n: int, aqueous: float, chem: Handle, liquids: Liquids) -> None:
-    """What ions do to the activities in water."""
+    """Apply the effect of ions on the activities in water."""
     water = opened(RealChemistry, chem).water
     for a in range(n):
         if int(liquids.who[a]) == water:
@@ -189,8 +195,10 @@ def _salt(n: int, aqueous: float, chem: Handle, liquids: Liquids) -> None:
 
 @inner
 def _shares(n: int, liquids: Liquids, ratio: FloatArray, total: float) -> float:
-    """Rachford and Rice (1952): the share of all molecules in the organic phase at given ratios of mole fractions
-    organic / water; 0 or 1 where there is one phase only."""
+    """Return the share of all molecules in the organic phase at given ratios of mole fractions organic / water.
+
+    Rachford and Rice (1952); 0 or 1 if there is only one phase.
+    """
     low, high = 0.0, 0.0
     for a in range(n):
         low += liquids.mol[a] * (ratio[a] - 1.0)
@@ -226,8 +234,10 @@ def _shares(n: int, liquids: Liquids, ratio: FloatArray, total: float) -> float:
 
 @routine
 def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
-    """Share the molecules out between water and the organic phase so that each has the same activity in both; then
-    ``liquids.share``, ``x`` and ``log_gamma`` say how. Successive substitution, from how they stand."""
+    """Distribute the molecules over water and the organic phase so that each has equal activities in both.
+
+    The result is in ``liquids.share``, ``x`` and ``log_gamma``. Successive substitution from the current distribution.
+    """
     chemistry = opened(RealChemistry, chem)
     total, water, organic = 0.0, 0.0, 0.0
     for a in range(n):
@@ -278,7 +288,7 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
             across += moved[a] * moved[a]
             moved[a] = step
             last[a] = gap
-        # Steps that shrink by a constant factor lead to a point that can be foreseen (Wegstein; Orbach and Crowe 1971).
+        # Steps that shrink by a constant factor allow extrapolation to the limit (Wegstein; Orbach and Crowe 1971).
         factor = along / across if across > 0.0 else 0.0
         if turn % _FORESIGHT == _FORESIGHT - 1 and 0.0 < factor < _STEADY and worst < 1.0:
             for a in range(n):
@@ -295,7 +305,7 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
 
 @inner
 def _one_phase(n: int, water: float, total: float, temperature: float, chem: Handle, liquids: Liquids) -> None:
-    """All in one: water where most of the molecules are water's, or where there are ions."""
+    """Put everything into one phase: water if most molecules are water, or if there are ions."""
     wet = water > 0.5 * total or liquids.ions[0] > TRACE_MOL
     for a in range(n):
         liquids.share[a] = 0.0 if wet else 1.0
@@ -304,7 +314,7 @@ def _one_phase(n: int, water: float, total: float, temperature: float, chem: Han
 
 @helper
 def on_curve(curves: FloatArray, material: int, temperature: float, chem: Handle) -> float:
-    """A curve [M, G] (``vapor`` or ``vaporizing``) of a material at a temperature (K)."""
+    """Return the value of a curve [M, G] (``vapor`` or ``vaporizing``) of a material at a temperature in K."""
     curve = opened(RealChemistry, chem).curve
     at = (1.0 / temperature - curve[0]) / curve[1]
     at = min(max(at, 0.0), curves.shape[1] - 1.0)
@@ -315,9 +325,10 @@ def on_curve(curves: FloatArray, material: int, temperature: float, chem: Handle
 
 @helper
 def dimer_root(material: int, temperature: float, chem: Handle) -> float:
-    """Square root of the dimerization constant of a material's vapour (1/kPa) at a temperature (K); 0 without dimers.
+    """Return the square root of a vapour's dimerization constant (1/kPa) at a temperature in K; 0 without dimers.
 
-    Of two materials, mixed dimers have twice the product of their roots (the rule of the double geometric mean)."""
+    The constant of a mixed dimer is twice the product of the roots (rule of the double geometric mean).
+    """
     dimer = opened(RealChemistry, chem).dimer
     if dimer[material, 1] == 0.0:
         return 0.0
@@ -326,8 +337,9 @@ def dimer_root(material: int, temperature: float, chem: Handle) -> float:
 
 @inner
 def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids, out: FloatArray) -> float:
-    """Vapour over the liquids, each molecule by its activity in the phase that holds most of it; layers that do not mix
-    add up (steam distillation).
+    """Compute the vapour over the liquids; each molecule has its activity in the phase that holds most of it.
+
+    The pressures of immiscible layers add up (steam distillation).
 
     Carboxylic acids form dimers: activities are those of the monomers (chemical theory: Prausnitz, Lichtenthaler and
     de Azevedo, Molecular Thermodynamics of Fluid-Phase Equilibria, 3rd ed. 1999, section 5.9). With the monomers'
@@ -337,10 +349,10 @@ def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids
         n, liquids: the liquids.
         temperature: K.
         chem: the chemistry.
-        out: [n] kPa of every molecule as if there were no dimers: proportional to the mol in the vapour.
+        out: [n] kPa of every molecule without dimers: proportional to the mol in the vapour.
 
     Returns:
-        Pressure of the vapour, kPa: a dimer counts as one.
+        Pressure of the vapour in kPa; a dimer counts as one molecule.
     """
     vapor = opened(RealChemistry, chem).vapor
     total, bound = 0.0, 0.0
@@ -365,7 +377,7 @@ def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids
 
 @inner
 def vapor_mol(n: int, partial: FloatArray) -> float:
-    """Sum of the pressures of all molecules as if there were no dimers."""
+    """Return the sum of the pressures of all molecules without dimers."""
     total = 0.0
     for a in range(n):
         total += partial[a]

@@ -1,4 +1,4 @@
-"""Where molecules are: equal activity in water and in the organic phase, as far as the layers have been mixed."""
+"""Distribution of molecules: equal activities in water and in the organic phase, to the extent of mixing."""
 
 from __future__ import annotations
 
@@ -15,24 +15,26 @@ from .liquids import clear_liquids, gather, split
 __all__ = ["crystallizes", "partition", "place_new"]
 
 _STIRRED = 0.99
-"""Share of the way to equilibrium from which acids and bases find each other across the layers, too."""
+"""Share of the way to equilibrium from which acids and bases equilibrate across the layers."""
 _MOST_ROUNDS, _CLOSE = 60, 1e-7
-"""Of that; and the share of all molecules of which no more goes on moving."""
+"""Iteration limit of that equilibrium, and share of all molecules that may still be moving."""
 _LEAST_SHARE = 1e-9
-"""Of a fluid; where less of it has a place, that says nothing about where the rest belongs."""
+"""Share of a fluid below which its location does not determine the distribution of the rest."""
 
 
 @helper
 def crystallizes(row: FloatArray, chem: Handle, material: int) -> bool:
-    """Whether a fluid is a solid of its own at the vessel's temperature, which may lie in it undissolved."""
+    """Return True if a fluid is a solid at the vessel's temperature, which may lie in it undissolved."""
     chemistry = opened(RealChemistry, chem)
     return bool(chemistry.fusion[material] > 0.0 and row[TEMPERATURE] < chemistry.melting[material])
 
 
 @helper
 def _melted(row: FloatArray, chem: Handle, material: int, crystals: float) -> float:
-    """mol of a fluid's crystals that melt, which cools the contents to its melting point at most; all of what never
-    crystallizes."""
+    """Return mol of a fluid's crystals that melt, cooling the contents to the melting point at most.
+
+    All of a fluid that never crystallizes melts.
+    """
     chemistry = opened(RealChemistry, chem)
     fusion = chemistry.fusion[material]
     if fusion <= 0.0:
@@ -48,11 +50,11 @@ def _melted(row: FloatArray, chem: Handle, material: int, crystals: float) -> fl
 
 @helper
 def place_new(row: FloatArray, chem: Handle) -> float:
-    """Bring the phases of a row up to what it holds: what is new goes where the fluid is already, or else to the phase
-    it is most at home in; what is gone leaves both alike. Returns the mol that had no place of its own yet.
+    """Update the phases of a row to its total amounts; return mol whose location is new.
 
-    Crystals have none: what can crystallize stays undissolved until it is dissolved (:mod:`.kinetics`). Above their
-    melting point they melt, as far as the heat that they are too warm by goes.
+    New amounts follow the present distribution of the fluid, or go to the phase of lower activity; removed amounts
+    leave both phases in proportion. New crystals stay undissolved until they dissolve (:mod:`.kinetics`). Above their
+    melting point they melt as far as the excess heat suffices.
     """
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
@@ -90,10 +92,10 @@ def _is_acid(material: int, chem: Handle) -> bool:
 
 @kernel
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
-    """Bring the phases from CLOCK_WAS to CLOCK: the more the layers are stirred, the closer to equal activities.
+    """Update the phases from CLOCK_WAS to CLOCK: more stirring brings the activities closer.
 
-    With s the settling clock between mixed (0) and settled (1), what is there goes 1 - s^2 of the way; a settled
-    vessel keeps what each layer holds, and what is new in it goes to where it belongs at once.
+    With s the settling clock between mixed (0) and settled (1), existing amounts move 1 - s^2 of the way. A settled
+    vessel keeps the content of each layer; new amounts go to equilibrium at once.
     """
     chemistry = opened(RealChemistry, chem)
     settled = (row[CLOCK] - T_MIX) / (CLOCK_SETTLED - T_MIX)
@@ -105,7 +107,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     moved = _share_out(row, way, fresh, 1.0, chem)
     if way < _STIRRED or chemistry.ionization[0] < 0:
         return
-    # What becomes ions in the water makes room there for more of the acid, as long as there is a base.
+    # Ions formed in the water make room for more of the acid, as long as there is base.
     push = 1.0
     for _ in range(_MOST_ROUNDS):
         settle_acids(row, chem, work)
@@ -119,8 +121,10 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
 
 @inner
 def _share_out(row: FloatArray, way: float, fresh: float, push: float, chem: Handle) -> float:
-    """Take molecules ``way`` of the way to where they belong, acids ``push`` times as far; what is ``fresh`` (mol)
-    counts as stirred. Returns the acids' mol that went into the organic phase, as a share of all molecules."""
+    """Move molecules ``way`` of the way to equilibrium, acids ``push`` times as far.
+
+    ``fresh`` mol count as stirred. Returns the acids' mol moved into the organic phase as a share of all molecules.
+    """
     chemistry = opened(RealChemistry, chem)
     liquids = clear_liquids()
     n = gather(row, chem, liquids)

@@ -1,4 +1,4 @@
-"""What happens by itself in a vessel: violent reactions, salts, acids and bases, crystals, gas, heat to the room."""
+"""Spontaneous processes in a vessel: violent reactions, salts, acids and bases, crystals, gas, heat to the room."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _RTOL, _ATOL = 1e-3, 1e-9
 
 
 def work_size(chemistry: Any) -> tuple[int, int]:
-    """Of the scratch of reactions, and of acids, which settle while the last rows of that are in use."""
+    """Return the shape of the scratch of reactions plus that of acids, which settle while its last rows are in use."""
     rows, columns = react_work_size(chemistry)
     acid_rows, acid_columns = acid_work_size(chemistry)
     return rows + acid_rows, max(columns, acid_columns)
@@ -35,8 +35,10 @@ def work_size(chemistry: Any) -> tuple[int, int]:
 
 @inner
 def _react_violently(row: FloatArray, chem: Handle, events: FloatArray) -> bool:
-    """Run every violent reaction until one of its reactants is gone; the event that one counts as grows by the mol of
-    its first reactant. Says whether any ran."""
+    """Run every violent reaction until one of its reactants is consumed; return True if any ran.
+
+    A reaction's safety event grows by the mol of its first reactant.
+    """
     chemistry = opened(RealChemistry, chem)
     n, ran = chemistry.role.shape[0], False
     for v in range(chemistry.violent.shape[0]):
@@ -59,7 +61,7 @@ def _react_violently(row: FloatArray, chem: Handle, events: FloatArray) -> bool:
 
 @inner
 def _let_out(row: FloatArray, chem: Handle, waste: FloatArray) -> None:
-    """Gas leaves an open vessel."""
+    """Let gas leave an open vessel."""
     chemistry = opened(RealChemistry, chem)
     for i in range(chemistry.role.shape[0]):
         if chemistry.role[i] == ROLE_GAS and row[AMOUNTS + i] > 0.0:
@@ -69,8 +71,11 @@ def _let_out(row: FloatArray, chem: Handle, waste: FloatArray) -> None:
 
 @kernel
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
-    """What is at equilibrium in any vessel at any time: violent reactions, acids and bases, salts. Heat content stays,
-    so the temperature follows. Gas leaves an open vessel, and so does what then is above its boiling point."""
+    """Apply equilibria that hold at any time: violent reactions, acids and bases, salts.
+
+    The enthalpy is conserved, so the temperature follows. Gas leaves an open vessel, as does liquid above its boiling
+    point.
+    """
     chemistry = opened(RealChemistry, chem)
     place_new(row, chem)
     before = enthalpy(row, chem)
@@ -94,8 +99,11 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
 def elapse(
     row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> bool:
-    """Time passes for an open vessel: slow reactions go on, crystals grow or dissolve, heat goes to the room; what is
-    above its boiling point by then boils off."""
+    """Let time pass for an open vessel: slow reactions, growth and dissolution of crystals, heat exchange with the
+    room.
+
+    Liquid that is above its boiling point afterwards boils off.
+    """
     chemistry = opened(RealChemistry, chem)
     seconds, capacity = ticks * chemistry.tick_seconds, heat_capacity(row, chem)
     if capacity <= LEAST_CAPACITY:

@@ -1,9 +1,9 @@
-"""Reactions with their heat in a vessel that is sealed, open, or open through a condenser.
+"""Reactions with heat in a vessel that is sealed, open, or open through a condenser.
 
-An open vessel is followed to its boiling point, and from there in parts. In each it reacts at the temperature that
-boiling keeps; the heat that the condenser does not take goes into vapour, half of it beforehand, by what the part
-before tells: so temperature and composition are those of the middle of the part (midpoint rule, of second order).
-Where saturations, volumes or fast equilibria change, parts are short enough for that (:mod:`.spans`).
+An open vessel is integrated up to its boiling point, and from there in parts. In each part it reacts at the boiling
+temperature. Heat that the condenser does not remove produces vapour, half of it in advance, predicted from the previous
+part. Temperature and composition are therefore those of the middle of the part (midpoint rule, second order). Parts are
+short enough for changes of saturations, volumes and fast equilibria (:mod:`.spans`).
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from .vapor import boiling_point, flash_off
 __all__ = ["react"]
 
 _HEAT_K = 20.0
-"""By which the heat of a part would warm the contents, at most, if nothing boiled."""
+"""Maximum heat of a part, as warming of the contents in K without boiling."""
 _RISE_K = 6.0
-"""Of the boiling point, at most, in a part."""
+"""Maximum rise in K of the boiling point in a part."""
 _MOST_PARTS, _MOST_SPANS = 512, 4096
 _LEAST_SPAN = 1e-9
-"""Of the time, of a span at whose end equilibria lack something."""
+"""Share of the time below which a span is not shortened further for equilibria."""
 _SHORTEST_S = 0.25
-"""Of the shortest part: in a runaway a second decides."""
+"""Minimum duration of a part in s; in a runaway, a second matters."""
 _LONGEST_RATIO, _STEEPEST = 2.0, 1.5
-"""By which a part may be longer than the one before, and vapour be foreseen to come faster."""
+"""Maximum ratio of the durations of successive parts, and maximum predicted growth of vaporization."""
 _NEARLY_K = 0.3
-"""Below the boiling point, from where on contents boil."""
+"""Distance in K from the boiling point within which contents boil."""
 _ABOVE_K = 1.0
-"""Over jacket and contents, where it takes a look at the boiling point."""
+"""Distance in K above jacket and contents at which the boiling point is checked."""
 _COOLED_K = 1.0
-"""By which contents that were boiling may have cooled at the end of a part."""
+"""Allowed cooling in K of boiling contents by the end of a part."""
 
 
 @inner
@@ -52,7 +52,9 @@ def _copy(source: FloatArray, target: FloatArray) -> None:
 
 @inner
 def _far_from_boiling(row: FloatArray, jacket: float, chem: Handle) -> float:
-    """K to which the contents may come without boiling, by a look at their pressure there; 0 where they would boil."""
+    """Return the temperature (K) that the contents may reach without boiling, from their pressure there; 0 if they
+    boil.
+    """
     at = row[TEMPERATURE]
     row[TEMPERATURE] = max(at, jacket) + _ABOVE_K
     hot, pressure = row[TEMPERATURE], vapor_pressure(row, chem)
@@ -62,8 +64,10 @@ def _far_from_boiling(row: FloatArray, jacket: float, chem: Handle) -> float:
 
 @inner
 def _foreseen(now: float, before: float, part: float, last: float, following: float) -> float:
-    """W that will make vapour in the first half of the part that is ``following``, by those of a ``part`` and the one
-    before, if they go on to change as they do."""
+    """Predict the vaporization power (W) in the first half of the ``following`` part by linear extrapolation.
+
+    ``part`` and the part before it are the two known ones.
+    """
     trend = (now - before) * (part + 0.5 * following) / (part + last)
     return min(max(now + trend, 0.0), _STEEPEST * max(now, 0.0))
 
@@ -78,8 +82,10 @@ def react(
     events: FloatArray,
     work: FloatArray,
 ) -> int:
-    """Let the contents of one vessel react for ``dt``, while crystals dissolve and grow; what boils runs back from the
-    condenser, vapour that is too much for it is lost and an event."""
+    """React the contents of one vessel for ``dt`` while crystals dissolve and grow.
+
+    Vapour returns from the condenser; excess vapour is lost and is a safety event.
+    """
     pressure = opened(RealChemistry, chem).ambient_pressure
     kept = work[KEPT]
     follows = around.condenser >= 0.0 and 0.0 <= around.transfer < math.inf
@@ -110,7 +116,7 @@ def react(
         if steps > 0 or row[TEMPERATURE] != at:
             drift = drifted(row, chem, litres, around.atol, ways, work)
             if boils or not 0.0 <= around.transfer < math.inf:
-                row[TEMPERATURE] = jacket  # what settles gives its heat to the thermostat
+                row[TEMPERATURE] = jacket  # the thermostat absorbs the heat of settling
             least = _LEAST_SPAN * dt if drift == math.inf else shortest if boils else briefest
             if drift > 1.0 and passed > least:
                 _copy(kept, row)
@@ -129,15 +135,15 @@ def react(
             continue
         capacity = heat_capacity(row, chem)
         made = content - enthalpy(row, chem)
-        # However little is left, a jacket cools it no further than to its own temperature.
+        # A jacket cools even a small remainder only to its own temperature.
         coolest = min(made, 0.0) + capacity * min(around.jacket - at, 0.0)
         heat = max(made + around.transfer * (around.jacket - at) * part, coolest)
         most = _HEAT_K * capacity
         if most <= 0.0:
-            return total  # it has boiled dry
+            return total  # boiled to dryness
         surplus = max(heat - around.condenser * part, -most)
         if not known:
-            # All that a short part tells is how long the first may be, and how fast it boils.
+            # A short first part determines the duration and boiling rate of the next.
             _copy(kept, row)
             known, rate, last = True, surplus / part, part
             longer = min(left / part, 0.25 * most / max(abs(heat), 1e-9 * most))
@@ -161,10 +167,10 @@ def react(
         hot = at + (heat - owed + ahead) / capacity
         events[RELIEF] += flash_off(row, pressure, heat - owed + ahead, around.condenser * part, chem, waste)
         if around.transfer > 0.0 and heat_capacity(row, chem) < 0.5 * capacity:
-            # What has nearly boiled dry takes no more of the jacket's heat than to get as warm.
+            # Nearly dry contents absorb only the heat that brings them to the jacket's temperature.
             row[TEMPERATURE] = min(row[TEMPERATURE], max(around.jacket, at))
         climb = max(row[TEMPERATURE] - at, 0.0) / part
-        if row[TEMPERATURE] >= hot - 1e-9:  # nothing boils any more
+        if row[TEMPERATURE] >= hot - 1e-9:  # boiling has stopped
             add_heat(row, -ahead, chem)
             hottest = boiling_point(row, chem)
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K

@@ -1,4 +1,4 @@
-"""Salts: in water up to their solubility product, undissolved beyond that."""
+"""Salts: dissolved in water up to their solubility product, undissolved beyond it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _CLOSE = 1e-12
 
 @inner
 def change_amount(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
-    """Add (or take away) a material; a fluid's phases follow, with what is new in water where there is any."""
+    """Add or remove an amount of a material and update a fluid's phases; additions go to water if there is any."""
     chemistry = opened(RealChemistry, chem)
     before = row[AMOUNTS + material]
     after = max(before + mol, 0.0)
@@ -44,8 +44,10 @@ def change_amount(row: FloatArray, chem: Handle, material: int, mol: float) -> N
 
 @inner
 def _water_phase(row: FloatArray, chem: Handle, salt: int) -> float:
-    """Solubility product of a salt in the aqueous phase, mol^2: (solubility x its kilograms of molecules)^2. In a
-    mixture the logarithms of the solubilities add up by mass (Yalkowsky's log-linear rule)."""
+    """Return the solubility product of a salt in the aqueous phase in mol^2: (solubility x kilograms of molecules)^2.
+
+    In a mixture, the logarithms of the solubilities are averaged by mass (Yalkowsky's log-linear rule).
+    """
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
     curves = chemistry.solubility[salt]
@@ -64,8 +66,10 @@ def _water_phase(row: FloatArray, chem: Handle, salt: int) -> float:
 
 @inner
 def settle_salts(row: FloatArray, chem: Handle) -> bool:
-    """Take every salt to [cation][anion] = its solubility product, or until all of it is dissolved; says whether any
-    moved. Salts with an ion in common are gone over until none moves any more."""
+    """Bring every salt to its solubility product [cation][anion], or dissolve all of it; return True if any moved.
+
+    Salts with a common ion are iterated until none moves.
+    """
     chemistry = opened(RealChemistry, chem)
     moved = False
     for _round in range(_MOST_ROUNDS):
@@ -76,7 +80,7 @@ def settle_salts(row: FloatArray, chem: Handle) -> bool:
             if undissolved <= 0.0 and (c <= 0.0 or a <= 0.0):
                 continue
             product = _water_phase(row, chem, s)
-            # (c + x)(a + x) = product, of the two roots the one that leaves both ions.
+            # (c + x)(a + x) = product; of the two roots, the one that leaves both ions non-negative.
             gap = 0.5 * (c - a)
             dissolving = math.sqrt(gap * gap + product) - 0.5 * (c + a)
             dissolving = min(max(dissolving, -min(c, a)), undissolved)
@@ -94,7 +98,7 @@ def settle_salts(row: FloatArray, chem: Handle) -> bool:
 
 @inner
 def let_salts_fall_out(row: FloatArray, chem: Handle) -> None:
-    """What a solvent that has gone no longer holds falls out, and takes its heat of solution from what is left."""
+    """Precipitate salts that the remaining solvent no longer holds; their heat of solution changes the temperature."""
     before = enthalpy(row, chem)
     if settle_salts(row, chem):
         set_enthalpy(row, before, chem)

@@ -1,9 +1,9 @@
-"""Spans of time in which what reactions go by hardly changes: the volume of the liquids, saturations, and how acids,
-bases and salts share out what reactions make.
+"""Time spans in which the volume of the liquids, saturations and the shifts of equilibria are nearly constant.
 
-Reactions, and crystals that dissolve or grow, are integrated together at what that is at the beginning of a span
-(:mod:`.kinetics`). At its end equilibria settle; where they, or the others, have gone further off than is allowed, the
-span is gone through again, and is a shorter one. So results do not depend on how a time is divided into calls.
+Reactions, and crystals that dissolve or grow, are integrated together with the values at the beginning of a span
+(:mod:`.kinetics`). Acids, bases and salts settle at its end. If equilibria or the other values have changed by more
+than the tolerance, the span is repeated with a shorter duration. Results therefore do not depend on the division of
+time into calls.
 """
 
 from __future__ import annotations
@@ -25,17 +25,20 @@ from .salts import let_salts_fall_out
 __all__ = ["drifted", "lengthened", "prepare", "settle_shifts"]
 
 _VOLUME, _SATURATION, _CONCENTRATION, _KELVIN = 0.02, 0.01, 0.02, 0.5
-"""By which a span may change the volume of the liquids, a saturation, what equilibria leave of a concentration (all
-three relative), and, by what settles, the temperature."""
+"""Allowed changes in a span.
+
+They bound the volume of the liquids, a saturation, the amount that equilibria leave of a concentration (all three
+relative), and the temperature (by settling).
+"""
 _LEAST_LITRES = 1e-6
 _PROBED = 1e-6
-"""Of what acids, bases and salts hold, what is added to see how it is shared out."""
+"""Probe size relative to the contents of acids, bases and salts, for their redistribution."""
 _LONGEST_RATIO = 4.0
 
 
 @helper
 def _shifting(chem: Handle, material: int) -> bool:
-    """Whether a material is at equilibrium in water at any time: its own ions, acids and bases, ions of salts."""
+    """Return True for materials in instantaneous equilibrium in water: its own ions, acids and bases, ions of salts."""
     chemistry = opened(RealChemistry, chem)
     if ionizes(chem):
         if material == chemistry.ionization[0] or material == chemistry.ionization[1]:
@@ -53,7 +56,7 @@ def _shifting(chem: Handle, material: int) -> bool:
 
 @inner
 def _changes_shifting(chem: Handle, work: FloatArray, u: int) -> bool:
-    """Whether an unknown changes what is at such an equilibrium."""
+    """Return True if an unknown changes a material in such an equilibrium."""
     chemistry = opened(RealChemistry, chem)
     n = chemistry.independent.shape[0]
     if u >= n:
@@ -77,7 +80,7 @@ def settle_shifts(row: FloatArray, chem: Handle, work: FloatArray) -> None:
 
 @inner
 def _ions(row: FloatArray, chem: Handle) -> float:
-    """mol of what is at an equilibrium of that kind."""
+    """Return mol of materials in such an equilibrium."""
     chemistry = opened(RealChemistry, chem)
     total = 0.0
     for i in range(chemistry.role.shape[0]):
@@ -87,7 +90,7 @@ def _ions(row: FloatArray, chem: Handle) -> float:
 
 @inner
 def _held(row: FloatArray, chem: Handle, work: FloatArray, column: int, q: int) -> float:
-    """mol of what a concentration is of."""
+    """Return mol of the material of a concentration."""
     if column < opened(RealChemistry, chem).species.shape[0]:
         return float(available(row, chem, column))
     return float(dissolved(row, chem, int(work[PLACE, q])))
@@ -95,7 +98,7 @@ def _held(row: FloatArray, chem: Handle, work: FloatArray, column: int, q: int) 
 
 @inner
 def _probe(row: FloatArray, chem: Handle, work: FloatArray, u: int, mol: float, probe: FloatArray) -> None:
-    """Make ``probe`` that vessel after ``mol`` more of unknown ``u`` have settled."""
+    """Set ``probe`` to the vessel after ``mol`` more of unknown ``u`` have settled."""
     chemistry = opened(RealChemistry, chem)
     n, m = chemistry.independent.shape[0], chemistry.role.shape[0]
     for x in range(row.shape[0]):
@@ -113,7 +116,9 @@ def _probe(row: FloatArray, chem: Handle, work: FloatArray, u: int, mol: float, 
 
 @inner
 def _find_shifts(row: FloatArray, chem: Handle, work: FloatArray, found: int) -> bool:
-    """Find how acids, bases and salts share out what each unknown changes, into the scratch; whether any does."""
+    """Compute the redistribution by acids, bases and salts for each unknown into the scratch; return True if there
+    is any.
+    """
     chemistry = opened(RealChemistry, chem)
     n, columns = chemistry.independent.shape[0], chemistry.species.shape[0]
     shifts = False
@@ -148,7 +153,7 @@ def _find_shifts(row: FloatArray, chem: Handle, work: FloatArray, found: int) ->
 
 @inner
 def prepare(row: FloatArray, chem: Handle, fresh: bool, leaves: bool, work: FloatArray) -> Ways:
-    """Find what goes on in a vessel besides its reactions; ``fresh`` says that its saturations are known."""
+    """Determine the processes in a vessel besides its reactions; ``fresh`` means that its saturations are known."""
     chemistry = opened(RealChemistry, chem)
     found = 0
     if _may_crystallize(row, chem):
@@ -179,8 +184,10 @@ def _may_crystallize(row: FloatArray, chem: Handle) -> bool:
 
 @inner
 def _changed_saturation(row: FloatArray, chem: Handle, work: FloatArray) -> float:
-    """The largest relative change of a saturation in a span, which leaves the new ones in the scratch; or what is
-    dissolved beyond one that there was not before."""
+    """Return the largest relative change of a saturation in a span; the scratch receives the new saturations.
+
+    For a saturation that did not exist before, the excess of the dissolved amount counts.
+    """
     chemistry = opened(RealChemistry, chem)
     for k in range(chemistry.dissolved.shape[0]):
         work[PROBE, k] = work[SATURATION, k]
@@ -201,7 +208,7 @@ def _changed_saturation(row: FloatArray, chem: Handle, work: FloatArray) -> floa
 
 @inner
 def _is_factor(chem: Handle, j: int) -> bool:
-    """Whether any rate depends on a species."""
+    """Return True if any rate depends on a species."""
     chemistry = opened(RealChemistry, chem)
     for r in range(chemistry.forward.shape[0]):
         for f in range(chemistry.forward.shape[1]):
@@ -218,14 +225,14 @@ def _is_factor(chem: Handle, j: int) -> bool:
 
 @inner
 def drifted(row: FloatArray, chem: Handle, litres: float, atol: float, ways: Ways, work: FloatArray) -> float:
-    """How far a span has gone off, in units of what is allowed; equilibria have settled at its end.
+    """Return the drift of a span relative to the tolerance; equilibria have settled at its end.
 
     Args:
         row: vessel row after the integration of a span.
         chem: the chemistry.
-        litres: of liquids at its beginning.
-        atol: mol/L below which a concentration does not matter.
-        ways: of its integration.
+        litres: volume of liquids at its beginning.
+        atol: mol/L below which a concentration is ignored.
+        ways: processes of its integration.
         work: scratch.
     """
     chemistry = opened(RealChemistry, chem)
@@ -248,5 +255,5 @@ def drifted(row: FloatArray, chem: Handle, litres: float, atol: float, ways: Way
 
 @helper
 def lengthened(span: float, drift: float) -> float:
-    """The length of a span that is to go off by no more than is allowed, after one that went off by ``drift``."""
+    """Return the length of the next span after one with a given ``drift``, for a drift within the tolerance."""
     return span * min(0.9 / max(drift, 1e-3), _LONGEST_RATIO) if drift <= 1.0 else span * max(0.8 / drift, 0.1)

@@ -1,4 +1,4 @@
-"""Vapour over a vessel's liquids, what boils them, and the relief valve."""
+"""Vapour over a vessel's liquids, boiling points, and the relief valve."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ __all__ = [
 ]
 
 _NO_BOILING = 1e4
-"""K: returned where nothing boils."""
+"""Temperature in K that is returned if nothing boils."""
 _CLOSE_K = 1e-3
 _SAME_K = 0.1
-"""Change of temperature that leaves activities as they are."""
+"""Change of temperature in K below which activities are reused."""
 _MOST_ROUNDS = 40
 _FLASHED_K = 0.01
-"""Above the boiling point, where flashing is over."""
+"""Distance in K above the boiling point at which flashing ends."""
 _AT_ONCE = 0.05
-"""Of the liquids, what may boil off at one composition of the vapour."""
+"""Maximum share of the liquids that boils off at one vapour composition."""
 _MOST_FLASHES = 200
 _LONGEST_K = 30.0
 _COLDEST_K, _HOTTEST_K = 160.0, 890.0
@@ -43,7 +43,7 @@ _COLDEST_K, _HOTTEST_K = 160.0, 890.0
 
 @helper
 def headspace_gas(row: FloatArray, chem: Handle) -> float:
-    """mol of gas that a sealed vessel holds: its air, and what reactions have made."""
+    """Return mol of gas in a sealed vessel: its air, and gases formed by reactions."""
     role = opened(RealChemistry, chem).role
     total = row[AIR]
     for i in range(role.shape[0]):
@@ -54,7 +54,7 @@ def headspace_gas(row: FloatArray, chem: Handle) -> float:
 
 @kernel
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
-    """Sum of x gamma p_i(T) over the liquids, kPa; layers that do not mix add up."""
+    """Return the sum of x gamma p_i(T) over the liquids in kPa; immiscible layers add up."""
     liquids = clear_liquids()
     n = gather(row, chem, liquids)
     if n == 0:
@@ -65,7 +65,7 @@ def vapor_pressure(row: FloatArray, chem: Handle) -> float:
 
 @inner
 def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
-    """J/mol of a vapour with the composition ``partial``."""
+    """Return the latent heat of a vapour with the composition ``partial`` in J/mol."""
     vaporizing = opened(RealChemistry, chem).vaporizing
     total, latent = 0.0, 0.0
     for a in range(n):
@@ -76,10 +76,12 @@ def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, l
 
 @inner
 def _boils_at(n: int, pressure: float, at: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
-    """K at which the vapour has ``pressure`` by its pressure and its heat ``at`` a temperature (K): of a
-    vapour pressure the logarithm falls with the inverse of the temperature (Clausius and Clapeyron)."""
+    """Extrapolate from a temperature ``at`` (K) to the temperature with vapour ``pressure``.
+
+    By Clausius and Clapeyron, ln of a vapour pressure falls linearly with 1 / T.
+    """
     total = max(partial_pressures(n, at, chem, liquids, partial), 1e-300)
-    # Of a mol of vapour: with dimers, more than a mol of molecules.
+    # Per mol of vapour: with dimers, more than one mol of molecules.
     latent = max(latent_heat(n, at, partial, chem, liquids) * (vapor_mol(n, partial) / total), 1.0)
     inverse = 1.0 / at + GAS_CONSTANT * math.log(total / pressure) / latent
     there = 1.0 / inverse if inverse > 0.0 else _HOTTEST_K
@@ -88,8 +90,10 @@ def _boils_at(n: int, pressure: float, at: float, chem: Handle, liquids: Liquids
 
 @routine
 def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
-    """K at which the liquids' vapour has ``pressure`` (kPa); 10,000 where nothing boils. Then ``partial`` [n] says
-    whose vapour it is, and ``liquids`` how they share out between the phases there."""
+    """Return the bubble point in K at ``pressure`` (kPa); 10,000 if nothing boils.
+
+    ``partial`` [n] receives the vapour's composition, and ``liquids`` their distribution over the phases there.
+    """
     temperature, known, shared = guess, guess, guess
     split(n, temperature, chem, liquids)
     for _round in range(_MOST_ROUNDS):
@@ -99,7 +103,7 @@ def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: L
             return _NO_BOILING
         if abs(temperature - before) < _CLOSE_K:
             break
-        # Activities of a temperature close by will do.
+        # Activities at a nearby temperature are accurate enough.
         if abs(temperature - shared) > _LONGEST_K:
             split(n, temperature, chem, liquids)
             known, shared = temperature, temperature
@@ -111,7 +115,7 @@ def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: L
 
 @kernel
 def boiling_point(row: FloatArray, chem: Handle) -> float:
-    """K at which the contents of an open vessel boil; 10,000 where nothing does."""
+    """Return the boiling point in K of the contents of an open vessel; 10,000 if nothing boils."""
     liquids = clear_liquids()
     n = gather(row, chem, liquids)
     if n == 0:
@@ -122,7 +126,7 @@ def boiling_point(row: FloatArray, chem: Handle) -> float:
 
 @inner
 def write_back(row: FloatArray, n: int, chem: Handle, liquids: Liquids) -> None:
-    """Give a row the amounts and phases of its liquids; crystals stay."""
+    """Write the amounts and phases of the liquids to a row; crystals are unchanged."""
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
     for a in range(n):
@@ -135,8 +139,11 @@ def write_back(row: FloatArray, n: int, chem: Handle, liquids: Liquids) -> None:
 
 @inner
 def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
-    """``mol`` of vapour with the composition ``partial`` leave the contents, or all; what they held is left in
-    ``liquids.work``. Returns the joules that this takes beside the heat of the liquids at the vessel's temperature."""
+    """Remove ``mol`` of vapour with the composition ``partial`` from the contents, or all of them.
+
+    The remainder is in ``liquids.work``. Returns the required heat in J besides that of the liquids at the vessel's
+    temperature.
+    """
     vaporizing = opened(RealChemistry, chem).vaporizing
     total, everything, taken = 0.0, 0.0, 0.0
     for a in range(n):
@@ -156,15 +163,17 @@ def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handl
 def flash_off(
     row: FloatArray, pressure: float, heat: float, condenser: float, chem: Handle, waste: FloatArray
 ) -> float:
-    """Give the contents of an open vessel some heat (J). What comes above its boiling point at ``pressure`` (kPa) gives
-    up to ``condenser`` joules to a condenser, from which it runs back, and boils until it is not; the vapour goes to
-    ``waste`` [M]. Returns mol lost."""
+    """Add heat (J) to an open vessel and boil off what is above its boiling point at ``pressure`` (kPa).
+
+    A condenser removes up to ``condenser`` joules and returns its condensate; other vapour goes to ``waste`` [M].
+    Returns the lost mol.
+    """
     liquids, partial = clear_liquids(), scratch(MOST_FLUIDS)
     n, capacity = gather(row, chem, liquids), heat_capacity(row, chem)
     if capacity <= LEAST_CAPACITY and heat == 0.0:
-        return 0.0  # as warm as what it stands in
+        return 0.0  # at the temperature of the surroundings
     warm = within_range(row[TEMPERATURE] + heat / max(capacity, LEAST_CAPACITY))
-    # Most of the time nothing boils, which one look at the pressure tells.
+    # Usually nothing boils, which one pressure evaluation shows.
     if n > 0:
         activities(n, warm, chem, liquids)
     if n == 0 or partial_pressures(n, warm, chem, liquids, partial) <= pressure:
@@ -189,7 +198,7 @@ def flash_off(
         everything = 0.0
         for a in range(n):
             everything += liquids.mol[a]
-        # With what has gone the boiling point rises, which keeps some of the heat.
+        # The boiling point rises as vapour leaves, which retains some of the heat.
         rise = max((boiling - before) / mol, 0.0) if mol > 0.0 else 0.0
         mol = min(excess / (latent_heat(n, boiling, partial, chem, liquids) + rise * capacity), _AT_ONCE * everything)
         taken = _flash(row, n, everything if everything <= 1e3 * TRACE_MOL else mol, partial, chem, liquids)
@@ -199,7 +208,7 @@ def flash_off(
         spent = max(min(left, taken), 0.0)
         left -= spent
         add_heat(row, spent - taken, chem)
-        # While the solvent goes and not after it: salts take heat, which then is not there to boil off more.
+        # During evaporation, not after it: precipitating salts absorb heat that then boils off no more liquid.
         let_salts_fall_out(row, chem)
         n = gather(row, chem, liquids)
         if n == 0:
@@ -210,8 +219,11 @@ def flash_off(
 
 @kernel
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
-    """Relief valve of a sealed vessel: above ``rated`` kPa gas leaves, with vapour in the proportion of their
-    pressures; a liquid whose vapour alone is above it boils down, and cools by that."""
+    """Open the relief valve of a sealed vessel: above ``rated`` kPa, gas and vapour leave in proportion to their
+    pressures.
+
+    A liquid whose vapour pressure alone exceeds the rating evaporates and cools.
+    """
     chemistry = opened(RealChemistry, chem)
     headspace = max(row[CAPACITY] - volume(row, chem), 1e-3 * row[CAPACITY])
     gas = headspace_gas(row, chem)
