@@ -14,6 +14,7 @@ _FORMER = {
     "forgetful": "scripted:memoryless",
     "serial": "scripted:fifo",
     "pretrained-alone": "pretrained-isolated",
+    "clairvoyant": "oracle",
 }
 _NAMED = re.compile(rf"(?<![^,=])({'|'.join(_FORMER)})(?![^,@])")
 _noticed: set[str] = set()

@@ -23,15 +23,15 @@ ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "docs" / "results" / "audits"
 PAGE = ROOT / "docs" / "worlds.md"
 _NUMBERS = {
-    "blind": "blind",
+    "open_loop": "open-loop",
     "reference": "scripted",
     "best": "best",
-    "worth_of_measuring": "measuring",
-    "worth_of_bench": "least bench",
-    "worth_of_memory": "memory",
-    "coordination": "team",
+    "value_of_information": "information",
+    "value_of_bench": "least bench",
+    "value_of_memory": "memory",
+    "coordination_gain": "coordination",
     "headroom": "headroom",
-    "noise": "noise",
+    "open_loop_deviation": "deviation",
 }
 """Measures and their column heads."""
 
@@ -47,9 +47,9 @@ def _cells(audit: dict[str, Any]) -> list[str]:
     for name in _NUMBERS:
         # Without a bundled policy the scripted one is the best; older audits do not state it.
         measure = audit.get(name, audit["reference"])
-        worths = measure.values() if name == "worth_of_bench" else [measure]
-        numbers.append(min((one["value"] for one in worths if one["value"] is not None), default=None))
-    missed = [gate for gate, met in audit["gates"].items() if met is False]
+        values = measure.values() if name == "value_of_bench" else [measure]
+        numbers.append(min((one["value"] for one in values if one["value"] is not None), default=None))
+    missed = [_NUMBERS[name] for name, met in audit["criteria"].items() if met is False]
     return [
         f"`{audit['scenario']}`",
         *("" if number is None else f"{number:.2f}" for number in numbers),
@@ -60,7 +60,7 @@ def _cells(audit: dict[str, Any]) -> list[str]:
 
 def table() -> list[str]:
     """Return the committed audits as a Markdown table."""
-    heads = ["scenario", *_NUMBERS.values(), "episodes", "gates not met"]
+    heads = ["scenario", *_NUMBERS.values(), "episodes", "criteria not met"]
     rows = [heads, ["---"] + ["--:"] * (len(heads) - 2) + ["---"], *(_cells(audit) for audit in audits())]
     return [f"| {' | '.join(row)} |" for row in rows]
 

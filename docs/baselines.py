@@ -56,7 +56,7 @@ ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
 PAGE = ROOT / "docs" / "protocol.md"
 README = ROOT / "README.md"
-_ENDS = ("random", "clairvoyant")
+_ENDS = ("random", "oracle")
 _SCRIPTED = {"plan": "best plan", "scripted": "scripted"}
 LEARNERS = {
     "manager_0/feedforward": "PPO",
@@ -296,7 +296,7 @@ def _move(line: dict[str, Any], zero: float | None) -> float:
     """Update a row's value and interval for its mean score and the scale's zero; return the change."""
     scale = line["scale"]
     scale["random"] = scale["random"] if zero is None else zero
-    value = (line["score"] - scale["random"]) / (scale["clairvoyant"] - scale["random"])
+    value = (line["score"] - scale["random"]) / (scale["oracle"] - scale["random"])
     change = value - line["value"]
     _shift(line, change)
     line["value"] = value

@@ -276,10 +276,10 @@ def _audit_section(spec: Scenario) -> list[str]:
     if found is None:
         return []
     rows = [(name, said, by) for name, said, by in measure_rows(found)]
-    gates = ", ".join(
-        f"{name} {'met' if met else 'not met'}" for name, met in found["gates"].items() if met is not None
+    criteria = ", ".join(
+        f"{name} {'met' if met else 'not met'}" for name, met in found["criteria"].items() if met is not None
     )
-    said = "An open-loop policy solves it. " if found["gates"]["blind"] is False else ""
+    said = "An open-loop policy solves it. " if found["criteria"]["open_loop"] is False else ""
     return [
         "## Required abilities",
         "",
@@ -288,7 +288,7 @@ def _audit_section(spec: Scenario) -> list[str]:
         f"{found['versions']['chemlab']}; see [Worlds](../../worlds.md)).",
         "",
         _table(("measure", "value [95 % interval]", "by"), rows),
-        f"Gates: {gates}.",
+        f"Acceptance criteria: {criteria}.",
         "",
     ]
 
@@ -298,7 +298,7 @@ def _audit_cells(spec: Scenario) -> tuple[str, str, str]:
     found = _audit(spec)
     if found is None:
         return "", "", ""
-    return tuple(f"{found[key]['value']:.2f}" for key in ("blind", "reference", "worth_of_measuring"))  # type: ignore[return-value]
+    return tuple(f"{found[key]['value']:.2f}" for key in ("open_loop", "reference", "value_of_information"))  # type: ignore[return-value]
 
 
 def _scenario_page(spec: Scenario) -> str:
@@ -397,9 +397,9 @@ def _scenarios() -> dict[str, str]:
                     "goals",
                     "scripted score",
                     "random score",
-                    "blind",
+                    "open-loop",
                     "reference",
-                    "value of measuring",
+                    "value of information",
                 ),
                 rows,
                 range(3, 9),

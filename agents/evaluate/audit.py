@@ -1,4 +1,4 @@
-"""What a scenario asks of its agents, measured: ``chemlab audit``.
+"""Measure what a scenario requires of its agents: ``chemlab audit``.
 
 Scores are normalised: 0 is random legal play, 1 what a planner reaches that knows each episode's world. Whatever is
 compared plays the same episodes: of the split ``test``, where the scenario draws any worlds. What has to be chosen (the
@@ -9,25 +9,25 @@ best policy, the best plan, the best donor) is chosen on others.
 | ``random`` | random legal actions of everybody: 0 |
 | ``reference`` | the best of the scripted policies: what follows is what these need, benches of one make throughout |
 | ``best`` | the best of all policies that come with chemlab, trained ones included |
-| ``blind`` | the best of a donor's episode again, a constant plan of the manager, the same of everybody |
-| ``clairvoyant`` | for each episode by itself, the best plan that a search finds on it: 1 |
-| ``worth_of_measuring`` | reference less the best without instruments |
-| ``worth_of_bench`` | by key, reference less the best that never uses it |
-| ``worth_of_memory`` | reference less the same policy without what it remembers of earlier batches or looks |
-| ``worth_of_reports`` | reference less the same policy where benches say nothing of what they have made |
-| ``coordination`` | the team's result less that of its orders run apart |
+| ``open_loop`` | the best of a donor's episode again, a constant plan of the manager, the same of everybody |
+| ``oracle`` | for each episode by itself, the best plan that a search finds on it: 1 |
+| ``value_of_information`` | reference less the best without instruments |
+| ``value_of_bench`` | by key, reference less the best that never uses it |
+| ``value_of_memory`` | reference less the same policy without what it remembers of earlier batches or looks |
+| ``value_of_reports`` | reference less the same policy where benches say nothing of what they have made |
+| ``coordination_gain`` | the team's result less that of its orders run apart |
 | ``contention`` | moments at which an order is kept waiting by another, in an episode, by what for |
-| ``worth_to_best`` | best less the same benches under the better of two managers that measure nothing |
+| ``value_to_best`` | best less the same benches under the better of two managers that measure nothing |
 | ``headroom`` | 1 less the best |
 | ``generalization`` | reference in test less in train |
-| ``noise`` | standard deviation of one constant plan's score over episodes |
+| ``open_loop_deviation`` | standard deviation of one constant plan's score over episodes |
 
 Blind play is a donor's actions played again by everybody; a constant plan of the manager, found by a search, over
 benches that see; and that plan with the benches' actions of a donor's episode played again, too.
 
 Orders that are all there from the beginning are run apart each in a laboratory of its own. Orders that come over time
 contend for one laboratory: apart means that each is worked on by itself, in the order in which they come, and none is
-let go for another. Who also hears from benches what they have made is told from who does not: ``worth_of_reports``.
+let go for another. Who also hears from benches what they have made is told from who does not: ``value_of_reports``.
 
 Each has a ``value`` and the ends ``low`` and ``high`` of its 95 % interval over episodes (t, with the
 jackknife's variance); what cannot be computed is null, with a ``reason``.
@@ -53,7 +53,7 @@ from .contention import CONTENDED
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .scale import Scale, interval
 
-__all__ = ["GATES", "audit", "choosing_jobs", "job_count", "measure_rows", "measuring_jobs", "verdict"]
+__all__ = ["CRITERIA", "audit", "choosing_jobs", "job_count", "measure_rows", "measuring_jobs", "verdict"]
 
 _CHOICE_SEED = 4_500_000
 """Of the first episode that policies are chosen on."""
@@ -61,15 +61,15 @@ _CAREFUL = ("scripted", "scripted:unsafe")
 _SCRIPTED = (*_CAREFUL, "scripted:no-extraction")
 _TRAINED = ("pretrained", "trained")
 
-GATES = {
-    "blind": "at most 0.5 of the reference",
-    "measuring": "worth at least 0.1, its interval above 0",
-    "benches": "each worth at least 0.1",
-    "coordination": "worth at least 0.1, where there are several orders",
+CRITERIA = {
+    "open_loop": "at most 0.5 of the reference",
+    "value_of_information": "at least 0.1, its interval above 0",
+    "value_of_bench": "at least 0.1 for each",
+    "coordination_gain": "at least 0.1, where there are several orders",
     "headroom": "at least 0.15",
-    "noise": "above 0.1",
+    "open_loop_deviation": "above 0.1",
 }
-"""What a world scenario has to prove."""
+"""Acceptance criteria of a scenario with hidden parameters, by measure."""
 
 
 # -- the audit --------------------------------------------------------------------------------------------------------
@@ -93,7 +93,7 @@ def audit(
 
     Returns:
         Plain data: the measures of this module's table, each with ``value``, ``low`` and ``high`` (or null and a
-        ``reason``), ``gates`` by name, and how it was made.
+        ``reason``), ``criteria`` by name, and how it was made.
 
     Raises:
         DataError: no such scenario.
@@ -202,8 +202,8 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
     unseeing = {} if best is test else {name: _scores(found, name) for name in _unseeing(chosen)}
     # Whoever knows the world can do what the others did there.
     others = [test, plan, best, *(scores for scores in unseeing.values() if scores is not None)]
-    clairvoyant = np.maximum.reduce([foreseen(found), *others])
-    scale = Scale(random, clairvoyant)
+    oracle = np.maximum.reduce([foreseen(found), *others])
+    scale = Scale(random, oracle)
     if scale.span <= 0.0:
         raise ValueError(
             f"{spec.name}: no policy and no plan that was tried scores above random legal play "
@@ -218,25 +218,25 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
         "random": {**interval(scale.mean(random)), "score": float(random.mean())},
         "reference": {**interval(reference), "score": float(test.mean()), "way": policy},
         "best": {**interval(scale.mean(best)), "score": float(best.mean()), "way": chosen},
-        "blind": {
+        "open_loop": {
             **interval(scale.mean(blind)),
             "score": float(blind.mean()),
             "way": way,
             "ways": {name: float(scale.mean(scores)[0]) for name, scores in ways.items() if scores is not None},
         },
-        "clairvoyant": {
-            **interval(scale.mean(clairvoyant)),
-            "score": float(clairvoyant.mean()),
+        "oracle": {
+            **interval(scale.mean(oracle)),
+            "score": float(oracle.mean()),
             "curve": [float(scale.mean(np.maximum.reduce([column, *others]))[0]) for column in curve.T],
         },
-        "worth_of_measuring": _worth(reference, scale, blindfolded)
+        "value_of_information": _value(reference, scale, blindfolded)
         if spec.instruments
         else _untold("the scenario has no instruments"),
-        "worth_to_best": _worth(scale.mean(best), scale, unseeing)
+        "value_to_best": _value(scale.mean(best), scale, unseeing)
         if unseeing and spec.instruments
         else _untold("the best is scripted" if spec.instruments else "the scenario has no instruments"),
-        "worth_of_bench": {
-            key: _worth(
+        "value_of_bench": {
+            key: _value(
                 reference,
                 scale,
                 {name: _scores(found, f"without-{key}-{name}") for name in _CAREFUL}
@@ -244,27 +244,27 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
             )
             for key in spec.benches
         },
-        "worth_of_memory": _untold("the scripted manager has nothing to forget"),
-        "coordination": _untold("there is one order"),
-        "worth_of_reports": _untold("benches report nothing"),
+        "value_of_memory": _untold("the scripted manager has nothing to forget"),
+        "coordination_gain": _untold("there is one order"),
+        "value_of_reports": _untold("benches report nothing"),
         "contention": _contention(found),
         "headroom": interval(1.0 - scale.mean(best)),
         "generalization": interval(reference - scale.mean(np.array(found["train"]["scores"])))
         if spec.world.draws
         else _untold("the scenario draws no world"),
-        "noise": interval(scale.deviation(plan)),
+        "open_loop_deviation": interval(scale.deviation(plan)),
     }
     memoryless = _scores(found, "memoryless")
     if memoryless is not None:
-        measures["worth_of_memory"] = interval(reference - scale.mean(memoryless))
+        measures["value_of_memory"] = interval(reference - scale.mean(memoryless))
     mute, apart = _scores(found, "mute"), _scores(found, "apart")
     if mute is not None:
-        measures["worth_of_reports"] = interval(reference - scale.mean(mute))
+        measures["value_of_reports"] = interval(reference - scale.mean(mute))
     if apart is not None:
-        measures["coordination"] = interval(reference - scale.mean(apart))
+        measures["coordination_gain"] = interval(reference - scale.mean(apart))
     elif spec.orders > 1:
-        measures["coordination"] = _untold("nobody that comes along takes one order at a time")
-    return {**measures, "gates": _gates(spec, measures)}
+        measures["coordination_gain"] = _untold("no bundled policy takes one order at a time")
+    return {**measures, "criteria": _criteria(spec, measures)}
 
 
 def _contention(found: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
@@ -274,24 +274,24 @@ def _contention(found: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     return {**told, "kinds": dict(zip(CONTENDED, counts.mean(axis=0).tolist(), strict=True))}
 
 
-def _worth(reference: FloatArray, scale: Scale, others: Mapping[str, FloatArray | None]) -> dict[str, Any]:
+def _value(reference: FloatArray, scale: Scale, others: Mapping[str, FloatArray | None]) -> dict[str, Any]:
     """The reference less the best of those that do without something."""
     name, scores = _greatest(others)
     return {**interval(reference - scale.mean(scores)), "without": name}
 
 
-def _gates(spec: Scenario, measures: Mapping[str, Any]) -> dict[str, bool | None]:
-    """Which of :data:`GATES` are met; None where one does not apply."""
-    measuring, noise = measures["worth_of_measuring"], measures["noise"]["value"]
-    coordination, reference = measures["coordination"]["value"], measures["reference"]["value"]
-    met = measuring["value"] is not None and measuring["value"] >= 0.1 and (measuring["low"] or 0.0) > 0.0
+def _criteria(spec: Scenario, measures: Mapping[str, Any]) -> dict[str, bool | None]:
+    """Return which of :data:`CRITERIA` are met; None where one does not apply."""
+    information, deviation = measures["value_of_information"], measures["open_loop_deviation"]["value"]
+    coordination, reference = measures["coordination_gain"]["value"], measures["reference"]["value"]
+    met = information["value"] is not None and information["value"] >= 0.1 and (information["low"] or 0.0) > 0.0
     return {
-        "blind": bool(reference > 0.0 and measures["blind"]["value"] <= 0.5 * reference),
-        "measuring": bool(met),
-        "benches": all(worth["value"] >= 0.1 for worth in measures["worth_of_bench"].values()),
-        "coordination": None if coordination is None else bool(coordination >= 0.1),
+        "open_loop": bool(reference > 0.0 and measures["open_loop"]["value"] <= 0.5 * reference),
+        "value_of_information": bool(met),
+        "value_of_bench": all(own["value"] >= 0.1 for own in measures["value_of_bench"].values()),
+        "coordination_gain": None if coordination is None else bool(coordination >= 0.1),
         "headroom": bool(measures["headroom"]["value"] >= 0.15),
-        "noise": bool(noise > 0.1),
+        "open_loop_deviation": bool(deviation > 0.1),
     }
 
 
@@ -301,17 +301,17 @@ def measure_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
         if isinstance(measure, dict) and "value" in measure:
             said = measure["reason"] if measure["value"] is None else statistics.interval_text(measure)
             yield name.replace("_", " "), said, measure.get("way") or measure.get("without") or ""
-        elif name == "worth_of_bench":
+        elif name == "value_of_bench":
             yield from (
-                (f"worth of {key}", statistics.interval_text(own), own["without"]) for key, own in measure.items()
+                (f"value of {key}", statistics.interval_text(own), own["without"]) for key, own in measure.items()
             )
 
 
 def verdict(found: Mapping[str, Any]) -> str:
-    """An audit's gates as a sentence."""
-    failed = [name for name, met in found["gates"].items() if met is False]
+    """Return an audit's criteria as a sentence."""
+    failed = [name for name, met in found["criteria"].items() if met is False]
     if not failed:
-        return f"{found['scenario']}: every gate is met"
-    if "blind" in failed:
-        return f"{found['scenario']}: a blind plan does; not met: {', '.join(failed)}"
+        return f"{found['scenario']}: every criterion is met"
+    if "open_loop" in failed:
+        return f"{found['scenario']}: an open-loop plan solves it; not met: {', '.join(failed)}"
     return f"{found['scenario']}: not met: {', '.join(failed)}"

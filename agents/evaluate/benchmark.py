@@ -16,7 +16,7 @@ several runs have dealt them out among themselves, it is over runs.
 | ``pretrained``, ``trained`` | policies that come with chemlab, where one fits |
 | a path | a training run, or a folder of runs of which only the seed differs: best by validation, and the last \
 checkpoint; or records of these episodes that somebody has played (``chemlab play``), a file or a folder of them |
-| ``clairvoyant`` | the planner that knows the world: 1 |
+| ``oracle`` | the planner that knows the world: 1 |
 
 | file | what |
 |---|---|
@@ -78,8 +78,8 @@ __all__ = [
 ]
 
 DEFAULT_ROWS = ("scripted", "pretrained", "trained")
-"""Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``clairvoyant``."""
-REFERENCES = ("random", "plan", "clairvoyant")
+"""Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``oracle``."""
+REFERENCES = ("random", "plan", "oracle")
 """Rows that are there in any case."""
 _TOLD = (
     *("value", "low", "high", "score", "episodes", "scale", "generalization", "over_baseline"),
@@ -310,7 +310,7 @@ def benchmark(
 
     Args:
         scenarios: shipped names, paths, or loaded scenarios.
-        rows: who plays, besides ``random``, ``plan`` and ``clairvoyant``.
+        rows: who plays, besides ``random``, ``plan`` and ``oracle``.
         budget: of the audit: how many episodes, and how long plans are searched for.
         seeds: replications.
         split: worlds.
@@ -331,7 +331,7 @@ def benchmark(
     """
     chosen = budget_of(budget)
     specs = [load_scenario(scenario) for scenario in scenarios]
-    names = ["random", "plan", *(row.name for row in rows), "clairvoyant"]
+    names = ["random", "plan", *(row.name for row in rows), "oracle"]
     if baseline not in names:
         raise ValueError(f"baseline: known: {', '.join(names)}; given {baseline!r}")
     if _row_named(rows, baseline).records:
@@ -405,11 +405,11 @@ def _cells(
     known = [values for values in scores.values() if not isinstance(values, str)]
     random, best = scores["random"], np.fmax.reduce([foreseen(planned), *known])
     assert not isinstance(random, str)
-    scores["clairvoyant"] = best
+    scores["oracle"] = best
     # A replication is on the scale of its own worlds, so that it is not better for having had easy ones.
     scales = [
         {"first": b.first, "count": b.count}
-        | {"random": float(b.of(random).mean()), "clairvoyant": float(b.of(best).mean())}
+        | {"random": float(b.of(random).mean()), "oracle": float(b.of(best).mean())}
         for b in blocks
     ]
     cells: dict[str, Any] = {}
@@ -549,14 +549,14 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
             for k, scale in enumerate(one["replications"]):
-                if scale["clairvoyant"] <= scale["random"]:
+                if scale["oracle"] <= scale["random"]:
                     continue
                 first, count = scale["first"], scale["count"]
-                returns = _normalised(cell["scores"][first : first + count], scale["random"], scale["clairvoyant"])
+                returns = _normalised(cell["scores"][first : first + count], scale["random"], scale["oracle"])
                 curve = row.curves[k % len(row.curves)] if row.curves else ()
                 steps = {}
                 for i, (step, mean) in enumerate(curve):
-                    reached = float(_normalised(mean, scale["random"], scale["clairvoyant"]))
+                    reached = float(_normalised(mean, scale["random"], scale["oracle"]))
                     steps[f"step_{i}"] = {"step_count": step, "return": [reached]}
                 steps[f"step_{len(curve)}"] = {"step_count": row.steps or 0, "return": returns.tolist()}
                 algorithm[f"seed_{k}"] = {**steps, "absolute_metrics": {"return": [float(returns.mean())]}}

@@ -247,8 +247,8 @@ def crossplay(
         scores[pair] = np.array(played[job.name]["scores"])
     random, plan = (np.array(played[name]["scores"]) for name in ("random", "plan"))
     # Whoever knows the world can do what the others did there.
-    clairvoyant = np.maximum.reduce([foreseen(planned), random, plan, *scores.values()])
-    scale = Scale(random, clairvoyant)
+    oracle = np.maximum.reduce([foreseen(planned), random, plan, *scores.values()])
+    scale = Scale(random, oracle)
     if scale.span <= 0.0:
         raise ValueError(f"{scenario.name}: nobody scores above random legal play ({random.mean():.3f}): no scale")
     scaled = {pair: scale.mean(values) for pair, values in scores.items()}
@@ -259,7 +259,7 @@ def crossplay(
         "scenario_hash": scenario_hash(scenario),
         **provenance(budget, chosen, split),
         "random": float(random.mean()),
-        "clairvoyant": float(clairvoyant.mean()),
+        "oracle": float(oracle.mean()),
         "managers": [vars(player) for player in managers],
         "benches": [vars(player) for player in benches],
         "cells": [

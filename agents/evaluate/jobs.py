@@ -41,7 +41,7 @@ _NO_BUDGET = 1e-9
 _CHUNK = 10
 """Episodes that one process searches in, one after the other."""
 _TENTHS = 10
-"""Into so many parts the clairvoyant's curve divides its budget."""
+"""Into so many parts the oracle's curve divides its budget."""
 _PART_BYTES = 10_000_000
 """Of a file of a finished part: that of 200 episodes is a tenth of a megabyte."""
 
@@ -55,7 +55,7 @@ class AuditBudget:
         plans: tried by the search for the best constant plan.
         fewer: the same for each bench left out.
         donors: of replayed episodes, for each public context.
-        planned: plans that the clairvoyant tries in each episode.
+        planned: plans that the oracle tries in each episode.
     """
 
     episodes: int

@@ -59,7 +59,7 @@ class _Ends(_Open):
     """Mean scores of random play and of the planner in a line's episodes, as far as its own command knew them."""
 
     random: float
-    clairvoyant: float
+    oracle: float
 
 
 class _Entry(_Open):
@@ -144,7 +144,7 @@ def runs_of(runs: int, seeds: int, episodes: int) -> list[int] | None:
 def on_scale(
     scores: FloatArray,
     random: FloatArray,
-    clairvoyant: FloatArray,
+    oracle: FloatArray,
     runs: Sequence[int] | None = None,
     baseline: FloatArray | None = None,
     train: FloatArray | None = None,
@@ -153,7 +153,7 @@ def on_scale(
 
     Args:
         scores: [E] of the row; NaN where it has not played.
-        random, clairvoyant, baseline: [E] scores of these rows.
+        random, oracle, baseline: [E] scores of these rows.
         runs: see :func:`runs_of`.
         train: [E] scores of the row in training worlds.
 
@@ -164,7 +164,7 @@ def on_scale(
     """
     there = np.isfinite(scores)
     groups = None if runs is None else [run for run, played in zip(runs, there, strict=True) if played]
-    scale = Scale(random[there], clairvoyant[there], groups)
+    scale = Scale(random[there], oracle[there], groups)
     if scale.span <= 0.0:
         return None
     own = scale.mean(scores[there])
@@ -172,7 +172,7 @@ def on_scale(
         **interval(own),
         "score": float(scores[there].mean()),
         "episodes": int(there.sum()),
-        "scale": {"random": float(random[there].mean()), "clairvoyant": float(clairvoyant[there].mean())},
+        "scale": {"random": float(random[there].mean()), "oracle": float(oracle[there].mean())},
     }
     if baseline is not None:
         found["over_baseline"] = interval(own - scale.mean(baseline[there]))
@@ -193,7 +193,7 @@ def _together(before: Sequence[Line], new: Sequence[Line]) -> list[Line]:
     lines = {_key(line): line for line in before}
     for line in new:
         old = lines.get(_key(line), line)
-        if line["policy"] != "clairvoyant" or _episodes(old) != _episodes(line) or _end(old) <= _end(line):
+        if line["policy"] != "oracle" or _episodes(old) != _episodes(line) or _end(old) <= _end(line):
             lines[_key(line)] = line
     longest: dict[Any, float] = {}
     for line in lines.values():
@@ -209,7 +209,7 @@ def _episodes(line: Line) -> tuple[Any, ...]:
 
 def _end(line: Line) -> float:
     """What 1 is on a line's scale; of lines that do not say (an empty cell), nothing."""
-    return float(line["scale"]["clairvoyant"]) if line.get("scale") else -np.inf
+    return float(line["scale"]["oracle"]) if line.get("scale") else -np.inf
 
 
 def _rescaled(line: Line, end: float) -> Line:
@@ -223,7 +223,7 @@ def _rescaled(line: Line, end: float) -> Line:
         return told | {key: told[key] * factor for key in ("value", "low", "high") if told.get(key) is not None}
 
     told = {key: scaled(line[key]) for key in _ESTIMATES if line.get(key)}
-    return scaled(line) | told | {"scale": {"random": zero, "clairvoyant": end}}
+    return scaled(line) | told | {"scale": {"random": zero, "oracle": end}}
 
 
 def _scores(line: Line | None, like: Line) -> FloatArray | None:
@@ -239,7 +239,7 @@ def _measured(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[st
     if not line.get("scores") or line.get("value") is None:
         return None
     own, random, best = (
-        _scores(one, line) for one in (line, *(lines.get(_key(line, name)) for name in ("random", "clairvoyant")))
+        _scores(one, line) for one in (line, *(lines.get(_key(line, name)) for name in ("random", "oracle")))
     )
     if own is None or random is None or best is None:
         return None
@@ -326,8 +326,8 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
         check.proof = "empty"
         return
     scale = line.get("scale")
-    if scale and line.get("score") is not None and scale["clairvoyant"] > scale["random"]:
-        value = (line["score"] - scale["random"]) / (scale["clairvoyant"] - scale["random"])
+    if scale and line.get("score") is not None and scale["oracle"] > scale["random"]:
+        value = (line["score"] - scale["random"]) / (scale["oracle"] - scale["random"])
         _compare(check, "value", line["value"], value)
     if not line.get("scores"):
         return
@@ -345,7 +345,7 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
     check.proof = "all"
     for key in ("low", "high"):
         _compare(check, key, line.get(key), measured[key])
-    _compare(check, "scale.clairvoyant", (scale or {}).get("clairvoyant"), measured["scale"]["clairvoyant"])
+    _compare(check, "scale.oracle", (scale or {}).get("oracle"), measured["scale"]["oracle"])
     for name in _ESTIMATES:
         if not line.get(name):
             continue

@@ -21,21 +21,21 @@ class Scale:
     Random play and the planner played the same episodes, so that their means are left out together with a score's.
 
     Args:
-        random, clairvoyant: [E] scores of each episode.
+        random, oracle: [E] scores of each episode.
         groups: [E] what is drawn independently, such as the training run that played an episode; default: episodes.
 
     Attributes:
         span: the planner's mean score less random play's.
     """
 
-    def __init__(self, random: FloatArray, clairvoyant: FloatArray, groups: Sequence[int] | None = None) -> None:
+    def __init__(self, random: FloatArray, oracle: FloatArray, groups: Sequence[int] | None = None) -> None:
         own = np.arange(len(random)) if groups is None else np.asarray(groups)
         kinds = np.unique(own)
         # [1 + G, E]: all episodes, then those outside each group; a single group leaves none.
         kept = [own != kind for kind in kinds] if len(kinds) > 1 else []
         self._kept = np.array([np.ones(len(own), dtype=np.bool_), *kept])
         self._zero = self._means(random)
-        self._ends = self._means(clairvoyant)
+        self._ends = self._means(oracle)
         self.span = float(self._ends[0] - self._zero[0])
 
     def _means(self, scores: FloatArray) -> FloatArray:

@@ -86,15 +86,15 @@ def measures(
 
 def _show(found: dict[str, Any]) -> None:
     """Print the measures, the acceptance criteria and a verdict."""
-    from ..agents.evaluate.audit import GATES, measure_rows, verdict
+    from ..agents.evaluate.audit import CRITERIA, measure_rows, verdict
 
     title = (
         f"{found['scenario']}: {found['budget_episodes']} episodes, reference {found['policy']}; 0 random, 1 knows all"
     )
     show_table(title, ("measure", "value [95 % interval]", "by"), measure_rows(found))
     words = {True: "met", False: "not met", None: "does not apply"}
-    gates = [(name, GATES[name], words[met]) for name, met in found["gates"].items()]
-    show_table("Gates", ("gate", "asks for", ""), gates)
+    criteria = [(name, CRITERIA[name], words[met]) for name, met in found["criteria"].items()]
+    show_table("Acceptance criteria", ("criterion", "requires", ""), criteria)
     out.print(verdict(found), markup=False)
 
 

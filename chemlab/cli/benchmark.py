@@ -33,7 +33,7 @@ def benchmark(
     policy: Annotated[
         list[str] | None,
         typer.Option(
-            help="Besides random, plan and clairvoyant: names as for `chemlab run`, a training run, or a folder of "
+            help="Besides random, plan and oracle: names as for `chemlab run`, a training run, or a folder of "
             "runs of which only the seed differs, or records of what people have played; repeat the option. "
             "Default: scripted, pretrained, trained."
         ),

@@ -50,7 +50,7 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Pa
 
 def test_random_is_0_and_whoever_knows_the_world_1(played: tuple[dict[str, Any], Path]) -> None:
     cells = played[0]["scenarios"]["unlabelled"]["cells"]
-    assert [cells[name]["value"] for name in ("random", "clairvoyant")] == pytest.approx([0.0, 1.0], abs=1e-12)
+    assert [cells[name]["value"] for name in ("random", "oracle")] == pytest.approx([0.0, 1.0], abs=1e-12)
     assert all(cell["value"] <= 1.0 + 1e-12 for cell in cells.values() if cell["value"] is not None)
     assert cells["scripted:fifo"]["value"] is None
     assert "has no orders to choose from" in cells["scripted:fifo"]["reason"]
@@ -62,14 +62,14 @@ def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -
     labs = Laboratories("unlabelled", 5, split="test")
     scores = play_laboratory(labs, make_policies("scripted", labs), None, AUDIT_SEED).returns
     cell = one["cells"]["scripted"]
-    random, clairvoyant = (np.array(one["cells"][name]["scores"]) for name in ("random", "clairvoyant"))
-    span = clairvoyant.mean() - random.mean()
+    random, oracle = (np.array(one["cells"][name]["scores"]) for name in ("random", "oracle"))
+    span = oracle.mean() - random.mean()
     assert cell["score"] == pytest.approx(scores.mean(), rel=1e-12)
     assert cell["value"] == pytest.approx((scores.mean() - random.mean()) / span)
     parts = (slice(0, 3), slice(3, 5))
-    expected = [(scores[p].mean() - random[p].mean()) / (clairvoyant[p].mean() - random[p].mean()) for p in parts]
+    expected = [(scores[p].mean() - random[p].mean()) / (oracle[p].mean() - random[p].mean()) for p in parts]
     assert cell["replications"] == pytest.approx(expected)
-    assert one["cells"]["clairvoyant"]["replications"] == pytest.approx([1.0, 1.0])
+    assert one["cells"]["oracle"]["replications"] == pytest.approx([1.0, 1.0])
     assert one["cells"]["random"]["replications"] == pytest.approx([0.0, 0.0])
     train = Laboratories("unlabelled", 5, split="train")
     less = play_laboratory(train, make_policies("scripted", train), None, AUDIT_SEED).returns
@@ -120,7 +120,7 @@ def test_it_goes_on_where_it_was_and_writes_what_others_read(played: tuple[dict[
     write_benchmark(folder, found, [spec], ROWS)
     assert json.loads((folder / "benchmark.json").read_text()) == json.loads(json.dumps(found))
     runs = json.loads((folder / "marl_eval.json").read_text())["chemlab"]["unlabelled"]
-    assert set(runs) == {"random", "plan", "scripted", "scripted:unsafe", "clairvoyant"}
+    assert set(runs) == {"random", "plan", "scripted", "scripted:unsafe", "oracle"}
     assert set(runs["scripted:unsafe"]) == {"seed_0", "seed_1"}
     last = runs["scripted:unsafe"]["seed_1"]
     cell = found["scenarios"]["unlabelled"]["cells"]["scripted:unsafe"]
@@ -193,12 +193,12 @@ def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any]
         return {line["policy"]: line for line in leaderboard_lines(path / "leaderboard.json")}
 
     own = written(tmp_path / "own")
-    zero, end = (own["scripted:unsafe"]["scale"][key] for key in ("random", "clairvoyant"))
+    zero, end = (own["scripted:unsafe"]["scale"][key] for key in ("random", "oracle"))
     assert own["scripted:unsafe"]["value"] == pytest.approx((own["scripted:unsafe"]["score"] - zero) / (end - zero))
     half, twice = (zero + (end - zero) * factor for factor in (0.5, 2.0))
     bare = {name: {key: value for key, value in line.items() if "scores" not in key} for name, line in own.items()}
-    lower = {**bare["scripted:unsafe"], "policy": "somebody", "scale": {"random": zero, "clairvoyant": half}}
-    higher = {**bare["clairvoyant"], "score": twice, "scale": {"random": zero, "clairvoyant": twice}}
+    lower = {**bare["scripted:unsafe"], "policy": "somebody", "scale": {"random": zero, "oracle": half}}
+    higher = {**bare["oracle"], "score": twice, "scale": {"random": zero, "oracle": twice}}
     # A command whose scale ended at half of this one's: its line comes to half as much on this one's.
     lines = written(tmp_path / "lower", lower)
     assert {name: lines[name] for name in own} == own
@@ -210,13 +210,13 @@ def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any]
     assert lines["somebody"]["score"] == lower["score"]
     # One whose scale ended higher: its end stays, and all others are on it.
     lines = written(tmp_path / "higher", higher, lower)
-    assert lines["clairvoyant"] == higher
+    assert lines["oracle"] == higher
     assert lines["scripted:unsafe"]["value"] == pytest.approx(own["scripted:unsafe"]["value"] / 2)
     assert lines["somebody"]["value"] == pytest.approx(own["scripted:unsafe"]["value"] / 4)
     assert lines["random"]["value"] == 0.0
     # Other episodes, other worlds, or a line that does not say: nothing to compare.
     others: list[dict[str, Any]] = [
-        {**lower, "policy": "a", "scale": {"random": zero + 0.1, "clairvoyant": half}},
+        {**lower, "policy": "a", "scale": {"random": zero + 0.1, "oracle": half}},
         {**lower, "policy": "b", "scenario_hash": "another"},
         {**lower, "policy": "c", "split": "validation"},
         {key: value for key, value in lower.items() if key != "scale"},
@@ -245,7 +245,7 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, 
     scores, mean, ends = hasty["scores"], hasty["over_baseline"], hasty["scale"]
     assert hasty["score"] == pytest.approx(np.mean(scores), rel=1e-12)
     assert hasty["generalization"]["value"] == pytest.approx(
-        (np.mean(scores) - np.mean(hasty["train_scores"])) / (ends["clairvoyant"] - ends["random"])
+        (np.mean(scores) - np.mean(hasty["train_scores"])) / (ends["oracle"] - ends["random"])
     )
     for changed, what in (
         ({"value": hasty["value"] + 1e-6}, "value"),
@@ -255,7 +255,7 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, 
         ({"episodes": 6}, "episodes"),
         ({"scores": [scores[0] + 1e-3, *scores[1:]]}, f"{first['file']}: its score is"),
         ({"scores": [*scores[:4], None]}, "episodes"),
-        ({"scale": {**ends, "clairvoyant": ends["clairvoyant"] + 1e-6}}, "scale.clairvoyant"),
+        ({"scale": {**ends, "oracle": ends["oracle"] + 1e-6}}, "scale.oracle"),
         ({"scale": {**ends, "random": ends["random"] - 1e-6}}, "scale.random"),
         ({"over_baseline": {**mean, "value": mean["value"] + 1e-6}}, "over_baseline.value"),
         ({"over_baseline": {**mean, "high": mean["high"] - 1e-6}}, "over_baseline.high"),
@@ -278,7 +278,7 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, 
     bare = check_leaderboard(path)
     assert {check.proof for check in bare} == {"none", "empty"}
     assert "5 lines have no scores, so nothing but their records is proven (unlabelled 5)" in summary(bare)
-    lines = [line if line is not by_name["clairvoyant"] else lines[k] for k, line in enumerate(by_name.values())]
+    lines = [line if line is not by_name["oracle"] else lines[k] for k, line in enumerate(by_name.values())]
     path.write_text(json.dumps({"lines": lines}))
     assert {check.policy: check.proof for check in check_leaderboard(path)}["scripted:unsafe"] == "score"
     path.write_text(whole)
@@ -289,10 +289,10 @@ def test_a_longer_scale_is_computed_from_its_scores(played: tuple[dict[str, Any]
     write_benchmark(tmp_path, played[0], [load_scenario("unlabelled")], ROWS, records=0)
     path = tmp_path / "leaderboard.json"
     lines = {line["policy"]: line for line in leaderboard_lines(path)}
-    planner, ends = lines["clairvoyant"], lines["clairvoyant"]["scale"]
+    planner, ends = lines["oracle"], lines["oracle"]["scale"]
     more = [score + 0.1 * (k + 1) for k, score in enumerate(planner["scores"])]
     score = float(np.mean(more))
-    better = {**planner, "scores": more, "score": score, "scale": {**ends, "clairvoyant": score}}
+    better = {**planner, "scores": more, "score": score, "scale": {**ends, "oracle": score}}
     write_leaderboard(path, [better])
     assert [check.faults for check in check_leaderboard(path)] == [[]] * 6
     hasty = next(line for line in leaderboard_lines(path) if line["policy"] == "scripted:unsafe")
@@ -362,14 +362,12 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
     cell = cells[str(games)]
     assert cell["scores"] == [scores[0], None, None, scores[1], None]
     assert (cell["episodes"], cell["score"]) == (2, pytest.approx(np.mean(scores)))
-    zero, one, script = (
-        np.array(cells[name]["scores"])[[0, 3]].mean() for name in ("random", "clairvoyant", "scripted")
-    )
+    zero, one, script = (np.array(cells[name]["scores"])[[0, 3]].mean() for name in ("random", "oracle", "scripted"))
     assert cell["value"] == pytest.approx((np.mean(scores) - zero) / (one - zero))
     assert cell["over_baseline"]["value"] == pytest.approx((np.mean(scores) - script) / (one - zero))
     assert len(cell["replications"]) == 2, "one episode in each"
     script_alone = [(cells["scripted"]["scores"][k] - cells["random"]["scores"][k]) for k in (0, 3)]
-    spans = [cells["clairvoyant"]["scores"][k] - cells["random"]["scores"][k] for k in (0, 3)]
+    spans = [cells["oracle"]["scores"][k] - cells["random"]["scores"][k] for k in (0, 3)]
     assert cell["baseline"] == pytest.approx(np.array(script_alone) / spans), "in the same episodes, not in all"
     (summary,) = (one for one in found["rows"] if one["policy"] == str(games))
     expected = statistics.probability_of_improvement([cell["replications"]], [cell["baseline"]])
@@ -530,7 +528,7 @@ def test_the_command(played: tuple[dict[str, Any], Path], tmp_path: Path, monkey
     ]
     result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
-    for name in ("random", "plan", "scripted", "scripted:unsafe", "clairvoyant", "2 replications"):
+    for name in ("random", "plan", "scripted", "scripted:unsafe", "oracle", "2 replications"):
         assert name in result.output
     assert (tmp_path / "leaderboard.json").exists()
     result = CliRunner().invoke(app, [*words, "--json"])
@@ -543,5 +541,5 @@ def test_the_command(played: tuple[dict[str, Any], Path], tmp_path: Path, monkey
 def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match="budget: known"):
         benchmark(["unlabelled"], [], "huge")
-    with pytest.raises(ValueError, match="baseline: known: random, plan, clairvoyant; given 'scripted'"):
+    with pytest.raises(ValueError, match="baseline: known: random, plan, oracle; given 'scripted'"):
         benchmark(["unlabelled"], [], TINY, 2)

@@ -55,7 +55,7 @@ def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
     scored, found, _ = played
     row = scored["cells"]["scripted"]
     assert cell(found, "scripted", "scripted")["score"] == pytest.approx(row["score"], rel=1e-12)
-    span = found["clairvoyant"] - found["random"]
+    span = found["oracle"] - found["random"]
     for one in found["cells"]:
         assert one["value"] == pytest.approx((one["score"] - found["random"]) / span, rel=1e-9)
         assert one["value"] <= 1.0

@@ -136,7 +136,7 @@ def test_every_public_context_gets_a_plan() -> None:
         ({"budget": 0}, ["at least one plan"]),
         ({"contexts": [("NaCl",)]}, ["dodecane", "NaCl"]),
         ({"contexts": []}, ["none"]),
-        ({"benches": "clairvoyant", "budget": 5}, ["'clairvoyant'"]),
+        ({"benches": "omniscient", "budget": 5}, ["'omniscient'"]),
     ],
 )
 def test_bad_searches_are_refused(arguments: dict[str, Any], words: list[str]) -> None:

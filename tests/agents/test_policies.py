@@ -129,8 +129,8 @@ def test_random_policies_are_seeded_and_independent() -> None:
 
 def test_an_unknown_policy_is_refused() -> None:
     env = raw_env("fictitious")
-    with pytest.raises(ValueError, match="'clairvoyant'") as caught:
-        make_policies("clairvoyant", env.laboratories)
+    with pytest.raises(ValueError, match="'omniscient'") as caught:
+        make_policies("omniscient", env.laboratories)
     for name in policy_names():
         assert name in str(caught.value)
 

@@ -137,8 +137,8 @@ def test_nobody_moves_the_focal_agent() -> None:
 @pytest.mark.parametrize(
     ("background", "error", "parts"),
     [
-        ("clairvoyant", ValueError, ["'clairvoyant'", *policy_names()]),
-        ({"rxn_0": "clairvoyant"}, ValueError, ["'clairvoyant'", *policy_names()]),
+        ("omniscient", ValueError, ["'omniscient'", *policy_names()]),
+        ({"rxn_0": "omniscient"}, ValueError, ["'omniscient'", *policy_names()]),
         ({"rxn_7": "random"}, ValueError, ["rxn_7", "rxn_0, rxn_1"]),
         ({"furnace": "random"}, ValueError, ["furnace", "manager_0"]),
         ({"rxn": 3}, TypeError, ["rxn_0", "predict", "3"]),
