@@ -62,7 +62,7 @@ def drops() -> list[str]:
     for one in found():
         for drop in one["drops"]:
             who = _called(one["scenario"], drop["policy"])
-            numbers = [interval_text(drop[key], 2) for key in ("with_partner", "with_strangers", "drop")]
+            numbers = [interval_text(drop[key], 2) for key in ("with_partner", "with_unseen", "drop")]
             rows.append([f"`{one['scenario']}`, {drop['side']}: {who}", *numbers])
     return markdown(rows)
 

@@ -289,22 +289,22 @@ def _met(player: Player, other: Player) -> bool:
 def _drops(
     side: str, players: Sequence[Player], others: Sequence[Player], scaled: dict[tuple[str, str], FloatArray]
 ) -> Iterator[dict[str, Any]]:
-    """What each of a side's players loses with strangers; ``scaled`` is by player and other."""
+    """Yield what each player of a side loses with unseen partners; ``scaled`` is by player and other."""
     for player in players:
         own = [scaled[player.name, other.name] for other in others if _met(player, other)]
-        strangers = [
+        unseen = [
             other
             for other in others
             if not _met(player, other) and (player.partner is None or _origin(player.policy) != _origin(other.policy))
         ]
-        if own and strangers:
-            apart = np.mean([scaled[player.name, other.name] for other in strangers], axis=0)
+        if own and unseen:
+            apart = np.mean([scaled[player.name, other.name] for other in unseen], axis=0)
             yield {
                 "side": side,
                 "policy": player.name,
                 "partner": player.partner,
-                "strangers": [other.name for other in strangers],
+                "unseen": [other.name for other in unseen],
                 "with_partner": interval(own[0]),
-                "with_strangers": interval(apart),
+                "with_unseen": interval(apart),
                 "drop": interval(own[0] - apart),
             }

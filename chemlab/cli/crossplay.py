@@ -100,10 +100,15 @@ def _show(found: dict[str, Any]) -> None:
     drops = [
         (
             f"{one['side']} {one['policy']}",
-            *(interval_text(one[key], 2) for key in ("with_partner", "with_strangers", "drop")),
+            *(interval_text(one[key], 2) for key in ("with_partner", "with_unseen", "drop")),
         )
         for one in found["drops"]
     ]
     if drops:
-        show_table("What strangers cost", ("who", "with its partner", "with strangers", "drop"), drops, right=(1, 2, 3))
+        show_table(
+            "Scores with unseen partners",
+            ("who", "with its partner", "with unseen partners", "drop"),
+            drops,
+            right=(1, 2, 3),
+        )
     page.print("0 is random play, 1 a planner that knows each episode's world.")

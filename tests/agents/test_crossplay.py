@@ -1,4 +1,4 @@
-"""Managers with benches they have not learned with: who plays, what each cell is, what strangers cost."""
+"""Managers with benches they have not learned with: who plays, what each cell is, what unseen cost."""
 
 from __future__ import annotations
 
@@ -89,14 +89,14 @@ def test_a_drop_is_the_partners_score_less_the_mean_of_strangers(
     drops = {(one["side"], one["policy"]): one for one in found["drops"]}
     assert set(drops) == {("manager", "scripted"), ("benches", "scripted")}
     one = drops["manager", "scripted"]
-    assert one["strangers"] == ["scripted@0.2", "scripted:unsafe"]
-    apart = [cell(found, "scripted", name)["value"] for name in one["strangers"]]
+    assert one["unseen"] == ["scripted@0.2", "scripted:unsafe"]
+    apart = [cell(found, "scripted", name)["value"] for name in one["unseen"]]
     own = cell(found, "scripted", "scripted")
     assert own["together"]
     assert one["drop"]["value"] == pytest.approx(own["value"] - np.mean(apart), abs=1e-12)
     assert one["drop"]["low"] <= one["drop"]["value"] <= one["drop"]["high"]
     other = drops["benches", "scripted"]
-    assert other["strangers"] == ["scripted:unsafe"]
+    assert other["unseen"] == ["scripted:unsafe"]
     assert other["drop"]["value"] == pytest.approx(
         own["value"] - cell(found, "scripted:unsafe", "scripted")["value"], abs=1e-12
     )
@@ -149,9 +149,9 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     assert cell(found, team, team)["together"]
     assert cell(found, str(first), "scripted")["together"]
     assert not cell(found, str(first), team)["together"]
-    strangers = {(one["side"], one["policy"]): one["strangers"] for one in found["drops"]}
-    assert strangers["manager", team] == ["scripted:unsafe", "scripted"]
-    assert strangers["manager", str(first)] == ["scripted:unsafe", team]
+    unseen = {(one["side"], one["policy"]): one["unseen"] for one in found["drops"]}
+    assert unseen["manager", team] == ["scripted:unsafe", "scripted"]
+    assert unseen["manager", str(first)] == ["scripted:unsafe", team]
     with pytest.raises(ValueError, match=r"benches: .*seed-0 has none of its own: there it stands for 'scripted'"):
         find_players(spec, ["scripted"], [str(first)])
     with pytest.raises(ValueError, match="given twice"):
@@ -193,7 +193,7 @@ def test_the_command(
     done = runner.invoke(app, words)
     assert done.exit_code == 0, done.output
     assert max(map(len, done.output.splitlines())) <= 80
-    for text in ("scripted:unsafe", "scripted@0.2", "have learned together", "What strangers cost", "drop"):
+    for text in ("scripted:unsafe", "scripted@0.2", "have learned together", "Scores with unseen partners", "drop"):
         assert text in done.output
     written = json.loads((tmp_path / "found.json").read_text())
     assert {**written, "budget": "own"} == json.loads(json.dumps(played[1]))
