@@ -18,8 +18,8 @@ from .roles import role_of
 __all__ = ["Background", "background_players", "focal_env", "focal_vector_env"]
 
 Background = str | Mapping[str, Any]
-"""Who plays the other agents: a policy's name for all of them, or a name, a policy, a model or a function by agent id
-(``rxn_0``) or role (``rxn``, ``manager``); scripted ones play those that are not mentioned."""
+"""Policies of the other agents: a policy's name for all of them, or a name, a policy, a model or a function by agent id
+(``rxn_0``) or role (``rxn``, ``manager``); scripted policies play all others."""
 
 
 def focal_env(
@@ -70,7 +70,7 @@ def background_policies(background: Background) -> Policies:
         unknown = set(given) - set(roles) - set(roles.values())
         if unknown:
             raise ValueError(
-                f"background: nobody is called {', '.join(sorted(unknown))}; agents: {', '.join(laboratories.agents)}"
+                f"background: no agent is called {', '.join(sorted(unknown))}; agents: {', '.join(laboratories.agents)}"
             )
         chosen = {}
         for number, (agent, role) in enumerate(roles.items()):
@@ -88,7 +88,7 @@ def background_players(
     background: str,
     act: Callable[[int, IntArray, npt.NDArray[Any]], None] | None = None,
 ) -> Players:
-    """Who plays the roles that do not learn.
+    """Make the players of the roles that are not trained.
 
     Args:
         laboratories: where they play.

@@ -26,7 +26,7 @@ _TRACE_EVENT = 1e-9
 
 @dataclass
 class Played:
-    """What a policy's episodes for one goal came to, n episodes.
+    """Results of n episodes of a policy for one goal.
 
     Attributes:
         returns: [n] return of the bench's agent, or the manager's score of a laboratory.
@@ -63,7 +63,7 @@ class Played:
 
 
 def _case(env: BenchVectorEnv, goal: str, member: int) -> str:
-    """Whether the starting state's companion is there, where that is left to chance."""
+    """Return which random companion the starting state has; '' where that is not random."""
     companion = env.bench.spec.start.companion
     if companion is None or companion.probability in (0.0, 1.0):
         return ""

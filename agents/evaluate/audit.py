@@ -1,8 +1,8 @@
 """Measure what a scenario requires of its agents: ``chemlab audit``.
 
-Scores are normalised: 0 is random legal play, 1 what a planner reaches that knows each episode's world. Whatever is
-compared plays the same episodes: of the split ``test``, where the scenario draws any worlds. What has to be chosen (the
-best policy, the best plan, the best donor) is chosen on others.
+Scores are normalized: 0 is random legal play, 1 the oracle, a planner with the hidden parameters of each episode. All
+compared policies play the same episodes, of the split ``test`` where the scenario has hidden parameters. Choices (the
+best policy, plan and donor) are made on other episodes.
 
 | measure | what |
 |---|---|
@@ -27,7 +27,7 @@ benches that see; and that plan with the benches' actions of a donor's episode p
 
 Orders that are all there from the beginning are run apart each in a laboratory of its own. Orders that come over time
 contend for one laboratory: apart means that each is worked on by itself, in the order in which they come, and none is
-let go for another. Who also hears from benches what they have made is told from who does not: ``value_of_reports``.
+let go for another. ``value_of_reports`` compares managers with and without the benches' self-reported outcomes.
 
 Each has a ``value`` and the ends ``low`` and ``high`` of its 95 % interval over episodes (t, with the
 jackknife's variance); what cannot be computed is null, with a ``reason``.
@@ -122,7 +122,7 @@ def audit(
 
 
 def job_count(scenario: Scenario, budget: AuditBudget) -> int:
-    """How many parts an audit has; up to three more where a trained policy is the best."""
+    """Return the number of parts of an audit; a trained best policy adds up to three."""
     return len(choosing_jobs(scenario)) + len(measuring_jobs(scenario, budget, "scripted", []))
 
 
@@ -173,7 +173,7 @@ def _unseeing(best: str) -> dict[str, str]:
 
 
 def _best(found: Mapping[str, dict[str, Any]], policies: Sequence[str]) -> str:
-    """Which of some policies has the best mean where they are chosen."""
+    """Return the policy with the best mean on the episodes for choices."""
     scores = {policy: _scores(found, f"choose-{policy}") for policy in policies}
     return _greatest(scores)[0]
 
@@ -268,14 +268,14 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
 
 
 def _contention(found: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """What was contended for in an episode of the reference: all kinds together, and by kind."""
+    """Return contention counts per episode of the reference, in total and by kind."""
     counts = np.array(found["test"]["contention"])
     told = statistics.mean([counts.sum(axis=1)]).as_dict()
     return {**told, "kinds": dict(zip(CONTENDED, counts.mean(axis=0).tolist(), strict=True))}
 
 
 def _value(reference: FloatArray, scale: Scale, others: Mapping[str, FloatArray | None]) -> dict[str, Any]:
-    """The reference less the best of those that do without something."""
+    """Return the reference minus the best policy without an ability."""
     name, scores = _greatest(others)
     return {**interval(reference - scale.mean(scores)), "without": name}
 

@@ -87,7 +87,7 @@ _TOLD = (
 )
 """Of a cell, what the leaderboard has, too."""
 _RECORD = ".jsonl"
-"""How files of records end."""
+"""Suffix of record files."""
 _THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
 """Of performance profiles, on the scale."""
 
@@ -151,7 +151,7 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
 
 
 def _played_row(name: str, files: Sequence[Path]) -> Row:
-    """What somebody has played: who, is what the records say."""
+    """Make a row of records; they name its players."""
     records, told = [], dict[str, tuple[str, Path]]()
     for file in files:
         record = read_record(file)
@@ -245,7 +245,7 @@ def _row_jobs(spec: Scenario, rows: Sequence[Row], blocks: Sequence[_Block], spl
 
 
 def part_count(scenarios: Sequence[Scenario], rows: Sequence[Row], budget: AuditBudget, seeds: int, split: str) -> int:
-    """How many parts a benchmark has."""
+    """Return the number of parts of a benchmark."""
     blocks = _blocks(budget.episodes, seeds)
     return sum(
         len(reference_jobs(split))
@@ -291,7 +291,7 @@ def _entered(
 
 
 def _fitting(spec: Scenario, rows: Sequence[Row]) -> list[Row]:
-    """Rows that may play a scenario: whoever was trained in one plays that one."""
+    """Return the rows that may play a scenario: trained rows play the scenario of their training."""
     return [row for row in rows if row.scenario is None or row.scenario in (spec.name, spec.origin)]
 
 
@@ -379,7 +379,7 @@ def _cells(
     split: str,
     baseline: str,
 ) -> dict[str, Any]:
-    """What everybody has come to in one scenario; whoever has not played all episodes, in those that they have."""
+    """Return the cells of one scenario; rows without all episodes are scored on the episodes that they have."""
     scores: dict[str, FloatArray | str] = {
         "random": np.array(played["random"]["scores"]),
         "plan": np.array(played["plan"]["scores"]),
@@ -476,7 +476,7 @@ def _summary(name: str, found: Mapping[str, Any], baseline: str, row: Row) -> di
 
 
 def provenance(budget: str | AuditBudget, chosen: AuditBudget, split: str) -> dict[str, Any]:
-    """How findings were made: worlds, episodes, statistics, versions, machine.
+    """Return how results were made: worlds, episodes, statistics, versions, machine.
 
     Args:
         budget: as it was given.
@@ -566,7 +566,7 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
 def _recorded(
     folder: Path, found: Mapping[str, Any], scenarios: Sequence[Scenario], rows: Sequence[Row], count: int
 ) -> dict[tuple[str, str], list[dict[str, Any]]]:
-    """Record the first episodes of every row, by scenario and row; those that somebody has played are copied, all."""
+    """Record the first episodes of every row, by scenario and row; given records are all copied."""
     written: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for spec in scenarios:
         cells = found["scenarios"][spec.name]["cells"]

@@ -1,4 +1,4 @@
-"""Who is kept waiting by whom: what agents of a laboratory contend for, counted while they play."""
+"""Count contention between the orders of a laboratory during play."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from chemlab.roles.manager_state import ARRIVES, INSTRUMENTS, WITHIN
 __all__ = ["CONTENDED", "Contention"]
 
 CONTENDED = ("bench", "stock", "slot", "instrument", "deadline")
-"""What is contended for: a kind of bench is all busy while an order has nothing at any bench; a bottle holds less than
+"""Kinds of contention: a kind of bench is all busy while an order has nothing at any bench; a bottle holds less than
 an experiment may take of it; an idle bench cannot be begun on for want of free slots; the budget does not pay for a
 measurement any more; an order has passed its deadline unmet. All but the last are counted in manager's turns, over and
 over while they last; deadlines once an order, when the episode is over."""

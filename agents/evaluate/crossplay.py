@@ -6,8 +6,8 @@ is the score with its own partners minus the mean over the others (the focal and
 Leibo et al. 2021, Agapiou et al. 2022). Weak partners lower every score; the drop of the scripted agents, which were
 written for one another, is given for comparison.
 
-Episodes, worlds and scale are those of :mod:`~chemlab.agents.evaluate.benchmark`: 0 is random legal play, 1 what a
-planner comes to that knows each episode's world, or whoever was better there.
+Episodes, worlds and scale are those of :mod:`~chemlab.agents.evaluate.benchmark`: 0 is random legal play, 1 the
+best score of each episode, usually the oracle's.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .scale import Scale, interval
 __all__ = ["PARTNERS", "Player", "crossplay", "crossplay_count", "find_players"]
 
 PARTNERS = ("scripted", "scripted:unsafe", "scripted@0.1")
-"""Who is on a side of which nobody is named: scripted, scripted without care, epsilon-random."""
+"""Default policies of a side: scripted, unsafe, epsilon-random."""
 _ELSEWHERE = {
     MANAGER_ROLE: dict.fromkeys(("pretrained", "pretrained-isolated"), "scripted"),
     "benches": dict.fromkeys(("scripted:no-extraction", "scripted:memoryless", "scripted:fifo", "plan"), "scripted"),
@@ -48,7 +48,7 @@ _ELSEWHERE = {
 
 @dataclass(frozen=True)
 class Player:
-    """Who plays a side of the laboratory.
+    """A policy of one side of the laboratory.
 
     Attributes:
         name: what it is called.
@@ -134,7 +134,7 @@ def _policies(name: str, labs: Laboratories, side: str) -> list[Policy]:
 
 
 def _partner(name: str, backgrounds: set[str | None], labs: Laboratories, side: str) -> str | None:
-    """Who was on the other side; of policies with cards, ``backgrounds`` are what those say."""
+    """Return the policy of the other side during training; ``backgrounds`` are those of the policies' cards."""
     other = "benches" if side == MANAGER_ROLE else MANAGER_ROLE
     if name == "scripted":
         return name
@@ -153,7 +153,7 @@ def _partner(name: str, backgrounds: set[str | None], labs: Laboratories, side: 
 
 
 def _on_side(name: str, labs: Laboratories, side: str) -> str:
-    """Who plays one side where all are called ``name``."""
+    """Return the policy of one side if ``name`` is given for all roles."""
     general, *exceptions = name.split(",")
     of_manager = [text for text in exceptions if text.partition("=")[0] in (MANAGER_ROLE, MANAGER_AGENT)]
     if side == MANAGER_ROLE:
@@ -174,12 +174,12 @@ def _on_side(name: str, labs: Laboratories, side: str) -> str:
 
 
 def _has(roles: Any, labs: Laboratories, side: str) -> bool:
-    """Whether any of the roles is on that side."""
+    """Return whether any of the roles is on that side."""
     return MANAGER_ROLE in roles if side == MANAGER_ROLE else any(key in roles for key in labs.scenario.benches)
 
 
 def _origin(policy: str) -> str:
-    """What tells players apart: of a run, whichever checkpoint it is, the run."""
+    """Return the identity of a player: the run for any of its checkpoints."""
     path = Path(policy)
     if not path.exists():
         return policy
@@ -201,7 +201,7 @@ def _cell_job(policy: str, split: str) -> Job:
 
 
 def crossplay_count(managers: Sequence[Player], benches: Sequence[Player], budget: AuditBudget, split: str) -> int:
-    """How many parts it has."""
+    """Return the number of parts."""
     return len(reference_jobs(split)) + len(planner_jobs(budget, [], split)) + len(managers) * len(benches)
 
 
@@ -233,7 +233,7 @@ def crossplay(
         ``drops`` (of everybody that has a partner and met others) and how it was made.
 
     Raises:
-        ValueError: unknown budget, a policy that does not fit after all, or nobody scores above random play.
+        ValueError: unknown budget, a policy that does not fit after all, or no score above random play.
     """
     chosen = budget_of(budget)
     crew = Crew(scenario, chosen, keep, executor, watch)
@@ -282,7 +282,7 @@ def crossplay(
 
 
 def _met(player: Player, other: Player) -> bool:
-    """Whether the other is the partner with which the player has learned."""
+    """Return whether the other is the player's partner of training."""
     return player.partner is not None and _origin(player.partner) == _origin(other.policy)
 
 

@@ -1,5 +1,4 @@
-"""What audits and benchmarks play, in parts that are kept: each is a job for an executor, and a broken-off command goes
-on with those that are missing."""
+"""Jobs of audits and benchmarks, whose results are cached: an interrupted command resumes with the missing ones."""
 
 from __future__ import annotations
 
@@ -48,7 +47,7 @@ _PART_BYTES = 10_000_000
 
 @dataclass(frozen=True)
 class AuditBudget:
-    """How much is played.
+    """Numbers of episodes and plans.
 
     Attributes:
         episodes: that everybody is scored on.
@@ -263,7 +262,7 @@ def _run(job: Job, scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
 
 
 class _Result(BaseModel):
-    """What a job has come to, as a file has it: which of these depends on its kind."""
+    """A job's result in a file; its fields depend on the kind of job."""
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
@@ -275,7 +274,7 @@ class _Result(BaseModel):
     curves: list[list[float]] = []
 
     def is_of(self, job: Job, budget: AuditBudget, scenario: Scenario) -> bool:
-        """Whether it has what such a job comes to, of as many episodes, and plans that can be played."""
+        """Return whether the result has the job's fields, as many episodes, and legal plans."""
         given, wanted = self.model_fields_set, {"scores"}
         if job.kind == "play" and self.scores is None:
             return given == {"scores", "reason"}
@@ -332,7 +331,7 @@ class Crew:
         self._executor = executor or Inline()
 
     def run(self, jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
-        """What every job has come to, by name."""
+        """Return the result of every job, by name."""
         found = {job.name: kept for job in jobs if (kept := self.kept(job)) is not None}
         for name in found:
             self._watch(name)
@@ -346,12 +345,12 @@ class Crew:
         return found
 
     def _stamp(self, job: Job) -> str:
-        """What tells a part from that of another scenario, version, budget or policy."""
+        """Return a hash of the scenario, versions, budget and arguments of a part."""
         told = json.dumps([*self._made_of, job.kind, job.arguments]).encode()
         return hashlib.blake2b(told, digest_size=16).hexdigest()
 
     def kept(self, job: Job) -> dict[str, Any] | None:
-        """What was kept of a job; None, and it is played again, where that is nothing or cannot be what it came to."""
+        """Return the cached result of a job; None if there is none, or it does not fit."""
         path = None if self._keep is None else self._keep / _file_name(job)
         if path is None or not path.is_file():
             return None

@@ -1,4 +1,4 @@
-"""What managers have learned: their runs' checkpoints beside managers that learned nothing, as tables and curves.
+"""Tables and curves of trained managers beside untrained ones.
 
 :func:`collect` plays, and makes tables (:mod:`chemlab.agents.evaluate.results`, and ``managers.csv``);
 :func:`write_laboratory` makes the page from tables alone.
@@ -67,10 +67,10 @@ BASELINES: dict[str, tuple[str, str]] = {
     "plan": ("plan", "best constant plan found"),
     "random": ("random", "random legal actions"),
 }
-"""Managers that learned nothing: their policy's name (the benches are the background's) and what the table says.
+"""Untrained managers: the policy's name (the benches are the background's) and its label in the table.
 
-``chemlab plot runs TABLES --collect TABLES`` plays those that a table does not have yet, and drops from it those that
-are not here any more.
+``chemlab plot runs TABLES --collect TABLES`` plays managers that a table lacks, and drops
+managers that are not listed here.
 """
 
 _PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
@@ -104,7 +104,7 @@ class _Group:
 
 @dataclass(frozen=True)
 class LaboratoryPage:
-    """What was written.
+    """The files that were written.
 
     Attributes:
         page: the table's file.
@@ -116,7 +116,7 @@ class LaboratoryPage:
 
 
 def has_manager(run: TrainedRun) -> bool:
-    """Whether a run's learners are a laboratory's agent or roles (``manager_0``; ``manager,rxn``) with its manager."""
+    """Return whether a run trained a laboratory's manager, alone or with other roles."""
     return MANAGER_ROLE in _learned(run)
 
 
@@ -173,7 +173,7 @@ def collect(
     watch: Callable[[str], None] | None = None,
     keep: Callable[[TrainedRun], bool] = lambda _: True,
 ) -> list[str]:
-    """Make tables of the finished runs below a folder, and play the best checkpoints of those that have a manager.
+    """Make tables of the finished runs below a folder, and play the best checkpoints of runs with a manager.
 
     All play the same seeds, which neither training nor the choice of the checkpoint has seen. A run is compared with
     the scripted manager over its own benches: where benches have learned with the manager, those play there as well.
@@ -425,7 +425,7 @@ def _rows(group: _Group, baselines: Sequence[str] = tuple(BASELINES)) -> Iterato
 
 
 def _cells(benches: str, means: Sequence[Means]) -> dict[str, str]:
-    """What learned and other managers have alike; ``means`` are those of each seed."""
+    """Return the columns common to all managers; ``means`` holds the means of each seed."""
     over = {measure: float(np.mean([_overall(one, measure) for one in means])) for measure in MEASURES}
     return {
         "benches": benches,
@@ -448,7 +448,7 @@ def _interval(values: Any, sign: str = "") -> str:
 
 
 def _notes(group: _Group) -> Iterator[str]:
-    """What a reader has to know of runs."""
+    """Notes on runs for the page."""
     how = ("episodes", "seed", "chemlab")
     scripted = group.of(_SCRIPTED)
     for run in group.runs:

@@ -42,7 +42,7 @@ Line = dict[str, Any]
 
 
 class _Open(BaseModel):
-    """What is read of something that may have more, which stays as it is."""
+    """A model whose unknown fields are kept."""
 
     model_config = ConfigDict(extra="allow", allow_inf_nan=False)
 
@@ -159,7 +159,7 @@ def on_scale(
 
     Returns:
         ``value``, ``low`` and ``high`` of the normalized mean, ``score``, ``episodes`` and ``scale``, and what it is
-        above the baseline and above its own training worlds, where these are given; None where nobody scores above
+        above the baseline and above its own training worlds, where these are given; None where no score is above
         random play in these episodes, so that there is no scale.
     """
     there = np.isfinite(scores)
@@ -186,9 +186,9 @@ def _key(line: Mapping[str, Any], policy: str | None = None) -> tuple[str, str, 
 
 
 def _together(before: Sequence[Line], new: Sequence[Line]) -> list[Line]:
-    """Lines of commands before and new ones, which replace those of the same row, on the longest scale among them.
+    """Merge earlier and new lines on the longest scale among them; new lines replace those of the same row.
 
-    A scale ends where who was best of those that one command has played came to, so commands differ in it.
+    The end of a scale is the best score of one command, so commands differ in it.
     """
     lines = {_key(line): line for line in before}
     for line in new:
@@ -203,12 +203,12 @@ def _together(before: Sequence[Line], new: Sequence[Line]) -> list[Line]:
 
 
 def _episodes(line: Line) -> tuple[Any, ...]:
-    """What is equal of lines of the same episodes: nobody has random play's mean score in others."""
+    """Return a key of a line's episodes; the mean score of random play identifies them."""
     return line["scenario"], line["split"], line.get("scenario_hash"), (line.get("scale") or {}).get("random")
 
 
 def _end(line: Line) -> float:
-    """What 1 is on a line's scale; of lines that do not say (an empty cell), nothing."""
+    """Return the raw score of 1 on a line's scale; minus infinity for an empty cell."""
     return float(line["scale"]["oracle"]) if line.get("scale") else -np.inf
 
 
@@ -235,7 +235,7 @@ def _scores(line: Line | None, like: Line) -> FloatArray | None:
 
 
 def _measured(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[str, Any] | None:
-    """What follows from the scores of a line and of those it is compared with; None where some have no scores."""
+    """Compute a line's statistics from its scores and the compared ones; None where scores are missing."""
     if not line.get("scores") or line.get("value") is None:
         return None
     own, random, best = (
@@ -258,7 +258,7 @@ def _measured(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[st
 
 @dataclass
 class LineCheck:
-    """What is proven of a line.
+    """The proof of a line.
 
     Attributes:
         scenario, policy, split: of the line.

@@ -50,14 +50,14 @@ SEARCH_SEED = 3_000_000
 SEEDS = 8
 """Seeds a promising plan is tried on."""
 NOISE = 0.02
-"""Where good plans' scores have less standard deviation over seeds, one seed says whether a plan is promising."""
+"""Standard deviation of good plans' scores over seeds below which one seed selects promising plans."""
 
 _LONGEST = 12  # actions for each order
 _POPULATION, _CHILDREN, _FIRST = 32, 128, 256
 _ISLANDS, _PATIENCE = 3, 6
 _SAME = 1e-9
 _OWN_GOAL = 4.0
-"""How much likelier an experiment is begun for what an order asks for than for any other goal."""
+"""Relative probability of starting an experiment for an order's goal rather than for another."""
 _SCRIPTED = ("scripted", "scripted:no-extraction", "scripted:unsafe")
 _PROMISING, _FINALISTS, _FINAL_SEEDS = 4, 16, 64
 # Chances with which a random plan does something next, where it is possible.
@@ -77,7 +77,7 @@ class FoundPlan:
 
 @dataclass(frozen=True)
 class PlanSearch:
-    """What a search has found.
+    """The result of a search.
 
     Attributes:
         scenario: where.
@@ -157,7 +157,7 @@ class _Trials:
         self._begun = self.labs.snapshot()
 
     def seed_policies(self, policies: Iterable[Policy]) -> None:
-        """Whoever draws random numbers draws the same wherever the seed is the same."""
+        """Seed the policies' random streams, equally for equal seeds."""
         for number, policy in enumerate(policies):
             if hasattr(policy, "seed"):
                 for member, seed in zip(self.labs.members.tolist(), self.seed_of.tolist(), strict=True):
@@ -423,7 +423,7 @@ class _Search:
         return found
 
     def _random(self, count: int) -> list[Plan]:
-        """What random legal actions did in as many episodes of the first seed."""
+        """Return the plans of random legal play in as many episodes of the first seed."""
         plans: list[Plan] = []
         trials, policies = self._prepared([self._first_seed])
         while len(plans) < count:
@@ -434,7 +434,7 @@ class _Search:
         return plans
 
     def _scripted(self) -> list[Plan]:
-        """What the scripted managers did in the first seed's episode, but measuring."""
+        """Return the scripted managers' plans in the first seed's episode, without measurements."""
         plans = []
         trials, policies = self._prepared([self._first_seed])
         for name in _SCRIPTED:
@@ -445,8 +445,8 @@ class _Search:
         return plans
 
     def improve(self, known: Sequence[Plan]) -> float:
-        """Best score on the episodes themselves, of plans that begin with ``known`` and what scripted managers do
-        there: what whoever knows these episodes could reach."""
+        """Return the best score on the episodes themselves, from ``known`` and the scripted managers' plans: the score
+        of an oracle."""
         self._try([*known, *self._scripted()])
         best = -np.inf
         while self.tried < self._budget and self._best[0].score > best + _SAME:

@@ -72,7 +72,7 @@ _CURVE_DECIMALS, _DECIMALS = 5, 9
 _Rows = list[dict[str, str]]
 _ABBREVIATIONS = ("ppo", "a2c", "dqn", "sac", "td3", "xl")
 _PER_RUN = ("seed", "versions", "label")
-"""What may differ between the runs of a cell."""
+"""Settings that may differ between the runs of a cell."""
 
 
 @dataclass(frozen=True)
@@ -103,12 +103,12 @@ class TrainedRun:
 
 
 def display_name(label: str) -> str:
-    """What figures call an algorithm or one of its variants: ``ppo-xl`` is PPO-XL, ``ppo-entropy`` PPO-entropy."""
+    """Return the name of an algorithm or variant in figures: ``ppo-xl`` is PPO-XL, ``ppo-entropy`` PPO-entropy."""
     return "-".join(part.upper() if part in _ABBREVIATIONS else part for part in label.split("-"))
 
 
 def task_title(run: TrainedRun) -> str:
-    """What a run has learned: scenario, bench or agent, goals where they are not all, starts where they are others."""
+    """Return a run's task: scenario, bench or agent, goals if not all, starts if not the default."""
     goals = run.config.get("goals") or []
     parts = [f"{run.config.get('scenario')}, {run.config.get('bench')}"]
     parts += [f"goal {goals[0]}"] if len(goals) == 1 else [f"{len(goals)} goals"] if goals else []

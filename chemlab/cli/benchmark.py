@@ -89,7 +89,7 @@ def benchmark(
 
 
 def _show(found: dict[str, Any]) -> None:
-    """What people see: a table by scenario, then over all of them, and the empty cells."""
+    """Print a table by scenario, one over all scenarios, and the empty cells."""
     from ..agents.evaluate.statistics import interval_text
 
     names = list(found["scenarios"])

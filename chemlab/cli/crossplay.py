@@ -84,7 +84,7 @@ def crossplay(
 
 
 def _show(found: dict[str, Any]) -> None:
-    """What people see: who the benches are, the matrix, the drops."""
+    """Print the benches, the matrix and the drops."""
     from ..agents.evaluate.statistics import interval_text
 
     names = [player["name"] for player in found["benches"]]

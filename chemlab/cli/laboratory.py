@@ -123,7 +123,7 @@ def _show_scenario(labs: Laboratories) -> None:
 
 
 def _show_agent(labs: Laboratories, agent: str) -> None:
-    """What an agent sees and may do, number by number."""
+    """Print an agent's observation and actions, number by number."""
     from ..lab import describe as facts
     from ..roles.bench import Bench
 
@@ -187,7 +187,7 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="Replace records that are there already.")] = False,
     trust: TrustOption = False,
 ) -> None:
-    """Play episodes: a live account of what each agent does and what comes of it, then the results."""
+    """Play episodes: print every agent's actions and their outcomes, then the results."""
     _, env = prepare(scenario, quiet=as_json, split=split)
     seeds = range(seed, seed + episodes)
     recorders = _recorders(env, policy, seeds, record, force)
