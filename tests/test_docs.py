@@ -311,7 +311,6 @@ def test_pages_are_in_plain_words(page: Path) -> None:
 
 NOT_YET = (
     "agents/evaluate",
-    "agents/rllib",
     "agents/train",
     *(f"agents/{name}.py" for name in ("background", "episodes", "human", "learners", "player", "policies")),
     *(f"agents/{name}.py" for name in ("pretrained", "runs", "sb3")),

@@ -391,7 +391,7 @@ def test_runs_of_single_benches_go_on_together(tmp_path: Path) -> None:
 
 
 def test_bad_arguments_are_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"):
+    with pytest.raises(ValueError, match="roles: wurtz_dodecane choose from manager, rxn, ext, dit; given cook"):
         train(IPPO(roles=("cook",)), tmp_path / "a")
     with pytest.raises(ValueError, match=r"regime\s.*'together' or 'in-turns'"):
         train(IPPO(regime="chaos"), tmp_path / "b")
