@@ -216,13 +216,13 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
             'vessel = "B7"\ntarget = "B1"',
             ["benches.ext.process.0", "'B7'", "EV, B1, B2"],
         ),
-        ('vessel = "EV"\ntarget = "B1"', 'vessel = "EV"', ["benches.ext.process.0", "target", "needed by drain"]),
+        ('vessel = "EV"\ntarget = "B1"', 'vessel = "EV"', ["benches.ext.process.0", "target", "required by drain"]),
         (
             'vessel = "EV"\ntarget = "B1"',
             'vessel = "EV"\ntarget = "EV"',
             ["benches.ext.process.0", "must differ", "'EV'"],
         ),
-        ('vessel = "EV"\nmaterial = "water"', 'vessel = "EV"', ["benches.ext.process.1", "material", "needed by add"]),
+        ('vessel = "EV"\nmaterial = "water"', 'vessel = "EV"', ["benches.ext.process.1", "material", "required by add"]),
         (
             'material = "water"',
             'material = "water"\ntarget = "B1"',
