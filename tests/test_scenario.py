@@ -222,7 +222,11 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
             'vessel = "EV"\ntarget = "EV"',
             ["benches.ext.process.0", "must differ", "'EV'"],
         ),
-        ('vessel = "EV"\nmaterial = "water"', 'vessel = "EV"', ["benches.ext.process.1", "material", "required by add"]),
+        (
+            'vessel = "EV"\nmaterial = "water"',
+            'vessel = "EV"',
+            ["benches.ext.process.1", "material", "required by add"],
+        ),
         (
             'material = "water"',
             'material = "water"\ntarget = "B1"',
