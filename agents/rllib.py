@@ -44,7 +44,7 @@ except ImportError as error:
 
 __all__ = ["LaboratoryMultiAgentEnv"]
 
-_SETTINGS = ("scenario", "roles", "background", "rewards", "reaction_model", "separation_model", "split")
+_SETTINGS = ("scenario", "roles", "background", "rewards", "split")
 
 
 class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
@@ -53,7 +53,7 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
     Args:
         config: ``scenario`` (shipped name, path or loaded scenario; default ``wurtz_dodecane``), ``roles`` that learn
             (``manager`` and bench keys; default: all), ``background`` (name of the policies that play the others;
-            default ``scripted``), and ``rewards``, ``reaction_model``, ``separation_model``, ``split`` as for
+            default ``scripted``), and ``rewards``, ``split`` as for
             :class:`~chemlab.envs.aec.raw_env`.
 
     Raises:

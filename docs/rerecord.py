@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 from chemlab.record import FORMAT, Recorder, RecordError, Replay, read_record
+from chemlab.record.format import Header
 
 __all__ = ["RECORDS", "record_again"]
 
@@ -27,6 +28,8 @@ def record_again(path: Path, trust: bool = False, changed: bool = False) -> str:
     record = read_record(path)
     if record.end is None or record.broken is not None:
         return "is truncated"
+    # Fields that the present format has no more are dropped.
+    record.header = {key: value for key, value in record.header.items() if key in Header.model_fields}
     record.header["format"] = FORMAT
     header = record.checked_header()
     draft = path.with_name(f"{path.name}.again")

@@ -664,7 +664,7 @@ def test_an_environment_imports_nothing_of_the_extra() -> None:
         "from chemlab.laboratory import raw_env\n"
         "import chemlab.cli\n"
         "import chemlab.agents.policies\n"
-        "from chemlab.config.scenario import load_scenario\n"
+        "from chemlab.config.loading import load_scenario\n"
         "load_scenario('wurtz_real')\n"
         "env = raw_env('fictitious'); env.reset(seed=0)\n"
         "for _ in range(3):\n"

@@ -649,7 +649,7 @@ def test_other_versions_are_told_apart(honest: Path, tmp_path: Path) -> None:
     lines[0]["format"]["version"] = 1
     result = verify_record(store(tmp_path / "a.jsonl", lines))
     assert result.status == "other"
-    assert "format 1, made by chemlab 9.9; this version reads format 3" in result.message
+    assert "format 1, made by chemlab 9.9; this version reads format 4" in result.message
 
 
 def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -1137,23 +1137,22 @@ def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, t
     assert (tmp_path / "ran").exists(), "the test would find out"
 
 
-class Nothing:
+def nothing(amount_mol: Any, temperature_k: float, volume_l: float, dt: float) -> Any:
     """A reaction model in which nothing happens."""
-
-    def __call__(self, amount_mol: Any, temperature_k: float, volume_l: float, dt: float) -> Any:
-        return amount_mol
+    return amount_mol
 
 
-def test_physics_of_ones_own_has_to_be_given(tmp_path: Path) -> None:
-    env = raw_env("wurtz_dodecane", reaction_model=Nothing())
+def test_records_name_the_physics_models_of_their_scenario(tmp_path: Path) -> None:
+    model = {"benches": {"rxn": {"model": f"{__name__}:nothing"}}}
+    env = raw_env({"base": "wurtz_dodecane", "name": "idle", **model})
     path = tmp_path / "a.jsonl"
     play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=Recorder(path, env.laboratories))
     result = verify_record(path)
     assert result.status == "unchecked"
-    assert "Nothing" in result.message
-    assert verify_record(path, reaction_model=Nothing()).status == "ok"
+    assert f"benches.rxn.model: needs '{__name__}:nothing'" in result.message
+    assert verify_record(path, env.scenario, trust=True).status == "ok"
     lines = load(path)
-    lines[0]["models"] = {}
+    del lines[0]["scenario"]["scenario"]["benches"]["rxn"]["model"]
     assert verify_record(store(tmp_path / "b.jsonl", lines)).status == "tampered"
 
 

@@ -189,6 +189,8 @@ class BenchSpec(BaseModel):
     """Reward terms of your own, ``my_parts.py:NAME`` each, added to what every action earns."""
     actions: Literal["native", "discrete"] = "native"
     """``native``: as the bench's kind has them; ``discrete``: where those are continuous, a choice among some."""
+    model: Annotated[str, Field(max_length=1000)] | None = None
+    """Physics of your own in place of the bench's, ``my_parts.py:NAME`` (:mod:`chemlab.roles.models`)."""
     wear: WearSpec | None = None
     """How its apparatus errs, drifts and breaks; none: it does as it is told. The manager may have it repaired."""
     report: float | None = Field(default=None, ge=0.0, le=1.0)

@@ -38,7 +38,7 @@ its parts (:mod:`chemlab.envs.global_state`).
 ### Arguments
 `scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi`, `rgb_array`, `human` or
 None), `rewards` (another mix than the scenario's: `individual`, `cooperative`, `mixed` or a RewardSpec),
-`reaction_model` and `separation_model` (physics of your own), `split` (which worlds there may be, of scenarios that
+`split` (which worlds there may be, of scenarios that
 draw some: `train`, `validation`, `test` or `private:SALT`), `actions` (`discrete`: benches with continuous actions have
 a choice among representative ones instead). `reset(seed, options={"goal": name})` asks for a goal
 instead of drawing it, `{"world": seed or values}` for a world.
@@ -61,7 +61,6 @@ from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 from ..config.scenario import RewardSpec, Scenario
 from ..lab.episodes import INTERRUPTED
 from ..roles.manager_state import RUNNING
-from ..roles.models import ReactionModel, SeparationModel
 from .common import OneLaboratory
 from .rendering import RENDER_MODES
 
@@ -72,13 +71,11 @@ def env(
     scenario: str | Path | Scenario = "wurtz_dodecane",
     render_mode: str | None = None,
     rewards: str | RewardSpec | None = None,
-    reaction_model: ReactionModel | None = None,
-    separation_model: SeparationModel | None = None,
     split: str = "train",
     actions: str | None = None,
 ) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
     """The laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
-    laboratory = raw_env(scenario, render_mode, rewards, reaction_model, separation_model, split, actions)
+    laboratory = raw_env(scenario, render_mode, rewards, split, actions)
     return OrderEnforcedLaboratory(laboratory)
 
 
@@ -96,8 +93,6 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         render_mode: one of ``metadata["render_modes"]``, or None.
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
-        reaction_model: replaces the kinetics (see :class:`chemlab.roles.models.ReactionModel`).
-        separation_model: replaces layers and partition (see :class:`chemlab.roles.models.SeparationModel`).
         split: which worlds there may be (see :mod:`chemlab.config.draws`).
         actions: replaces the scenario's: ``native`` or ``discrete``
         (:meth:`~chemlab.config.scenario.Scenario.with_actions`).

@@ -17,7 +17,6 @@ from ..lab.engine import Laboratories
 from ..lab.hidden import World
 from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
-from ..roles.models import ReactionModel, SeparationModel
 from .common import manager_accounts
 from .global_state import GlobalState
 from .vector import checked_actions, parsed_reset
@@ -40,7 +39,6 @@ class BatchedLaboratory:
         idle_observations: whether agents without the turn are shown the laboratory too; else their rows keep what they
             saw last, which saves most of the time observing takes.
         copy: whether returned arrays are copies; without, the next step overwrites them.
-        reaction_model, separation_model: physics of your own (see :mod:`chemlab.roles.models`).
         split: which worlds there may be (see :mod:`chemlab.config.draws`).
         autoreset: whether a laboratory whose episode ends is reset in the same step; else whoever steps resets it
             before the next one, by ``options["reset_mask"]``, and until then sees how it ended.
@@ -59,8 +57,6 @@ class BatchedLaboratory:
         rewards: str | RewardSpec | None = None,
         idle_observations: bool = False,
         copy: bool = True,
-        reaction_model: ReactionModel | None = None,
-        separation_model: SeparationModel | None = None,
         split: str = "train",
         actions: str | None = None,
         autoreset: bool = True,
@@ -71,7 +67,7 @@ class BatchedLaboratory:
         self.scenario = load_scenario(scenario).with_actions(actions)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model, split)
+        self.laboratories = labs = Laboratories(self.scenario, num_envs, split)
         self.possible_agents = list(labs.agents)
         self._whole = GlobalState(labs)
         self.idle_observations = idle_observations

@@ -16,7 +16,7 @@
 ### Arguments
 `scenario` (shipped name, path or loaded scenario), `bench` (its key), `goals` (one, several, or None for all),
 `starts` (`paper`, `lab` or `both`), `render_mode` (`ansi`, `rgb_array`, `human` or None; single environments),
-`reaction_model` and `separation_model`, `split` (`train`, `validation`, `test` or `private:SALT`: which worlds there
+`split` (`train`, `validation`, `test` or `private:SALT`: which worlds there
 may be, of scenarios that draw some), `actions` (`discrete`: a choice among representative ones, where a bench has
 continuous actions). Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
 
@@ -56,7 +56,6 @@ from ..kernels.rng import checked_seed
 from ..kernels.tables import put_back
 from ..lab.experiments import ExperimentBatch
 from ..lab.hidden import World, Worlds
-from ..roles.models import ReactionModel, SeparationModel
 from .rendering import RENDER_MODES, Rendered
 from .vector import BatchEnv, BoundedSpec, State
 
@@ -86,14 +85,12 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         goals: str | Sequence[str] | None = None,
         starts: str = "paper",
         render_mode: str | None = None,
-        reaction_model: ReactionModel | None = None,
-        separation_model: SeparationModel | None = None,
         split: str = "train",
         actions: str | None = None,
     ) -> None:
         self._set_render_mode(render_mode)
         self.scenario = spec = load_scenario(scenario).with_actions(actions)
-        self.batch = ExperimentBatch(spec, bench, 1, goals, starts, reaction_model, separation_model, split)
+        self.batch = ExperimentBatch(spec, bench, 1, goals, starts, split)
         self.bench = self.batch.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
         self.action_space = self.bench.action_space
@@ -242,7 +239,7 @@ class BenchVectorEnv(BatchEnv):
 
     Args:
         num_envs: N.
-        scenario, bench, goals, starts, reaction_model, separation_model, split, actions: as for :class:`BenchEnv`.
+        scenario, bench, goals, starts, split, actions: as for :class:`BenchEnv`.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
@@ -272,8 +269,6 @@ class BenchVectorEnv(BatchEnv):
         threads: int = 1,
         copy: bool = True,
         render_mode: str | None = None,
-        reaction_model: ReactionModel | None = None,
-        separation_model: SeparationModel | None = None,
         max_episode_steps: int | None = None,
         split: str = "train",
         actions: str | None = None,
@@ -282,7 +277,7 @@ class BenchVectorEnv(BatchEnv):
             if number < 1:
                 raise ValueError(f"{name} must be at least 1, given {number}")
         spec = load_scenario(scenario).with_actions(actions)
-        self.batch = ExperimentBatch(spec, bench, num_envs, goals, starts, reaction_model, separation_model, split)
+        self.batch = ExperimentBatch(spec, bench, num_envs, goals, starts, split)
         self.bench = self.batch.bench
         super().__init__(
             num_envs,

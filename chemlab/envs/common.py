@@ -17,7 +17,6 @@ from ..lab.engine import Laboratories
 from ..lab.text import describe_laboratory
 from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
-from ..roles.models import ReactionModel, SeparationModel
 from .global_state import GlobalState
 from .rendering import Rendered
 
@@ -55,8 +54,6 @@ class OneLaboratory(Rendered):
         scenario: str | Path | Scenario = "wurtz_dodecane",
         render_mode: str | None = None,
         rewards: str | RewardSpec | None = None,
-        reaction_model: ReactionModel | None = None,
-        separation_model: SeparationModel | None = None,
         split: str = "train",
         actions: str | None = None,
     ) -> None:
@@ -65,7 +62,7 @@ class OneLaboratory(Rendered):
         self.scenario = load_scenario(scenario).with_actions(actions)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = Laboratories(self.scenario, 1, reaction_model, separation_model, split)
+        self.laboratories = Laboratories(self.scenario, 1, split)
         self.possible_agents = list(self.laboratories.agents)
         self.agents: list[str] = []
         self._number = {agent: i for i, agent in enumerate(self.possible_agents)}

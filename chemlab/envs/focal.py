@@ -50,7 +50,6 @@ from ..lab.engine import MANAGER_AGENT, Laboratories
 from ..lab.hidden import World, Worlds
 from ..lab.text import describe_laboratory
 from ..roles.manager_state import RUNNING
-from ..roles.models import ReactionModel, SeparationModel
 from .common import manager_accounts
 from .players import Players, as_policy
 from .rendering import RENDER_MODES, Rendered
@@ -78,7 +77,6 @@ class FocalVectorEnv(BatchEnv):
             :class:`~chemlab.envs.bench_env.BenchVectorEnv`.
         copy: whether returned arrays are copies; without, the next step overwrites them.
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
-        reaction_model, separation_model: physics of your own (see :mod:`chemlab.roles.models`).
         split: which worlds there may be (see :mod:`chemlab.config.draws`).
         actions: replaces the scenario's: ``native`` or ``discrete``
         (:meth:`~chemlab.config.scenario.Scenario.with_actions`).
@@ -100,8 +98,6 @@ class FocalVectorEnv(BatchEnv):
         copy: bool = True,
         render_mode: str | None = None,
         rewards: str | RewardSpec | None = None,
-        reaction_model: ReactionModel | None = None,
-        separation_model: SeparationModel | None = None,
         max_episode_steps: int | None = None,
         split: str = "train",
         actions: str | None = None,
@@ -111,7 +107,7 @@ class FocalVectorEnv(BatchEnv):
         self.scenario = load_scenario(scenario).with_actions(actions)
         if rewards is not None:
             self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = labs = Laboratories(self.scenario, num_envs, reaction_model, separation_model, split)
+        self.laboratories = labs = Laboratories(self.scenario, num_envs, split)
         if agent not in labs.agents:
             raise ValueError(f"agent: {self.scenario.name} has {', '.join(labs.agents)}; given {agent!r}")
         self.focal = labs.agents.index(agent)
@@ -269,7 +265,7 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
     """The laboratory for one of its agents; see this module's documentation for episodes and infos.
 
     Args:
-        scenario, agent, policies, rewards, reaction_model, separation_model, split, actions: as for
+        scenario, agent, policies, rewards, split, actions: as for
             :class:`FocalVectorEnv`.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
 

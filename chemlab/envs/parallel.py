@@ -46,7 +46,6 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         render_mode: one of ``metadata["render_modes"]``, or None.
         rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
-        reaction_model, separation_model: physics of your own (see :mod:`chemlab.roles.models`).
         split: which worlds there may be (see :mod:`chemlab.config.draws`).
         actions: replaces the scenario's: ``native`` or ``discrete``
         (:meth:`~chemlab.config.scenario.Scenario.with_actions`).

@@ -49,7 +49,6 @@ from ..roles.manager import (
 from ..roles.manager_actions import REPAIR, ManagerActions
 from ..roles.manager_state import COST_ITEMS, MANAGER, RUNNING, ManagerState, Rules
 from ..roles.manager_view import manager_channels, manager_observe, report_channels
-from ..roles.models import ReactionModel, SeparationModel
 from .episodes import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
@@ -124,8 +123,6 @@ class Laboratories:
         self,
         scenario: str | Path | Scenario,
         laboratories: int = 1,
-        reaction_model: ReactionModel | None = None,
-        separation_model: SeparationModel | None = None,
         split: str = "train",
     ) -> None:
         self.scenario = load_scenario(scenario)
@@ -134,7 +131,7 @@ class Laboratories:
         self.agents = [MANAGER_AGENT, *self.bench_agents]
         n, slots = laboratories, spec.shelf.slots
         chemistry = world_chemistry(spec, n)
-        kinds = {key: build_bench(key, spec, chemistry, reaction_model, separation_model) for key in spec.benches}
+        kinds = {key: build_bench(key, spec, chemistry) for key in spec.benches}
         self.benches: list[Bench] = [kinds[key] for key, bench in spec.benches.items() for _ in range(bench.count)]
         positions = np.array([len(bench.positions) for bench in self.benches], dtype=np.int64)
         first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)

@@ -26,7 +26,6 @@ from ..physics.shelf import Shelf, ShelfArrays
 from ..roles.bench import Bench, Experiments, ExperimentState
 from ..roles.kinds import build_bench
 from ..roles.maintenance import equip
-from ..roles.models import ReactionModel, SeparationModel
 from ..roles.wear import wear_out
 from .episodes import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
@@ -82,7 +81,6 @@ class ExperimentBatch:
         goals: goals an experiment may be run for (default: all of the scenario's).
         starts: ``paper`` for the paper's fixed starting states, ``lab`` for vessels as they reach this bench in
             laboratory runs (see :mod:`chemlab.lab.starts`), ``both`` for either as often.
-        reaction_model, separation_model: physics of your own.
         split: which worlds there may be (see :mod:`chemlab.config.draws`).
 
     Raises:
@@ -97,15 +95,13 @@ class ExperimentBatch:
         members: int = 1,
         goals: str | Sequence[str] | None = None,
         starts: str = "paper",
-        reaction_model: ReactionModel | None = None,
-        separation_model: SeparationModel | None = None,
         split: str = "train",
     ) -> None:
         self.scenario = load_scenario(scenario)
         if bench not in self.scenario.benches:
             raise DataError(f"bench: {self.scenario.name} has {', '.join(self.scenario.benches)}, given {bench!r}")
         chemistry = world_chemistry(self.scenario, members)
-        self.bench: Bench = build_bench(bench, self.scenario, chemistry, reaction_model, separation_model)
+        self.bench: Bench = build_bench(bench, self.scenario, chemistry)
         chosen = self.scenario.goals if goals is None else (goals,) if isinstance(goals, str) else tuple(goals)
         unknown = [goal for goal in chosen if goal not in self.scenario.goals]
         if unknown or not chosen:

@@ -37,7 +37,7 @@ __all__ = [
     "to_text",
 ]
 
-FORMAT = {"name": "chemlab-episode", "version": 3}
+FORMAT = {"name": "chemlab-episode", "version": 4}
 """Format entry of every record's first line.
 
 The version is increased when readers have to change, or when the same episode would give another record.
@@ -139,8 +139,6 @@ class Header(BaseModel):
     rounds: bool
     policies: dict[str, _Text]
     """Policy of each agent; a claim."""
-    models: dict[str, _Text]
-    """User-defined physics models that replaced chemlab's."""
     environment: dict[str, _Word]
     """Versions and platform that numbers may depend on; a claim."""
     agents: list[_Word] = Field(max_length=LIMITS.agents + 1)

@@ -86,7 +86,6 @@ class Witness:
         options: Mapping[str, Any],
         rounds: bool,
         policies: Mapping[str, str],
-        models: Mapping[str, str],
         environment: Mapping[str, str],
         version: str = __version__,
     ) -> dict[str, Any]:
@@ -110,7 +109,6 @@ class Witness:
             **split,
             "rounds": rounds,
             "policies": dict(policies),
-            "models": dict(models),
             "environment": dict(environment),
             "agents": labs.agents,
             "goals": [labs.scenario.goals[goal] for goal in labs.state.goal[self._m].tolist()],
@@ -234,18 +232,6 @@ def environment_here() -> dict[str, str]:
     }
 
 
-def _models(laboratories: Laboratories) -> dict[str, str]:
-    """Physics of the user's own that replaces chemlab's, by name."""
-    found = {}
-    for bench in laboratories.benches:
-        for key in ("reaction_model", "separation_model"):
-            model = getattr(bench, key, None)
-            if model is not None:
-                kind = model if hasattr(model, "__qualname__") else type(model)
-                found[key] = f"{kind.__module__}:{kind.__qualname__}"
-    return found
-
-
 class Recorder:
     """Writes the episodes of one laboratory to a file each.
 
@@ -324,7 +310,6 @@ class Recorder:
             options or {},
             self._rounds,
             self._policies,
-            _models(labs),
             environment_here(),
         )
         validated(Header, opening, f"{self.path}: header")  # what could not be read again is not written either

@@ -14,7 +14,6 @@ from ..config.parts import strangers_code
 from ..lab.engine import Laboratories
 from ..lab.hidden import NumberedWorld
 from ..roles.manager_state import RUNNING
-from ..roles.models import ReactionModel, SeparationModel
 from .format import Header, HeaderError, Record, RecordError, recorded_scenario, short
 from .recorder import Play
 
@@ -28,7 +27,6 @@ class Replay:
         record: the record.
         trust: allow imports of benches and other parts that the record's scenario names (``module:Name``,
             ``file.py:Name``); without it they raise an error, because a file must not decide which code Python runs.
-        reaction_model, separation_model: the user-defined physics models of the record, if any.
         split: ``private:SALT``, for a record of a private split.
 
     Attributes:
@@ -44,17 +42,11 @@ class Replay:
         self,
         record: Record,
         trust: bool = False,
-        reaction_model: ReactionModel | None = None,
-        separation_model: SeparationModel | None = None,
         split: str | None = None,
     ) -> None:
         self.record = record
         scenario = recorded_scenario(record)
         header = record.checked_header()
-        given = {"reaction_model": reaction_model, "separation_model": separation_model}
-        for key, name in header.models.items():
-            if given.get(key) is None:
-                raise RecordError(f"{record.path}: was made with {key} {short(name)}: pass it to verify_record()")
         private = header.split == "private"
         if header.split not in (None, "private", *SPLITS):
             known = ", ".join([*SPLITS, "private"])
@@ -63,7 +55,7 @@ class Replay:
         chosen = (split or "private:unknown") if private else header.split or "train"
         try:
             with strangers_code(allowed=trust):
-                self.laboratories = Laboratories(scenario, 1, reaction_model, separation_model, chosen)
+                self.laboratories = Laboratories(scenario, 1, chosen)
         except DataError as error:
             raise RecordError(short(str(error), 500)) from error
         self.rounds = header.rounds

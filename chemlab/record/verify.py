@@ -12,7 +12,6 @@ from typing import Any, Literal, get_args
 from .. import __version__
 from ..config.loading import load_scenario, shipped_file
 from ..config.scenario import Scenario
-from ..roles.models import ReactionModel, SeparationModel
 from .format import FormatError, Header, HeaderError, Record, RecordError, read_record, scenario_hash, short, to_text
 from .recorder import Witness, environment_here
 from .replay import Replay
@@ -168,7 +167,7 @@ class _Check:
         record, header, labs = self.record, self.header, self.replay.laboratories
         witness = Witness(labs, 0)
         # The header's claims are compared with themselves; the verdict reports them.
-        claims = header.policies, header.models, header.environment, header.chemlab
+        claims = header.policies, header.environment, header.chemlab
         opening = witness.opening(header.seed, header.options, header.rounds, *claims)
         if not self.compare(0, "header", record.header, opening):
             return
@@ -200,8 +199,6 @@ def verify_record(
     path: str | Path | Record,
     scenario: str | Path | Scenario | None = None,
     trust: bool = False,
-    reaction_model: ReactionModel | None = None,
-    separation_model: SeparationModel | None = None,
     split: str | None = None,
 ) -> Verification:
     """Replay a record's actions on the simulator and compare all recorded values.
@@ -210,7 +207,6 @@ def verify_record(
         path: the record.
         scenario: scenario on which it must have been made; default: the bundled scenario of the same name.
         trust: allow imports of code that the record names.
-        reaction_model, separation_model: the physics models of the record, if they are user-defined.
         split: ``private:SALT``, for a record of a private split: proves that its world follows from the seed.
 
     Raises:
@@ -225,7 +221,7 @@ def verify_record(
     other = _other_version(record)
     try:
         header = record.checked_header()
-        replay = Replay(record, trust, reaction_model, separation_model, split)
+        replay = Replay(record, trust, split)
     except RecordError as error:
         status: Status = "tampered" if isinstance(error, HeaderError) else "unchecked"
         messages, where = [_plain(error, name)], "header" if isinstance(error, HeaderError) else ""
@@ -330,8 +326,6 @@ def _notes(check: _Check) -> list[str]:
     if header.policies:
         who = ", ".join(sorted({short(name) for name in header.policies.values()}))
         notes.append(f"claims that {short(who, 200)} played, which cannot be proved")
-    for key, name in header.models.items():
-        notes.append(f"replayed with the given {key} in place of the recorded {short(name)}")
     if header.split == "private" and not check.replay.split_known:
         notes.append("is of a private split: without its salt, its author may have chosen the world")
     if header.seed is None:

@@ -36,6 +36,7 @@ from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE, WAVELENGTHS_NM, C
 from ..physics.shelf import Shelf, ShelfArrays
 from ..physics.transfer import place
 from .grades import Grades, GradeState, best_vessel, noisy
+from .models import load_model
 
 if TYPE_CHECKING:
     pass
@@ -383,6 +384,8 @@ class Bench(ABC):
     """The bench's largest kernels: what a first step waits for while they compile."""
     score_meaning: ClassVar[str] = "score"
     """What an experiment's score is, for people."""
+    model_methods: ClassVar[tuple[str, ...]] = ()
+    """Methods of the model that may replace its physics (:mod:`chemlab.roles.models`); empty: it takes none."""
     camera: ClassVar[bool] = False
     """Whether it looks at its vessels with a layer camera."""
     reagents: int = 0
@@ -406,6 +409,8 @@ class Bench(ABC):
         self.grades = Grades(scenario, key)
         self.told = [name for name, draw in scenario.world.draws.items() if key in draw.told]
         self._told_numbers = sum(scenario.world.draws[name].variables for name in self.told)
+        self.model: Any = load_model(scenario, key, self.model_methods)
+        """Replaces the built-in physics where the scenario names one."""
         self._added = load_observations(self.spec.observe, scenario, f"benches.{key}.observe")
         self._terms = load_terms(self.spec.reward, scenario, f"benches.{key}.reward")
 

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from ..config.parts import load_part
 from ..config.scenario import Scenario
 from ..physics.chemistry import ChemistryTable
 from .bench import Bench
 from .discrete import Discretised, discretised
-
-if TYPE_CHECKING:
-    from .models import ReactionModel, SeparationModel
 
 __all__ = ["BENCH_KINDS", "build_bench", "discretised_twin"]
 
@@ -24,14 +19,8 @@ BENCH_KINDS: dict[str, str] = {
 """Built-in kinds of benches by short name."""
 
 
-def build_bench(
-    key: str,
-    scenario: Scenario,
-    chemistry: ChemistryTable,
-    reaction_model: ReactionModel | None = None,
-    separation_model: SeparationModel | None = None,
-) -> Bench:
-    """Build the bench ``key`` of a scenario; models replace the built-in physics of benches that use them.
+def build_bench(key: str, scenario: Scenario, chemistry: ChemistryTable) -> Bench:
+    """Build the bench ``key`` of a scenario.
 
     Raises:
         DataError: the bench kind cannot be found, or its options are invalid.
@@ -40,10 +29,6 @@ def build_bench(
     bench: Bench = cls(key, scenario, chemistry)
     if bench.spec.actions == "discrete" and not bench.action_count:
         bench = discretised(cls)(key, scenario, chemistry)
-    if reaction_model is not None and hasattr(bench, "reaction_model"):
-        bench.reaction_model = reaction_model
-    if separation_model is not None and hasattr(bench, "separation_model"):
-        bench.separation_model = separation_model
     return bench
 
 

@@ -1,14 +1,17 @@
-"""What a user's own physics has to offer to take the place of chemlab's."""
+"""Physics models of a user's own, which a scenario names as ``benches.KEY.model`` in place of chemlab's."""
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
+from ..config.datafile import DataError
+from ..config.parts import blamed, load_part
+from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray
 
-__all__ = ["ReactionModel", "SeparationModel", "checked_reaction"]
+__all__ = ["ReactionModel", "SeparationModel", "checked_reaction", "load_model"]
 
 _CONSERVED = 1e-6
 """Relative error that an integrator of the user's may leave in the atoms."""
@@ -43,6 +46,39 @@ class SeparationModel(Protocol):
         ``volume_l`` [C] and ``density_kg_l`` [C] are those of the solids (density 0: they lie lowest), the fluid
         layers, densest first, and air. Each pixel's shares add up to 1, each layer's pixels to its share of the volume.
         """
+
+
+def load_model(scenario: Scenario, bench: str, methods: tuple[str, ...]) -> Any:
+    """Load the physics model of a bench; a class is called with the scenario.
+
+    Args:
+        scenario: names the model.
+        bench: key of the bench.
+        methods: methods that a model of this kind of bench has.
+
+    Returns:
+        The model, or None where the scenario names none.
+
+    Raises:
+        DataError: the bench takes no model, or the model cannot be loaded or lacks a method.
+        PartError: the class of the model cannot be called with the scenario.
+    """
+    name, key = scenario.benches[bench].model, f"benches.{bench}.model"
+    if name is None:
+        return None
+    if not methods:
+        raise DataError(f"{scenario.origin}: {key}: a bench of kind {scenario.benches[bench].kind!r} has no model")
+    model = load_part(name, scenario, key)
+    if isinstance(model, type):
+        with blamed(name):
+            model = model(scenario)
+    lacking = [method for method in methods if not callable(getattr(model, method, None))]
+    if lacking:
+        raise DataError(
+            f"{scenario.origin}: {key}: {name!r} has no {lacking[0]}(), which a model of a bench of kind "
+            f"{scenario.benches[bench].kind!r} needs"
+        )
+    return model
 
 
 def checked_reaction(

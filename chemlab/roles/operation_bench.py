@@ -308,6 +308,7 @@ class OperationBench(Bench):
     the gauges (if any) and the goal.
     """
 
+    model_methods = ("partition", "profile")
     options_model = OperationOptions
     own_state = (ImageState,)
     own_rules = (ApparatusRules,)
@@ -319,8 +320,6 @@ class OperationBench(Bench):
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         super().__init__(key, scenario, chemistry)
         options: OperationOptions = self.options
-        self.separation_model: SeparationModel | None = None
-        """Replaces the built-in layers and partition if set."""
         self._others: list[Operation] = []
         """User-defined operations, numbered after the built-in ones. By their number here:"""
         self._names: list[str] = []
@@ -420,8 +419,8 @@ class OperationBench(Bench):
     def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
         if self._others:
             self._perform_others(shelf, experiments, members, actions)
-        _step(members, actions, self.separation_model is None, *self._handles(shelf, experiments))
-        if self.separation_model is not None:
+        _step(members, actions, self.model is None, *self._handles(shelf, experiments))
+        if self.model is not None:
             self._show(shelf, experiments, members)
 
     def _own_turn(
@@ -458,7 +457,7 @@ class OperationBench(Bench):
 
     def _show(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
         """Update layers and pictures."""
-        if self.separation_model is not None:
+        if self.model is not None:
             for m in members.tolist():
                 for place, layers, shares in zip(
                     experiments.places[m], experiments.layers[m], experiments.profile[m], strict=True
@@ -471,8 +470,7 @@ class OperationBench(Bench):
         self, row: FloatArray, known: Chemistry, chem: Handle, layers: IntArray, shares: FloatArray
     ) -> None:
         """Separate one vessel by the user's model instead of the built-in one."""
-        model = self.separation_model
-        assert model is not None
+        model: SeparationModel = self.model
         m, k, n_solvents = len(self.layout.materials), len(known.dissolved), len(known.solvents)
         amounts = row[AMOUNTS : AMOUNTS + m]
         dissolved = row[AMOUNTS + m :].reshape(k, n_solvents)

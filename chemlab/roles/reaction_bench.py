@@ -49,7 +49,7 @@ from .bench import (
     on_scale,
     weighted_amount,
 )
-from .models import ReactionModel, checked_reaction
+from .models import checked_reaction
 
 __all__ = ["ReactionBench", "ReactionOptions", "Span"]
 
@@ -326,6 +326,7 @@ class ReactionBench(Bench):
     **Reward** at the end - mol of the goal produced, minus the scenario's penalties on by-products.
     """
 
+    model_methods = ("__call__",)
     options_model = ReactionOptions
     own_state = (SupplyState,)
     own_rules = (ReactorRules,)
@@ -335,8 +336,6 @@ class ReactionBench(Bench):
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         super().__init__(key, scenario, chemistry)
         options: ReactionOptions = self.options
-        self.reaction_model: ReactionModel | None = None
-        """Replaces the built-in kinetics if set."""
         self.reagent_names = tuple(options.reagents)
         self.reagents = len(options.reagents)
         self._full = np.array(list(options.reagents.values()))
@@ -444,7 +443,7 @@ class ReactionBench(Bench):
 
     def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
         handles = self._handles(shelf, experiments)
-        if self.reaction_model is None:
+        if self.model is None:
             stiff = _step(members, actions, *handles)
             if stiff >= 0:
                 raise ArithmeticError(
@@ -459,7 +458,7 @@ class ReactionBench(Bench):
             row = shelf.rows[experiments.places[m, 0]]
             amounts = row[AMOUNTS : AMOUNTS + len(self.layout.materials)]
             amounts[:] = checked_reaction(
-                self.reaction_model,
+                self.model,
                 amounts,
                 float(row[TEMPERATURE]),
                 liquid_volume(row, shelf.chem(m)),

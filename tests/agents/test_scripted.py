@@ -232,7 +232,7 @@ def test_the_manager_does_the_same_in_every_process() -> None:
     """
     code = (
         "from chemlab.agents.evaluate.play import Target\n"
-        "from chemlab.config.scenario import load_scenario\n"
+        "from chemlab.config.loading import load_scenario\n"
         "target = Target(load_scenario('wurtz_any'))\n"
         "played = target.play('pretrained,manager=scripted', '4,5-diethyloctane', 1, 2_000_023)\n"
         "print(next(iter({'NaCl', 'NaOH'})), played.returns[0])"

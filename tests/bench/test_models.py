@@ -12,11 +12,13 @@ from helpers import PIXELS, Glassware
 from scipy.integrate import solve_ivp
 
 from chemlab.agents.policies import Policy, scripted_bench
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
+from chemlab.config.parts import strangers_code
 from chemlab.config.scenario import Scenario
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.laboratory import raw_env
-from chemlab.physics.chemistry import Layout
+from chemlab.physics.chemistry import build_chemistry
 
 FloatArray = npt.NDArray[np.float64]
 R = 8.31446261815324
@@ -54,6 +56,11 @@ class ScipyReactions:
         return np.asarray(np.maximum(solution.y[:, -1], 0.0))
 
 
+def modelled(name: str, bench: str, model: str) -> Scenario:
+    """A shipped scenario with a model of this file at one of its benches."""
+    return load_scenario({"base": name, "name": "modelled", "benches": {bench: {"model": f"{__name__}:{model}"}}})
+
+
 def recipe(steps: int, size: int) -> FloatArray:
     """[steps, size] actions: warm up, add a third of everything that is left for six steps, then wait."""
     actions = np.full((steps, size), 0.5)
@@ -69,14 +76,13 @@ def recipe(steps: int, size: int) -> FloatArray:
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
 def test_a_reaction_model_of_the_same_network_gives_the_same_amounts(scenario: str) -> None:
     """SciPy's BDF in place of the kernel, through a whole experiment: final amounts within 1e-3 (1e-3 mol + 0.1 %)."""
-    model = ScipyReactions(load_scenario(scenario))
-    batches = [ExperimentBatch(scenario, "rxn"), ExperimentBatch(scenario, "rxn", reaction_model=model)]
+    batches = [ExperimentBatch(spec, "rxn") for spec in (scenario, modelled(scenario, "rxn", "ScipyReactions"))]
     for batch in batches:
         batch.seed(0, 3)
         batch.reset(batch.members)
         for action in recipe(20, batch.bench.action_space.shape[0]):
             batch.act(action[None])
-    assert model.calls == 20
+    assert batches[1].bench.model.calls == 20
     built_in, own = (batch.shelf.amounts[0, 0] for batch in batches)
     names = batches[0].shelf.layout.materials
     assert own[names.index("dodecane" if scenario == "wurtz_dodecane" else "F")] > 0.1
@@ -86,9 +92,8 @@ def test_a_reaction_model_of_the_same_network_gives_the_same_amounts(scenario: s
 
 def test_a_reaction_model_works_in_the_whole_laboratory() -> None:
     """The same through the AEC environment: the vessel that comes back to the shelf holds the same (1e-3 mol)."""
-    model = ScipyReactions(load_scenario("wurtz_dodecane"))
     contents = []
-    for env in (raw_env("wurtz_dodecane"), raw_env("wurtz_dodecane", reaction_model=model)):
+    for env in (raw_env("wurtz_dodecane"), raw_env(modelled("wurtz_dodecane", "rxn", "ScipyReactions"))):
         env.reset(seed=4)
         labs = env.laboratories
         env.step(labs.actions.encode("start", "rxn_0", 0, "dodecane"))
@@ -98,26 +103,29 @@ def test_a_reaction_model_works_in_the_whole_laboratory() -> None:
             env.step(action.astype(np.float32))
         assert env.agent_selection == "manager_0"
         contents.append(labs.shelf.amounts[0, 0].copy())
-    assert model.calls == 20
+    assert labs.benches[0].model.calls == 20
     assert contents[0][labs.shelf.layout.index("dodecane")] > 0.1
     np.testing.assert_allclose(contents[1], contents[0], rtol=0.0, atol=1e-3)
 
 
+SEEN: list[tuple[float, float, float]] = []
+
+
+def inert(amount_mol: FloatArray, temperature_k: float, volume_l: float, dt: float) -> FloatArray:
+    SEEN.append((temperature_k, volume_l, dt))
+    return amount_mol
+
+
 def test_a_reaction_model_is_told_temperature_volume_and_tick() -> None:
     """A model that does nothing sees kelvins, litres of liquid and the scenario's tick, and nothing happens."""
-    seen: list[tuple[float, float, float]] = []
-
-    def inert(amount_mol: FloatArray, temperature_k: float, volume_l: float, dt: float) -> FloatArray:
-        seen.append((temperature_k, volume_l, dt))
-        return amount_mol
-
-    batch = ExperimentBatch("wurtz_dodecane", "rxn", reaction_model=inert)
+    batch = ExperimentBatch(modelled("wurtz_dodecane", "rxn", "inert"), "rxn")
+    SEEN.clear()
     batch.seed(0, 0)
     batch.reset(batch.members)
     batch.act(np.array([[1.0, 0.5, 1.0, 0.0, 0.0, 1.0]]))
     glass = Glassware("wurtz_dodecane", 1)
     glass.fill(0, {"diethyl_ether": 4.0, "1-chlorohexane": 1.0})
-    assert seen == [(pytest.approx(298.15 + 15.0), pytest.approx(glass.volume(0), rel=1e-9), 0.008)]
+    assert [(pytest.approx(298.15 + 15.0), pytest.approx(glass.volume(0), rel=1e-9), 0.008)] == SEEN
     vessel = batch.shelf.vessel(0, 0).amounts()
     assert vessel == pytest.approx({"diethyl_ether": 4.0, "1-chlorohexane": 1.0, "Na": 3.0})
 
@@ -147,7 +155,7 @@ def out_of_nothing(amounts: FloatArray, *_: float) -> FloatArray:
 )
 def test_a_reaction_model_that_returns_garbage_is_refused(model: Callable[..., FloatArray]) -> None:
     """Negative, not finite, of another shape, or not conserving atoms: ValueError naming the model."""
-    batch = ExperimentBatch("wurtz_dodecane", "rxn", reaction_model=model)
+    batch = ExperimentBatch(modelled("wurtz_dodecane", "rxn", model.__name__), "rxn")
     batch.seed(0, 0)
     batch.reset(batch.members)
     with pytest.raises(ValueError, match=model.__name__):
@@ -160,9 +168,9 @@ def test_a_reaction_model_that_returns_garbage_is_refused(model: Callable[..., F
 class IdealSeparation:
     """Every solute is wholly in the solvent nearest to it in polarity, and layers are always fully settled."""
 
-    def __init__(self, scenario: Scenario, layout: Layout) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self.partitions = self.profiles = 0
-        materials = scenario.materials
+        materials, layout = scenario.materials, build_chemistry(scenario).layout
         self.gap = np.array(
             [[abs(materials[k].polarity - materials[s].polarity) for s in layout.solvents] for k in layout.dissolved]
         )
@@ -189,11 +197,6 @@ class IdealSeparation:
         return np.asarray(np.clip(overlap, 0.0, None))
 
 
-def ideal() -> IdealSeparation:
-    glass = Glassware("wurtz_dodecane", 1)
-    return IdealSeparation(glass.scenario, glass.layout)
-
-
 def play(batch: ExperimentBatch, policy: Policy) -> float:
     """Score of one experiment."""
     for step in range(batch.bench.spec.step_limit):
@@ -205,16 +208,14 @@ def play(batch: ExperimentBatch, policy: Policy) -> float:
 
 def test_a_separation_model_runs_the_extraction_and_changes_its_result() -> None:
     """With ideal separation one wash takes all dissolved salt and no product: more than the paper's partition gives."""
-    model = ideal()
     scores, batches = [], []
-    for batch in (
-        ExperimentBatch("wurtz_dodecane", "ext"),
-        ExperimentBatch("wurtz_dodecane", "ext", separation_model=model),
-    ):
+    for spec in ("wurtz_dodecane", modelled("wurtz_dodecane", "ext", "IdealSeparation")):
+        batch = ExperimentBatch(spec, "ext")
         batch.seed(0, 1)
         batch.reset(batch.members, batch.scenario.goals.index("5-methylundecane"))
         scores.append(play(batch, scripted_bench(batch.bench)))
         batches.append(batch)
+    model = batches[1].bench.model
     assert model.partitions > 10
     assert model.profiles > 10
     assert scores[1] > scores[0] + 0.05
@@ -228,8 +229,8 @@ def test_a_separation_model_runs_the_extraction_and_changes_its_result() -> None
 
 def test_without_solvent_a_separation_model_leaves_nothing_dissolved() -> None:
     """Once all ether has boiled off, the vessel lists no solute as dissolved, as with the built-in separation."""
-    for model in (None, ideal()):
-        batch = ExperimentBatch("wurtz_dodecane", "dit", separation_model=model)
+    for spec in ("wurtz_dodecane", modelled("wurtz_dodecane", "dit", "IdealSeparation")):
+        batch = ExperimentBatch(spec, "dit")
         batch.seed(0, 0)
         batch.reset(batch.members, batch.scenario.goals.index("dodecane"))
         assert batch.shelf.dissolved[0, 0].sum() == pytest.approx(1.0 + 2.0 * batch.shelf.vessel(0, 0).amounts()["Na+"])
@@ -241,13 +242,13 @@ def test_without_solvent_a_separation_model_leaves_nothing_dissolved() -> None:
 
 def test_a_separation_model_works_in_the_whole_laboratory() -> None:
     """Through the AEC environment the extraction bench asks the model, too."""
-    model = ideal()
-    env = raw_env("wurtz_dodecane", separation_model=model)
+    env = raw_env(modelled("wurtz_dodecane", "ext", "IdealSeparation"))
+    bench = env.laboratories.benches[env.possible_agents.index("ext_0") - 1]
+    model = bench.model
     env.reset(seed=0)
     env.step(env.laboratories.actions.encode("start", "ext_0", 0, "dodecane"))
     assert model.profiles == 3
     env.step(env.laboratories.actions.encode("wait"))
-    bench = env.laboratories.benches[env.possible_agents.index("ext_0") - 1]
     env.step(bench.action_meanings.index("add water to EV, 0.2 L"))
     assert model.profiles > 3
     assert model.partitions > 0
@@ -257,8 +258,7 @@ class Wrong(IdealSeparation):
     """Ideal separation with one answer spoiled."""
 
     def __init__(self, method: str, spoil: Callable[[FloatArray], FloatArray]) -> None:
-        glass = Glassware("wurtz_dodecane", 1)
-        super().__init__(glass.scenario, glass.layout)
+        super().__init__(load_scenario("wurtz_dodecane"))
         self._method, self._spoil, self.armed = method, spoil, False
 
     def partition(self, *args: Any) -> FloatArray:
@@ -318,10 +318,33 @@ def test_a_separation_model_that_returns_garbage_is_refused(
     method: str, spoil: Callable[[FloatArray], FloatArray]
 ) -> None:
     """Negative, NaN, of another shape, or not conserving: ValueError naming the model."""
-    model = Wrong(method, spoil)
-    batch = ExperimentBatch("wurtz_dodecane", "ext", separation_model=model)
+    batch = ExperimentBatch("wurtz_dodecane", "ext")
+    model = batch.bench.model = Wrong(method, spoil)
     batch.seed(0, 0)
     batch.reset(batch.members)
     model.armed = True
     with pytest.raises(ValueError, match="Wrong"):
         batch.act(np.array([batch.bench.action_meanings.index("add water to EV, 0.2 L")]))
+
+
+# -- what a scenario may name -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("bench", "model", "problem"),
+    [
+        ("rxn", "nowhere", r"benches\.rxn\.model: cannot load 'test_models:nowhere'"),
+        ("ext", "inert", r"benches\.ext\.model: 'test_models:inert' has no partition\(\), which a model of a bench of"),
+        ("rxn", "PIXELS", r"'test_models:PIXELS' has no __call__\(\)"),
+    ],
+)
+def test_a_model_that_is_none_is_refused(bench: str, model: str, problem: str) -> None:
+    with pytest.raises(DataError, match=problem):
+        ExperimentBatch(modelled("wurtz_dodecane", bench, model), bench)
+
+
+def test_code_of_models_is_run_only_if_it_is_allowed() -> None:
+    spec = modelled("wurtz_dodecane", "rxn", "inert")
+    needed = r"benches\.rxn\.model: needs 'test_models:inert'"
+    with strangers_code(allowed=False), pytest.raises(DataError, match=needed):
+        ExperimentBatch(spec, "rxn")

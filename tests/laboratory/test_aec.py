@@ -804,8 +804,6 @@ def test_editors_and_notebooks_see_what_there_is(make: Any) -> None:
         "scenario",
         "render_mode",
         "rewards",
-        "reaction_model",
-        "separation_model",
         "split",
         "actions",
     ]
