@@ -17,7 +17,7 @@ from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
 
 GOAL = "I"
-TARGET = Target(load_scenario("fictitious").with_actions("discrete"), "rxn", split="test")
+TARGET = Target(load_scenario("fictitious").configured(actions="discrete"), "rxn", split="test")
 REPLAY = {
     "learning_rate": 5e-4,
     "train_freq": 16,

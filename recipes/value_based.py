@@ -76,7 +76,7 @@ def greedy(experiment: Any, group: str) -> Callable[[Any, Any], Any]:
 def scored(budget: Budget, roles: Sequence[str]) -> Outcome:
     """Train and score some roles."""
     experiment = learned_values(budget, roles)
-    labs = Laboratories(TARGET.scenario.with_actions("discrete"), budget.episodes)
+    labs = Laboratories(TARGET.scenario.configured(actions="discrete"), budget.episodes)
     policies = make_policies("scripted", labs)
     for group, agents in experiment.group_map.items():
         policies |= dict.fromkeys(agents, as_policy(greedy(experiment, group)))

@@ -237,7 +237,7 @@ def _play_group(group: _Group, episodes: int, told: Callable[[str], None]) -> tu
 def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str, Any]]:
     assert run.folder is not None, "it can be played"
     path, scenario, rewards = str(run.folder.path), load_scenario(group.scenario), run.config.get("rewards")
-    task = scenario if rewards is None else scenario.with_rewards(str(rewards))
+    task = scenario if rewards is None else scenario.configured(rewards=str(rewards))
     same_task = fingerprint(Laboratories(task).role(0)) == run.config.get("fingerprint")
     rows = _play(group, _LEARNED, path, episodes, run=run.name, same_task=same_task)
     # The scripted manager over the same benches: those that have learned are other ones than the background's.

@@ -30,8 +30,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import Unpack
 
-from chemlab.config.scenario import RewardSpec, Scenario
+from chemlab.config.scenario import Scenario, Settings
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.kernels.rng import checked_seed
 
@@ -65,15 +66,13 @@ class TorchLaboratory(EnvBase):
     Args:
         num_envs: number of laboratories N.
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
-        rewards: replaces the scenario's reward mix.
-        actions: replaces the scenario's kind of actions: ``discrete`` for value-based learners.
-        split: split of worlds to draw from.
         groups: agents by group; agents of a group must have equal spaces. Default: one group per learning role.
         roles: learning roles; None: all. The environment plays the others.
         background: policies of the other roles, by name (see :func:`~chemlab.agents.policies.make_policies`).
         state: True adds the true state to every step.
         seed: seed of the first episodes; laboratory i has seed + i.
         device: device of the returned tensors.
+        settings: ``rewards``, ``split`` and ``actions`` (:meth:`~chemlab.config.scenario.Scenario.configured`).
 
     Raises:
         DataError: the scenario is invalid or unknown.
@@ -85,19 +84,15 @@ class TorchLaboratory(EnvBase):
         self,
         num_envs: int = 1,
         scenario: str | Path | Scenario = "wurtz_dodecane",
-        rewards: str | RewardSpec | None = None,
-        actions: str | None = None,
-        split: str = "train",
         groups: Mapping[str, Sequence[str]] | None = None,
         roles: Sequence[str] | None = None,
         background: str = "scripted",
         state: bool = True,
         seed: int | None = None,
         device: Any = "cpu",
+        **settings: Unpack[Settings],
     ) -> None:
-        self._batch = batch = BatchedLaboratory(
-            num_envs, scenario, rewards, copy=False, split=split, actions=actions, autoreset=False
-        )
+        self._batch = batch = BatchedLaboratory(num_envs, scenario, copy=False, autoreset=False, **settings)
         super().__init__(device=device, batch_size=torch.Size([num_envs]))
         self.scenario = batch.scenario
         labs = batch.laboratories

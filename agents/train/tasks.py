@@ -267,7 +267,7 @@ def _fingerprint(scenario: str, bench: str | None, roles: Any, actions: Any, rew
 def rewarded(scenario: str, rewards: str | None) -> Scenario:
     """Load a scenario, with another reward mix if one is named."""
     loaded = load_scenario(scenario)
-    return loaded if rewards is None else loaded.with_rewards(rewards)
+    return loaded if rewards is None else loaded.configured(rewards=rewards)
 
 
 def find_task(arguments: Single) -> Task:
@@ -278,7 +278,7 @@ def find_task(arguments: Single) -> Task:
         ValueError: an argument is for the other kind of task.
     """
     a, splits = arguments, (arguments.split, arguments.evaluation_split)
-    scenario = load_scenario(a.scenario).with_actions(a.actions)
+    scenario = load_scenario(a.scenario).configured(actions=a.actions)
     if a.bench is not None:
         if a.background is not None:
             raise ValueError(f"background: {a.bench} is a bench on its own, given {a.background!r}")

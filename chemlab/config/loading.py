@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from typing_extensions import Unpack
+
 from .checks import check_charges, check_draws, check_materials, check_vessels, mentioned_materials
 from .datafile import DataError, bounded, read_toml
 from .datamodel import validated, written
@@ -26,7 +28,7 @@ from .reactions import (
     dissolved_reactions,
     load_reactions,
 )
-from .scenario import Scenario
+from .scenario import Scenario, Settings
 
 __all__ = [
     "dump_scenario",
@@ -87,17 +89,23 @@ def _can_run(step: Reaction | Violent, known: set[str]) -> bool:
     return set(step.catalysts) <= known and (set(step.reactants) <= known or backward)
 
 
-def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
+def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario, **settings: Unpack[Settings]) -> Scenario:
     """Load and check a scenario.
 
     Args:
         scenario: a shipped name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, the
-            parsed content of one or a :func:`dump_scenario` as a mapping, or a loaded scenario (returned as it is).
+            parsed content of one or a :func:`dump_scenario` as a mapping, or a loaded scenario.
+        settings: ``rewards``, ``split`` and ``actions`` of :meth:`~chemlab.config.scenario.Scenario.configured`.
 
     Raises:
         DataError: unknown name, malformed file, unknown key or material, or a value out of bounds; the
             message names the file, the key, the value and the bound.
+        ValueError: unknown reward mix, split or kind of actions.
     """
+    return _loaded(scenario).configured(**settings)
+
+
+def _loaded(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
     if isinstance(scenario, Scenario):
         return scenario
     if isinstance(scenario, Mapping):

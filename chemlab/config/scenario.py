@@ -10,13 +10,13 @@ import re
 import shlex
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypedDict
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from .datafile import read_toml
 from .datamodel import validated
-from .draws import WorldSpec
+from .draws import Split, WorldSpec
 from .inherit import shipped_file
 from .materials import Material
 from .pairs import Pair
@@ -41,6 +41,7 @@ __all__ = [
     "RewardSpec",
     "SafetySpec",
     "Scenario",
+    "Settings",
     "ShelfSpec",
     "StartSpec",
     "VesselSpec",
@@ -326,6 +327,14 @@ def _reward_mix(given: Any) -> Any:
     return REWARD_MIXES[given]
 
 
+class Settings(TypedDict, total=False):
+    """Keywords of :meth:`Scenario.configured`, which every environment takes."""
+
+    rewards: str | RewardSpec | Mapping[str, float] | None
+    split: str | None
+    actions: str | None
+
+
 class OrderSpec(BaseModel):
     """What a submission has to be: one that falls short of it is worth nothing."""
 
@@ -470,6 +479,7 @@ class Scenario(BaseModel):
     _materials: dict[str, Material] = PrivateAttr(default_factory=dict)
     _family: ReactionFamily = PrivateAttr(default_factory=lambda: ReactionFamily(name="none"))
     _pairs: dict[frozenset[str], Pair] = PrivateAttr(default_factory=dict)
+    _split: Split = PrivateAttr(default_factory=lambda: Split.of("train"))
     _origin: str = PrivateAttr(default="(scenario built in code)")
 
     @field_validator("physics")
@@ -580,38 +590,44 @@ class Scenario(BaseModel):
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""
         return [f"{key}_{i}" for key, bench in self.benches.items() for i in range(bench.count)]
 
-    def with_rewards(self, rewards: str | RewardSpec | Mapping[str, float]) -> Scenario:
-        """The same laboratory with another reward mix.
+    @property
+    def split(self) -> Split:
+        """Set of worlds that episodes draw from; ``train`` unless :meth:`configured` says otherwise."""
+        return self._split
+
+    def configured(
+        self,
+        rewards: str | RewardSpec | Mapping[str, float] | None = None,
+        split: str | None = None,
+        actions: str | None = None,
+    ) -> Scenario:
+        """Return the same laboratory with other settings; None keeps what the scenario has.
 
         Args:
-            rewards: ``individual``, ``cooperative``, ``mixed``, or the numbers.
+            rewards: reward mix: ``individual``, ``cooperative``, ``mixed``, or the numbers.
+            split: set of worlds that episodes draw from: ``train``, ``validation``, ``test`` or ``private:SALT``.
+            actions: of all benches: ``native``, as the kind of bench has them, or ``discrete``, a choice among some where
+                those are continuous (:meth:`chemlab.roles.bench.Bench.representative_actions`).
 
         Raises:
-            ValueError: unknown mix, or numbers that are none.
+            ValueError: unknown reward mix, split or kind of actions, or invalid numbers.
         """
-        mix = _reward_mix(rewards)
-        if not isinstance(mix, (RewardSpec, Mapping)):
-            raise ValueError(f"rewards: must be {', '.join(REWARD_MIXES)} or the numbers, given {rewards!r}")
-        checked = mix if isinstance(mix, RewardSpec) else validated(RewardSpec, mix, "rewards")
-        return self.model_copy(update={"rewards": checked})
-
-    def with_actions(self, actions: str | None) -> Scenario:
-        """The same laboratory with another kind of actions at all its benches.
-
-        Args:
-            actions: ``native``, as the kind of bench has them; ``discrete``, a choice among representative ones where
-                those are continuous (:meth:`chemlab.roles.bench.Bench.representative_actions`), for value-based
-                learners; None: as the scenario says.
-
-        Raises:
-            ValueError: it is none of these.
-        """
-        if actions is None:
+        changed: dict[str, Any] = {}
+        if rewards is not None:
+            mix = _reward_mix(rewards)
+            if not isinstance(mix, (RewardSpec, Mapping)):
+                raise ValueError(f"rewards: must be {', '.join(REWARD_MIXES)} or the numbers, given {rewards!r}")
+            changed["rewards"] = mix if isinstance(mix, RewardSpec) else validated(RewardSpec, mix, "rewards")
+        if actions is not None:
+            if actions not in ("native", "discrete"):
+                raise ValueError(f"actions: must be native or discrete, given {actions!r}")
+            changed["benches"] = {key: b.model_copy(update={"actions": actions}) for key, b in self.benches.items()}
+        chosen = self._split if split is None else Split.of(split)
+        if not changed and chosen == self._split:
             return self
-        if actions not in ("native", "discrete"):
-            raise ValueError(f"actions: must be native or discrete, given {actions!r}")
-        benches = {key: bench.model_copy(update={"actions": actions}) for key, bench in self.benches.items()}
-        return self.model_copy(update={"benches": benches})
+        found = self.model_copy(update=changed)
+        found._split = chosen
+        return found
 
     def __hash__(self) -> int:
         return hash((self.name, self._origin))

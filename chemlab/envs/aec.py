@@ -71,7 +71,7 @@ def env(
     scenario: str | Path | Scenario = "wurtz_dodecane",
     render_mode: str | None = None,
     rewards: str | RewardSpec | None = None,
-    split: str = "train",
+    split: str | None = None,
     actions: str | None = None,
 ) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
     """The laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
@@ -92,10 +92,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
     Args:
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         render_mode: one of ``metadata["render_modes"]``, or None.
-        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
-        split: which worlds there may be (see :mod:`chemlab.config.draws`).
-        actions: replaces the scenario's: ``native`` or ``discrete``
-        (:meth:`~chemlab.config.scenario.Scenario.with_actions`).
+        rewards, split, actions: see :meth:`~chemlab.config.scenario.Scenario.configured`.
 
     Raises:
         DataError: the scenario is wrong or unknown.

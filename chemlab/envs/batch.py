@@ -9,9 +9,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import Unpack
 
-from ..config.loading import load_scenario
-from ..config.scenario import RewardSpec, Scenario
+from ..config.scenario import Scenario, Settings
 from ..kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
 from ..lab.hidden import World
@@ -35,15 +35,12 @@ class BatchedLaboratory:
     Args:
         num_envs: N.
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
-        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
         idle_observations: whether agents without the turn are shown the laboratory too; else their rows keep what they
             saw last, which saves most of the time observing takes.
         copy: whether returned arrays are copies; without, the next step overwrites them.
-        split: which worlds there may be (see :mod:`chemlab.config.draws`).
         autoreset: whether a laboratory whose episode ends is reset in the same step; else whoever steps resets it
             before the next one, by ``options["reset_mask"]``, and until then sees how it ended.
-        actions: replaces the scenario's: ``native`` or ``discrete``
-        (:meth:`~chemlab.config.scenario.Scenario.with_actions`).
+        settings: ``rewards``, ``split`` and ``actions`` (:meth:`~chemlab.config.scenario.Scenario.configured`).
 
     Raises:
         DataError: the scenario is wrong or unknown.
@@ -54,20 +51,16 @@ class BatchedLaboratory:
         self,
         num_envs: int = 1,
         scenario: str | Path | Scenario = "wurtz_dodecane",
-        rewards: str | RewardSpec | None = None,
         idle_observations: bool = False,
         copy: bool = True,
-        split: str = "train",
-        actions: str | None = None,
         autoreset: bool = True,
+        **settings: Unpack[Settings],
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, given {num_envs}")
         self.num_envs = num_envs
-        self.scenario = load_scenario(scenario).with_actions(actions)
-        if rewards is not None:
-            self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = labs = Laboratories(self.scenario, num_envs, split)
+        self.laboratories = labs = Laboratories(scenario, num_envs, **settings)
+        self.scenario = labs.scenario
         self.possible_agents = list(labs.agents)
         self._whole = GlobalState(labs)
         self.idle_observations = idle_observations

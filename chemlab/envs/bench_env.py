@@ -85,12 +85,12 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         goals: str | Sequence[str] | None = None,
         starts: str = "paper",
         render_mode: str | None = None,
-        split: str = "train",
+        split: str | None = None,
         actions: str | None = None,
     ) -> None:
         self._set_render_mode(render_mode)
-        self.scenario = spec = load_scenario(scenario).with_actions(actions)
-        self.batch = ExperimentBatch(spec, bench, 1, goals, starts, split)
+        self.scenario = spec = load_scenario(scenario, split=split, actions=actions)
+        self.batch = ExperimentBatch(spec, bench, 1, goals, starts)
         self.bench = self.batch.bench
         self.observation_space: gymnasium.Space[Any] = self.bench.observation_space
         self.action_space = self.bench.action_space
@@ -270,14 +270,14 @@ class BenchVectorEnv(BatchEnv):
         copy: bool = True,
         render_mode: str | None = None,
         max_episode_steps: int | None = None,
-        split: str = "train",
+        split: str | None = None,
         actions: str | None = None,
     ) -> None:
         for name, number in (("num_envs", num_envs), ("threads", threads)):
             if number < 1:
                 raise ValueError(f"{name} must be at least 1, given {number}")
-        spec = load_scenario(scenario).with_actions(actions)
-        self.batch = ExperimentBatch(spec, bench, num_envs, goals, starts, split)
+        spec = load_scenario(scenario, split=split, actions=actions)
+        self.batch = ExperimentBatch(spec, bench, num_envs, goals, starts)
         self.bench = self.batch.bench
         super().__init__(
             num_envs,

@@ -54,15 +54,13 @@ class OneLaboratory(Rendered):
         scenario: str | Path | Scenario = "wurtz_dodecane",
         render_mode: str | None = None,
         rewards: str | RewardSpec | None = None,
-        split: str = "train",
+        split: str | None = None,
         actions: str | None = None,
     ) -> None:
         super().__init__()
         self._set_render_mode(render_mode)
-        self.scenario = load_scenario(scenario).with_actions(actions)
-        if rewards is not None:
-            self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = Laboratories(self.scenario, 1, split)
+        self.scenario = load_scenario(scenario, rewards=rewards, split=split, actions=actions)
+        self.laboratories = Laboratories(self.scenario, 1)
         self.possible_agents = list(self.laboratories.agents)
         self.agents: list[str] = []
         self._number = {agent: i for i, agent in enumerate(self.possible_agents)}

@@ -41,9 +41,9 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
+from typing_extensions import Unpack
 
-from ..config.loading import load_scenario
-from ..config.scenario import RewardSpec, Scenario
+from ..config.scenario import Scenario, Settings
 from ..kernels.arrays import IntArray
 from ..kernels.rng import checked_seed
 from ..lab.engine import MANAGER_AGENT, Laboratories
@@ -76,10 +76,7 @@ class FocalVectorEnv(BatchEnv):
         autoreset_mode: ``NEXT_STEP``, ``SAME_STEP`` or ``DISABLED``, as for
             :class:`~chemlab.envs.bench_env.BenchVectorEnv`.
         copy: whether returned arrays are copies; without, the next step overwrites them.
-        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
-        split: which worlds there may be (see :mod:`chemlab.config.draws`).
-        actions: replaces the scenario's: ``native`` or ``discrete``
-        (:meth:`~chemlab.config.scenario.Scenario.with_actions`).
+        settings: ``rewards``, ``split`` and ``actions`` (:meth:`~chemlab.config.scenario.Scenario.configured`).
         max_episode_steps: accepted for Gymnasium's sake; it must be more than the scenario's limit.
 
     Raises:
@@ -97,17 +94,13 @@ class FocalVectorEnv(BatchEnv):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         copy: bool = True,
         render_mode: str | None = None,
-        rewards: str | RewardSpec | None = None,
         max_episode_steps: int | None = None,
-        split: str = "train",
-        actions: str | None = None,
+        **settings: Unpack[Settings],
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, given {num_envs}")
-        self.scenario = load_scenario(scenario).with_actions(actions)
-        if rewards is not None:
-            self.scenario = self.scenario.with_rewards(rewards)
-        self.laboratories = labs = Laboratories(self.scenario, num_envs, split)
+        self.laboratories = labs = Laboratories(scenario, num_envs, **settings)
+        self.scenario = labs.scenario
         if agent not in labs.agents:
             raise ValueError(f"agent: {self.scenario.name} has {', '.join(labs.agents)}; given {agent!r}")
         self.focal = labs.agents.index(agent)
@@ -265,8 +258,7 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
     """The laboratory for one of its agents; see this module's documentation for episodes and infos.
 
     Args:
-        scenario, agent, policies, rewards, split, actions: as for
-            :class:`FocalVectorEnv`.
+        scenario, agent, policies, rewards, split, actions: as for :class:`FocalVectorEnv`.
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
 
     Raises:

@@ -45,10 +45,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
     Args:
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         render_mode: one of ``metadata["render_modes"]``, or None.
-        rewards: replaces the scenario's reward mix: ``individual``, ``cooperative``, ``mixed`` or a RewardSpec.
-        split: which worlds there may be (see :mod:`chemlab.config.draws`).
-        actions: replaces the scenario's: ``native`` or ``discrete``
-        (:meth:`~chemlab.config.scenario.Scenario.with_actions`).
+        rewards, split, actions: see :meth:`~chemlab.config.scenario.Scenario.configured`.
 
     Raises:
         DataError: the scenario is wrong or unknown.

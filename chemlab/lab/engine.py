@@ -11,11 +11,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import numpy.typing as npt
+from typing_extensions import Unpack
 
 from ..config.loading import load_scenario
 from ..config.materials import DataError
 from ..config.parts import blamed, checked_numbers, strangers_code
-from ..config.scenario import OrderSpec, Scenario
+from ..config.scenario import OrderSpec, Scenario, Settings
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform
@@ -116,16 +117,17 @@ class Laboratories:
 
     Agents are numbered 0 (the manager), then the benches in the scenario's order; ``agents`` has their ids. In
     every method ``members`` [B] says which laboratories it is about; their arrays are independent of each
-    other, so results do not depend on N. ``split`` says which worlds there may be (see :mod:`chemlab.config.draws`).
+    other, so results do not depend on N. ``settings`` are those of
+    :meth:`~chemlab.config.scenario.Scenario.configured`.
     """
 
     def __init__(
         self,
         scenario: str | Path | Scenario,
         laboratories: int = 1,
-        split: str = "train",
+        **settings: Unpack[Settings],
     ) -> None:
-        self.scenario = load_scenario(scenario)
+        self.scenario = load_scenario(scenario, **settings)
         spec = self.scenario
         self.bench_agents = spec.bench_agents()
         self.agents = [MANAGER_AGENT, *self.bench_agents]
@@ -137,7 +139,7 @@ class Laboratories:
         first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)
         self.vessels_per_laboratory = int(slots + positions.sum())
         self.shelf = Shelf(chemistry, n, self.vessels_per_laboratory)
-        self.worlds = Worlds(spec, self.shelf, split)
+        self.worlds = Worlds(spec, self.shelf)
         self.instruments = InstrumentTable(spec, chemistry)
         self.actions = ManagerActions.of(spec)
         drifting, wearing = len(drift_numbers(spec)), len(repair_numbers(spec))

@@ -81,11 +81,9 @@ class ExperimentBatch:
         goals: goals an experiment may be run for (default: all of the scenario's).
         starts: ``paper`` for the paper's fixed starting states, ``lab`` for vessels as they reach this bench in
             laboratory runs (see :mod:`chemlab.lab.starts`), ``both`` for either as often.
-        split: which worlds there may be (see :mod:`chemlab.config.draws`).
 
     Raises:
         DataError: unknown bench, goal or starting states.
-        ValueError: unknown split.
     """
 
     def __init__(
@@ -95,7 +93,6 @@ class ExperimentBatch:
         members: int = 1,
         goals: str | Sequence[str] | None = None,
         starts: str = "paper",
-        split: str = "train",
     ) -> None:
         self.scenario = load_scenario(scenario)
         if bench not in self.scenario.benches:
@@ -109,7 +106,7 @@ class ExperimentBatch:
         positions = len(self.bench.positions)
         places = np.arange(members * positions).reshape(members, positions)
         self.shelf = Shelf(chemistry, members, positions)
-        self.worlds = Worlds(self.scenario, self.shelf, split)
+        self.worlds = Worlds(self.scenario, self.shelf)
         self._fresh = starts == "paper"
         self.experiments = Experiments(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)

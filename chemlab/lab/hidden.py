@@ -16,7 +16,6 @@ from ..config.draws import (
     SPLITS,
     VESSEL_QUANTITIES,
     Draw,
-    Split,
     changed_limits,
     draw_limits,
 )
@@ -177,8 +176,8 @@ class Worlds:
         ValueError: unknown split.
     """
 
-    def __init__(self, scenario: Scenario, shelf: Shelf, split: str) -> None:
-        self.split = Split.of(split)
+    def __init__(self, scenario: Scenario, shelf: Shelf) -> None:
+        self.split = scenario.split
         self._spec, self._shelf = scenario.world, shelf
         self.active = bool(self._spec.draws) or scenario.errs
         materials = shelf.layout.materials

@@ -55,7 +55,7 @@ class Replay:
         chosen = (split or "private:unknown") if private else header.split or "train"
         try:
             with strangers_code(allowed=trust):
-                self.laboratories = Laboratories(scenario, 1, chosen)
+                self.laboratories = Laboratories(scenario, 1, split=chosen)
         except DataError as error:
             raise RecordError(short(str(error), 500)) from error
         self.rounds = header.rounds

@@ -36,6 +36,6 @@ def discretised_twin(bench: Bench) -> Discretised | None:
     """Return the same bench with discrete actions; None if its actions are discrete already."""
     if bench.action_count:
         return None
-    scenario = bench.scenario.with_actions("discrete")
+    scenario = bench.scenario.configured(actions="discrete")
     twin = build_bench(bench.key, scenario, bench.chemistry)
     return twin if isinstance(twin, Discretised) else None

@@ -718,7 +718,7 @@ def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(
     assert (Run(tmp_path / "run").config() or {})["arguments"]["actions"] == "discrete"
     scenario = load_scenario("fictitious")
     ours, theirs = (
-        Target(scenario.with_actions(kind), "rxn").play(str(tmp_path / "run"), "G", 3, 7).returns
+        Target(scenario.configured(actions=kind), "rxn").play(str(tmp_path / "run"), "G", 3, 7).returns
         for kind in ("native", "discrete")
     )
     np.testing.assert_array_equal(ours, theirs)

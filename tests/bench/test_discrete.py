@@ -62,7 +62,7 @@ def test_a_scripted_agent_loses_nothing_where_its_actions_are_in_the_table() -> 
     scenario = load_scenario("wurtz_dodecane")
     for goal in scenario.goals:
         ours, theirs = (
-            Target(scenario.with_actions(kind), "rxn").play("scripted", goal, 4, 0).returns
+            Target(scenario.configured(actions=kind), "rxn").play("scripted", goal, 4, 0).returns
             for kind in ("discrete", "native")
         )
         np.testing.assert_array_equal(ours, theirs)
@@ -80,7 +80,7 @@ def test_every_view_takes_it_and_the_laboratory_goes_on_as_it_would() -> None:
     assert infos["rxn_0"]["action_mask"].tolist() == [0] * 35 + [1]
     scores = []
     for kind in ("native", "discrete"):
-        labs = Laboratories(load_scenario("wurtz_dodecane").with_actions(kind), 1)
+        labs = Laboratories(load_scenario("wurtz_dodecane").configured(actions=kind), 1)
         env = raw_env(labs.scenario)
         result = play_episode(env, make_policies("scripted", env.laboratories, 0), 5)
         scores.append(result.score)
@@ -111,12 +111,12 @@ def test_copies_are_benches_like_it() -> None:
 
 def test_scenarios_without_it_are_what_they_were() -> None:
     scenario = load_scenario("wurtz_dodecane")
-    assert scenario.with_actions(None) is scenario
-    assert scenario_hash(scenario.with_actions("native")) == scenario_hash(scenario)
-    assert scenario_hash(scenario.with_actions("discrete")) != scenario_hash(scenario)
+    assert scenario.configured(actions=None) is scenario
+    assert scenario_hash(scenario.configured(actions="native")) == scenario_hash(scenario)
+    assert scenario_hash(scenario.configured(actions="discrete")) != scenario_hash(scenario)
     assert "actions" not in written(scenario.benches["rxn"])
     with pytest.raises(ValueError, match="actions: must be native or discrete, given 'some'"):
-        scenario.with_actions("some")
+        scenario.configured(actions="some")
     assert discretised_twin(BenchEnv(bench="ext").bench) is None
 
 

@@ -365,7 +365,7 @@ def test_returns_are_the_mix(name: str, rewards: Any) -> None:
     env, aec, batch = (
         parallel_env(name, rewards=rewards),
         raw_env(name, rewards=rewards),
-        BatchedLaboratory(1, name, rewards),
+        BatchedLaboratory(1, name, rewards=rewards),
     )
     rng = np.random.default_rng(4)
     scenario = env.scenario
@@ -443,7 +443,7 @@ def test_mixes_by_name_number_and_file(tmp_path: Path) -> None:
         assert raw_env(LINES, rewards=mix).scenario.rewards == mix
         assert raw_env(LINES, rewards=mix.model_dump()).scenario.rewards == mix  # type: ignore[arg-type]
         # Everything else is the scenario's.
-        changed = load_scenario(LINES).with_rewards(name)
+        changed = load_scenario(LINES).configured(rewards=name)
         assert changed.materials == load_scenario(LINES).materials
         assert changed.model_dump(exclude={"rewards"}) == load_scenario(LINES).model_dump(exclude={"rewards"})
     # One result for everybody means the same return for everybody.
