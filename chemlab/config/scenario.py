@@ -606,8 +606,8 @@ class Scenario(BaseModel):
         Args:
             rewards: reward mix: ``individual``, ``cooperative``, ``mixed``, or the numbers.
             split: set of worlds that episodes draw from: ``train``, ``validation``, ``test`` or ``private:SALT``.
-            actions: of all benches: ``native``, as the kind of bench has them, or ``discrete``, a choice among some where
-                those are continuous (:meth:`chemlab.roles.bench.Bench.representative_actions`).
+            actions: of all benches: ``native``, as the kind of bench has them, or ``discrete``, a choice among some
+                where those are continuous (:meth:`chemlab.roles.bench.Bench.representative_actions`).
 
         Raises:
             ValueError: unknown reward mix, split or kind of actions, or invalid numbers.
