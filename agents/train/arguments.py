@@ -432,9 +432,43 @@ class MAPPO(IPPO):
     algo: Literal["mappo"] = "mappo"  # type: ignore[assignment]
 
 
+class LeanPPO(Clipped, Arguments):
+    """PPO made for learning from nothing: roles of a laboratory, a network for each.
+
+    ``refund``, ``processed``, ``own_goals`` and ``balanced`` help against sparse reward. They fade or concern training
+    alone; evaluations are without them.
+    """
+
+    algo: Literal["lean-ppo"] = Field(default="lean-ppo", description="Algorithm.")
+    rewards: str | None = Field(default=None, description="Reward mix. Default: the scenario's.")
+    critic: Literal["own", "state"] = Field(
+        default="own", description="What critics observe: own (IPPO), or the laboratory's state, too (MAPPO)."
+    )
+    steps: Many = Field(default=250_000, description="Turns of the roles that learn, about.")
+    envs: Count = Field(default=256, description="Environments side by side.")
+    rollout: Annotated[int, Field(ge=1, le=10**7)] = Field(
+        default=64, description="Rounds in each environment before each update."
+    )
+    learning_rate: Positive = Field(default=1e-3, description="Learning rate; falls to a twentieth.")
+    net_arch: Layers = Field(default=(128, 128), description="Sizes of hidden layers; repeat the option.")
+    manager_gamma: Share = Field(default=1.0, description="Discount per decision of the manager.")
+    gae_lambda: Share = Field(default=0.95, description="GAE lambda.")
+    ent_coef: Weight = Field(default=0.01, description="Weight of the entropy; falls to a tenth.")
+    epochs: int = Field(default=3, ge=1, le=10_000, description="Passes over a rollout.")
+    batch_size: Minibatch = Field(default=2048, description="Minibatch.")
+    eval_episodes: Count = Field(default=50, description="Episodes per goal of each of them.")
+    refund: Share = Field(default=0.5, description="Share of training over which scores below 0 count as 0; it fades.")
+    processed: Share = Field(
+        default=0.3,
+        description="Share of training in which only vessels that have been at a bench may be submitted.",
+    )
+    own_goals: bool = Field(default=True, description="Start experiments for goals of the orders alone.")
+    balanced: bool = Field(default=True, description="Draw every kind of the manager's actions equally often at first.")
+
+
 ALGORITHMS: dict[str, type[Arguments]] = {
     str(kind.model_fields["algo"].default): kind
-    for kind in (PPO, A2C, DQN, QRDQN, SAC, TD3, MaskablePPO, RecurrentPPO, MaskableRecurrentPPO, IPPO, MAPPO)
+    for kind in (PPO, A2C, DQN, QRDQN, SAC, TD3, MaskablePPO, RecurrentPPO, MaskableRecurrentPPO, IPPO, MAPPO, LeanPPO)
 }
 """Models of arguments by the algorithm's name."""
 
@@ -499,7 +533,8 @@ def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> A
     given = {**PRESETS[preset], **given}
     roles = _several(given.get("roles", "all"))
     one = "bench" in given or (len(roles) == 1 and roles != ("all",))
-    algo = given.get("algo", "ppo" if one else "ippo")
+    managed = roles in (("manager",), ("manager_0",)) and "bench" not in given
+    algo = given.get("algo", "lean-ppo" if managed else "ppo" if one else "ippo")
     if algo not in ALGORITHMS:
         raise DataError(f"{where}: algo: choose from {', '.join(ALGORITHMS)}; given {shown(algo)}")
     kind, known = ALGORITHMS[algo], {name for model in ALGORITHMS.values() for name in model.model_fields}

@@ -37,7 +37,7 @@ from ..policies import Policy, agent_policy
 from ..pretrained import PretrainedPolicy, load_pretrained
 from ..roles import MANAGER_ROLE, chosen_roles, role_of
 from ..runs import Evaluation, Run
-from .arguments import IPPO, MAPPO
+from .arguments import IPPO, MAPPO, LeanPPO
 from .experience import Experience
 
 try:
@@ -194,9 +194,9 @@ class Team(Trainee):
         ValueError: unknown role or reward mix, or the policies of the background do not fit.
     """
 
-    arguments: IPPO
+    arguments: Any
 
-    def __init__(self, arguments: IPPO) -> None:
+    def __init__(self, arguments: IPPO | LeanPPO) -> None:
         a = self.arguments = arguments
         self.steps, self._background = a.steps, a.background or "scripted"
         self.scenario = rewarded(a.scenario, a.rewards)
@@ -460,7 +460,7 @@ class Team(Trainee):
 
     def take(self, folder: Path) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
-        self._taken = {role: load_pretrained(folder / role) for role in self.learners}
+        self._taken = {role: load_pretrained(folder / role) for role in self.learning}
 
     def close(self) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`: there is nothing to release."""

@@ -1,0 +1,159 @@
+"""The lean PPO: advantages against a direct sum, help that ends, resuming, export, and that it learns from nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+pytest.importorskip("stable_baselines3")
+import torch
+
+from chemlab.agents.pretrained import load_pretrained
+from chemlab.agents.saved import find_saved
+from chemlab.agents.train.arguments import LeanPPO
+from chemlab.agents.train.learn import train
+from chemlab.agents.train.ppo import PPOTeam, _Track
+from chemlab.config.scenario import load_scenario
+from chemlab.roles.manager_actions import DISCARD, START, SUBMIT
+
+QUICK = {"envs": 8, "rollout": 16, "batch_size": 64, "evaluations": 2, "eval_episodes": 4, "final_episodes": 4}
+
+
+def direct(rewards: list[float], values: list[float], last: float, gamma: float, lam: float) -> list[float]:
+    """Generalized advantage estimates of consecutive turns by their definition."""
+    following = [*values[1:], last]
+    deltas = [r + gamma * v - own for r, v, own in zip(rewards, following, values, strict=True)]
+    return [sum((gamma * lam) ** k * d for k, d in enumerate(deltas[t:])) for t in range(len(deltas))]
+
+
+def test_advantages_follow_their_definition() -> None:
+    """One laboratory: turns at rounds 1, 3 and 4, an end at 4, another turn at 6, whose next is there at the end."""
+    track = _Track(6, 1, 2, 2, (), 3)
+    track.acted[[1, 3, 4, 6], 0] = True
+    track.ended[4, 0] = True
+    track.value[[1, 3, 4, 6], 0] = values = [0.5, -0.2, 0.1, 0.7]
+    track.reward[:, 0] = rewards = [0.0, 0.1, 0.2, 0.3, 0.4, 0.0, 0.6]
+    found = track.finished(np.array([0.9], dtype=np.float32), np.array([True]), 0.9, 0.8)
+    first = direct([rewards[1] + rewards[2], rewards[3], rewards[4]], values[:3], 0.0, 0.9, 0.8)
+    second = direct([rewards[6]], values[3:], 0.9, 0.9, 0.8)
+    assert found["advantage"] == pytest.approx([*first, *second], rel=1e-5)
+    assert found["target"] == pytest.approx(np.array([*first, *second]) + values, rel=1e-5)
+
+
+def test_a_turn_without_its_next_waits_for_it() -> None:
+    """Its reward goes on over the rollouts, and it is learned from once."""
+    track = _Track(2, 1, 1, 1, (), 0)
+    track.acted[1, 0], track.value[1, 0], track.observed[1, 0] = True, 0.3, 7.0
+    track.reward[:, 0] = [0.0, 0.1, 0.2]
+    nothing, no_turn = np.zeros(1, dtype=np.float32), np.zeros(1, dtype=np.bool_)
+    assert len(track.finished(nothing, no_turn, 1.0, 0.95)["advantage"]) == 0  # type: ignore[arg-type]
+    track.reward[1:, 0] = [0.4, 0.8]
+    track.ended[2, 0] = True
+    found = track.finished(nothing, no_turn, 1.0, 0.95)
+    assert found["advantage"] == pytest.approx([0.1 + 0.2 + 0.4 + 0.8 - 0.3], rel=1e-5)
+    assert found["observed"] == pytest.approx(np.array([[7.0]]))
+    assert len(track.finished(nothing, no_turn, 1.0, 0.95)["advantage"]) == 0  # type: ignore[arg-type]
+
+
+def team(**given: Any) -> PPOTeam:
+    arguments = LeanPPO(scenario="wurtz_dodecane", roles=("manager",), **{**QUICK, **given})
+    return PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted")
+
+
+def test_help_is_of_the_mask_and_ends() -> None:
+    """Raw vessels are not submitted and nothing is discarded or started for another goal, as long as there is help."""
+    made = team(processed=0.5, own_goals=True)
+    table, rows = made.labs.actions.table, made.labs.members
+    mask = made._infos["manager_0"]["action_mask"].astype(np.bool_)
+    helped = made._helped(mask, rows, processed=True)
+    kinds = table[:, 0]
+    assert mask[:, kinds == SUBMIT].any()
+    assert not helped[:, (kinds == SUBMIT) | (kinds == DISCARD)].any()
+    starts = np.flatnonzero(kinds == START)
+    goals = made.labs.state.goal[:, 0]
+    assert helped[:, starts].any()
+    assert all((table[starts[row], 3] == goal).all() for row, goal in zip(helped[:, starts], goals, strict=True))
+    without = made._helped(mask, rows, processed=False)
+    assert (without[:, kinds == SUBMIT] == mask[:, kinds == SUBMIT]).all()
+
+
+def test_balanced_logits_give_every_kind_the_same_share() -> None:
+    network = team(balanced=True).learners["manager"].network
+    kinds = team().labs.actions.table[:, 0]
+    bias = network.actor[-1].bias.detach().numpy()
+    shares = np.bincount(kinds, weights=np.exp(bias))
+    assert shares[np.bincount(kinds) > 0] == pytest.approx(1.0, rel=1e-5)
+
+
+def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
+    """Weights of wide readings are 0: the exported policy is the network."""
+    out = tmp_path / "run"
+    arguments = LeanPPO(scenario="wurtz_dodecane", roles=("manager",), steps=300, **QUICK)
+    result = train(arguments, out)
+    assert result.mean == pytest.approx(train(arguments, out).mean)
+    policy = load_pretrained(find_best(out) / "manager")
+    made = PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted")
+    labs = make_laboratories()
+    observation = np.asarray(labs.observe(0, labs.members))
+    columns = made.learners["manager"].columns
+    assert policy.weights["0.weight"].shape[1] == observation.shape[1] > len(columns)
+    dropped = np.setdiff1d(np.arange(observation.shape[1]), columns)
+    assert not policy.weights["0.weight"][:, dropped].any()
+    x = observation[:, columns].astype(np.float64)
+    x = np.tanh(x @ policy.weights["0.weight"][:, columns].T + policy.weights["0.bias"])
+    x = np.tanh(x @ policy.weights["1.weight"].T + policy.weights["1.bias"])
+    expected = x @ policy.weights["2.weight"].T + policy.weights["2.bias"]
+    assert policy.values(observation) == pytest.approx(expected, rel=1e-5, abs=1e-6)
+    assert set(find_saved(str(out)).load) == {"manager"}
+
+
+def find_best(run: Path) -> Path:
+    return next((run / "checkpoints").glob("best-*"))
+
+
+def make_laboratories() -> Any:
+    from chemlab.lab.engine import Laboratories
+
+    labs = Laboratories(load_scenario("wurtz_dodecane"), 3)
+    for member in labs.members:
+        labs.seed(int(member), int(member))
+    labs.reset(labs.members)
+    return labs
+
+
+@pytest.mark.parametrize("critic", ["own", "state"])
+def test_a_stopped_run_goes_on_alike(critic: str, tmp_path: Path) -> None:
+    """Killed after its first checkpoint, a run ends as one that was left alone."""
+    given = {"scenario": "fictitious", "roles": ("all",), "critic": critic, "steps": 600, "checkpoints": 4}
+    arguments = LeanPPO(**{**QUICK, **given})  # type: ignore[arg-type]
+    whole = train(arguments, tmp_path / "whole")
+
+    class Stop(Exception):
+        pass
+
+    from chemlab.agents.train.loop import Watcher
+
+    class Stopping(Watcher):
+        def advanced(self, step: int, mean: float | None) -> None:
+            if step >= 300:
+                raise Stop
+
+    with pytest.raises(Stop):
+        train(arguments, tmp_path / "stopped", Stopping())
+    torch.manual_seed(99)
+    again = train(arguments, tmp_path / "stopped")
+    assert (again.mean, again.last_mean, again.steps) == (whole.mean, whole.last_mean, whole.steps)
+    one, other = (load_pretrained(find_best(tmp_path / name) / "rxn") for name in ("whole", "stopped"))
+    assert all(np.array_equal(one.weights[name], other.weights[name]) for name in one.weights)
+
+
+@pytest.mark.slow
+def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
+    """Without a clone or hints it comes past the scripted manager over the same scripted benches."""
+    result = train(LeanPPO(scenario="wurtz_dodecane", roles=("manager",), steps=220_000), tmp_path / "run")
+    assert result.scripted_mean is not None
+    assert result.mean > result.scripted_mean > 0.7
