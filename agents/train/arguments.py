@@ -118,6 +118,11 @@ ABOUT: dict[str, str] = {
     "begin_from": "Start from a run of several roles, a folder of runs by role, or ROLE=RUN,ROLE=RUN.",
     "manager_gamma": "Discount per decision of the manager.",
     "by_ticks": "Discount by elapsed ticks instead of turns.",
+    "central_critic": "Critics observe the laboratory's true state, too (MAPPO).",
+    "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
+    "processed": "Share of training in which only vessels that have been at a bench may be submitted.",
+    "own_goals": "Start experiments for goals of the orders alone.",
+    "balanced": "Draw every kind of the manager's actions equally often at first.",
 }
 """Descriptions of arguments."""
 
@@ -191,7 +196,7 @@ class Arguments(BaseModel):
             if name == "scenario" or (value == implied[name] and name not in ("algo", "steps", "seed")):
                 continue
             if isinstance(value, bool):
-                words += [option]
+                words += [option if value else option.replace("--", "--no-")]
                 continue
             for item in value if isinstance(value, tuple) else (value,):
                 words += [option, str(item)]
@@ -433,37 +438,30 @@ class MAPPO(IPPO):
 
 
 class LeanPPO(Clipped, Arguments):
-    """PPO made for learning from nothing: roles of a laboratory, a network for each.
+    """PPO made for learning from nothing: roles of a laboratory, a network for each (IPPO, or MAPPO with a central
+    critic).
 
-    ``refund``, ``processed``, ``own_goals`` and ``balanced`` help against sparse reward. They fade or concern training
-    alone; evaluations are without them.
+    ``refund``, ``processed``, ``own_goals`` and ``balanced`` help against sparse reward, in training alone.
     """
 
-    algo: Literal["lean-ppo"] = Field(default="lean-ppo", description="Algorithm.")
-    rewards: str | None = Field(default=None, description="Reward mix. Default: the scenario's.")
-    critic: Literal["own", "state"] = Field(
-        default="own", description="What critics observe: own (IPPO), or the laboratory's state, too (MAPPO)."
-    )
-    steps: Many = Field(default=250_000, description="Turns of the roles that learn, about.")
-    envs: Count = Field(default=256, description="Environments side by side.")
-    rollout: Annotated[int, Field(ge=1, le=10**7)] = Field(
-        default=64, description="Rounds in each environment before each update."
-    )
-    learning_rate: Positive = Field(default=1e-3, description="Learning rate; falls to a twentieth.")
-    net_arch: Layers = Field(default=(128, 128), description="Sizes of hidden layers; repeat the option.")
-    manager_gamma: Share = Field(default=1.0, description="Discount per decision of the manager.")
-    gae_lambda: Share = Field(default=0.95, description="GAE lambda.")
-    ent_coef: Weight = Field(default=0.01, description="Weight of the entropy; falls to a tenth.")
-    epochs: int = Field(default=3, ge=1, le=10_000, description="Passes over a rollout.")
-    batch_size: Minibatch = Field(default=2048, description="Minibatch.")
-    eval_episodes: Count = Field(default=50, description="Episodes per goal of each of them.")
-    refund: Share = Field(default=0.5, description="Share of training over which scores below 0 count as 0; it fades.")
-    processed: Share = Field(
-        default=0.3,
-        description="Share of training in which only vessels that have been at a bench may be submitted.",
-    )
-    own_goals: bool = Field(default=True, description="Start experiments for goals of the orders alone.")
-    balanced: bool = Field(default=True, description="Draw every kind of the manager's actions equally often at first.")
+    algo: Literal["lean-ppo"] = "lean-ppo"
+    rewards: str | None = None
+    steps: Many = 250_000
+    envs: Count = 256
+    rollout: Turns = 64
+    learning_rate: Positive = 1e-3
+    net_arch: Layers = (128, 128)
+    manager_gamma: Share = 1.0
+    gae_lambda: Share = 0.95
+    ent_coef: Weight = 0.01
+    epochs: Annotated[int, Field(ge=1, le=10_000)] = 3
+    batch_size: Minibatch = 2048
+    eval_episodes: Count = 50
+    central_critic: bool = False
+    refund: Share = 0.5
+    processed: Share = 0.3
+    own_goals: bool = True
+    balanced: bool = True
 
 
 ALGORITHMS: dict[str, type[Arguments]] = {

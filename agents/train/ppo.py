@@ -297,7 +297,7 @@ class PPOTeam:
         self.learners: dict[str, _Learner] = {}
         self._background: dict[str, Policy] = {}
         self._tracks: dict[str, _Track] = {}
-        state = self.batch.state_space.shape[0] if settings.critic == "state" else 0
+        state = self.batch.state_space.shape[0] if settings.central_critic else 0
         # Where a bench earns by its own experiments alone, its episode is the experiment.
         self._own_episodes = labs.scenario.rewards.bench_team == 0.0
         for number, agent in enumerate(self.agents):

@@ -133,7 +133,11 @@ def _options() -> list[Any]:
     for name, fields in found.items():
         field, algos = list(fields.values())[-1], list(fields)
         text = f"{ABOUT[name].rstrip('.')}: {choices[name]}." if name in choices else ABOUT[name]
-        text += _default_text(fields) if name != "algo" else " Default: ppo for one agent, ippo for several."
+        text += (
+            _default_text(fields)
+            if name != "algo"
+            else " Default: lean-ppo for the manager, ppo for one bench, ippo for several roles."
+        )
         panel = {len(ALGORITHMS): "Every algorithm", len(one): "One agent" if algos == one else None}.get(len(algos))
         shape = str(field.annotation)
         kind: Any = int if "int" in shape else float if "float" in shape else bool if "bool" in shape else str
@@ -148,11 +152,15 @@ def _options() -> list[Any]:
     return list(typer.main.get_command(made).params)
 
 
+_WHICH = " Default: lean-ppo for the manager, ppo for one bench, ippo for several roles."
+
+
 def _hint(name: str, kind: Any, text: str, panel: str = "", hidden: bool = False) -> Any:
-    flag = f"--{name.replace('_', '-')}"
+    option = name.replace("_", "-")
+    flag = f"--{option}/--no-{option}" if kind is bool else f"--{option}"
     # An option that is not given is None, so that what was given wins over file and preset.
-    option = typer.Option(flag, help=text, hidden=hidden, show_default=False, rich_help_panel=panel or None)
-    return Annotated[Optional[kind], option]  # noqa: UP045 - made at run time
+    given = typer.Option(flag, help=text, hidden=hidden, show_default=False, rich_help_panel=panel or None)
+    return Annotated[Optional[kind], given]  # noqa: UP045 - made at run time
 
 
 def _default_text(fields: dict[str, Any]) -> str:
@@ -214,7 +222,8 @@ def train(
 ) -> None:
     """Train a bench, an agent of a laboratory, or several roles together; an interrupted run resumes.
 
-    --bench trains a bench on its own, --roles one agent in its laboratory, or several (algorithms ippo and mappo).
+    --bench trains a bench on its own, --roles one agent in its laboratory, or several
+    (algorithms ippo, mappo and lean-ppo).
     Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations beside the
     scripted policy, checkpoints, TensorBoard logs, and at the end result.json.
     """

@@ -14,10 +14,10 @@ import torch
 
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.saved import find_saved
-from chemlab.agents.train.arguments import LeanPPO
+from chemlab.agents.train.arguments import LeanPPO, training_arguments
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _Track
-from chemlab.config.scenario import load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.roles.manager_actions import DISCARD, START, SUBMIT
 
 QUICK = {"envs": 8, "rollout": 16, "batch_size": 64, "evaluations": 2, "eval_episodes": 4, "final_episodes": 4}
@@ -125,10 +125,10 @@ def make_laboratories() -> Any:
     return labs
 
 
-@pytest.mark.parametrize("critic", ["own", "state"])
-def test_a_stopped_run_goes_on_alike(critic: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("central", [False, True])
+def test_a_stopped_run_goes_on_alike(central: bool, tmp_path: Path) -> None:
     """Killed after its first checkpoint, a run ends as one that was left alone."""
-    given = {"scenario": "fictitious", "roles": ("all",), "critic": critic, "steps": 600, "checkpoints": 4}
+    given = {"scenario": "fictitious", "roles": ("all",), "central_critic": central, "steps": 600, "checkpoints": 4}
     arguments = LeanPPO(**{**QUICK, **given})  # type: ignore[arg-type]
     whole = train(arguments, tmp_path / "whole")
 
@@ -149,6 +149,14 @@ def test_a_stopped_run_goes_on_alike(critic: str, tmp_path: Path) -> None:
     assert (again.mean, again.last_mean, again.steps) == (whole.mean, whole.last_mean, whole.steps)
     one, other = (load_pretrained(find_best(tmp_path / name) / "rxn") for name in ("whole", "stopped"))
     assert all(np.array_equal(one.weights[name], other.weights[name]) for name in one.weights)
+
+
+def test_the_manager_learns_by_it_unless_told_otherwise() -> None:
+    made = training_arguments({"scenario": "rush", "roles": "manager", "own_goals": False, "steps": 1000})
+    assert isinstance(made, LeanPPO)
+    assert made.command_line().endswith("--roles manager --algo lean-ppo --steps 1000 --seed 0 --no-own-goals")
+    assert training_arguments({"roles": "manager", "algo": "maskable-ppo"}).algo == "maskable-ppo"
+    assert training_arguments({"roles": "manager", "preset": "manager"}).algo == "maskable-ppo"
 
 
 @pytest.mark.slow

@@ -573,6 +573,8 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "net_arch": ((64, 0), (-1,)),
     "memory": (0,),
     "period": (0,),
+    "refund": (-0.1, 1.1, NAN),
+    "processed": (-0.1, 1.1, NAN),
 }
 EDGES: dict[str, tuple[Any, ...]] = {
     "seed": (0, 2**32 - 1),
