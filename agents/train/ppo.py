@@ -146,7 +146,7 @@ class _Learner:
             group["lr"] = s.learning_rate * max(remaining, 0.05)
         count, sums, updates = len(tensors["advantage"]), np.zeros(3), 0  # type: ignore[arg-type]
         for _ in range(s.epochs):
-            for rows in torch.from_numpy(rng.permutation(count)).split(s.batch_size):
+            for rows in torch.from_numpy(rng.permutation(count)).split(s.batch_size):  # type: ignore[no-untyped-call]
                 if len(rows) < 2:  # advantages are normalized
                     continue
                 losses = self._losses({name: None if t is None else t[rows] for name, t in tensors.items()})
@@ -178,9 +178,9 @@ class _Learner:
 def _entropy(distribution: torch.distributions.Distribution) -> torch.Tensor:
     """Mean entropy; forbidden actions contribute nothing."""
     if isinstance(distribution, torch.distributions.Categorical):
-        logits = distribution.logits.clamp(min=-50.0)  # type: ignore[no-untyped-call]
+        logits = distribution.logits.clamp(min=-50.0)
         return -(distribution.probs * logits).sum(1).mean()
-    return distribution.entropy().sum(1).mean()  # type: ignore[no-untyped-call]
+    return distribution.entropy().sum(1).mean()
 
 
 class _Track:
@@ -367,8 +367,8 @@ class PPOTeam:
             if track.mask is not None:
                 track.mask[t, rows] = allowed
             if not track.shared:
-                observed = track.seen[t, rows] = np.concatenate([observed, self.batch.state(rows)], axis=1)
-            track.value[t, rows] = learner.value(observed)
+                track.seen[t, rows] = np.concatenate([observed, self.batch.state(rows)], axis=1)
+            track.value[t, rows] = learner.value(track.seen[t, rows])
         space = self.batch.action_space(agent)
         out = np.zeros((self.settings.envs, *(space.shape or ())), dtype=played.dtype)
         out[rows] = played if played.dtype.kind == "i" else np.clip(played, space.low, space.high)  # type: ignore[attr-defined]
@@ -407,7 +407,7 @@ class PPOTeam:
         learned = 0
         for role, parts in batches.items():
             whole = {
-                name: None if parts[0][name] is None else np.concatenate([part[name] for part in parts])  # type: ignore[misc]
+                name: None if parts[0][name] is None else np.concatenate([part[name] for part in parts])
                 for name in parts[0]
             }
             count = len(whole["advantage"])  # type: ignore[arg-type]
