@@ -13,15 +13,19 @@ agents, no turns and no random numbers.
 from __future__ import annotations
 
 import base64
+import collections
 import difflib
 import functools
 import hashlib
 import html
+import importlib.util
 import io
+import itertools
 import math
 import os.path
+import re
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
@@ -29,9 +33,26 @@ from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeV
 import numpy as np
 import numpy.typing as npt
 
+from .config.catalogue import (
+    ACIDS,
+    FAMILY,
+    REAGENTS,
+    SALTS,
+    catalogue_material,
+    catalogue_pairs,
+    closest,
+    keep_material,
+    keep_pairs,
+    matches,
+    normalized,
+    spellings,
+    wrong_cas,
+)
 from .config.datafile import read_text
 from .config.loading import load_scenario
-from .config.materials import COLDEST_K, HOTTEST_K, DataError, load_materials, shipped_materials
+from .config.materials import COLDEST_K, HOTTEST_K, DataError, Material, load_materials, shipped_materials
+from .config.pairs import Pair, log_activity_coefficients, pair_table
+from .config.reactions import PROTON
 from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario
 from .kernels.arrays import FloatArray, Handle
 from .physics import backends as laws
@@ -47,7 +68,7 @@ from .roles.instruments.table import InstrumentTable
 if TYPE_CHECKING:
     from .render.scene import Scene
 
-__all__ = ["Flask", "Heated", "Layer", "Measurement", "SpillWarning"]
+__all__ = ["Flask", "Heated", "Layer", "Measurement", "Moment", "SpillWarning"]
 
 _PIXELS = 4000
 """Heights at which a flask can be cut; a real separating funnel does not do better."""
@@ -55,6 +76,12 @@ _MOST_PARTS = 10_000
 _RTOL, _ATOL = 1e-6, 1e-9
 _SHOWN_MOL = 1e-6
 _NEUTRAL = 1e-9
+EVERYDAY = "everyday"
+"""Reactions by default: salts dissolve, acids ionize in water, and nothing else."""
+_MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
+"""Of the dew point: rounds; heat of vaporization over the gas constant, which steps are taken with."""
+_REMEMBERED = 10_000
+"""Operations that a flask's history keeps."""
 
 
 class SpillWarning(UserWarning):
@@ -68,6 +95,36 @@ class Heated(NamedTuple):
     """went into the flask: less than was offered where it is as hot as the mantle, or nothing is in it"""
     condensed_j: float
     """of that, what the condenser took away again"""
+
+
+class Amounts(dict[str, float]):
+    """mol by material; ``amounts["DCM"]`` finds ``dichloromethane``."""
+
+    def __missing__(self, name: str) -> float:
+        found = [key for key in matches(name) if key in self]
+        if len(found) != 1:
+            raise KeyError(f"{name!r} is not in the flask; it knows {', '.join(self)}")
+        return self[found[0]]
+
+
+class Moment(NamedTuple):
+    """A flask after an operation."""
+
+    operation: str
+    seconds: float
+    """s that it has stood, stirred or reacted so far"""
+    joules: float
+    """J that it was given so far, less what was taken from it"""
+    temperature_k: float
+    volume_l: float
+    amounts: Mapping[str, float]
+    """mol by material"""
+    head_temperature_k: float | None = None
+    """K, of the vapour at the still's head while something distils"""
+    distillate: Mapping[str, float] = {}
+    """mol by material that this operation distilled"""
+    solids: Mapping[str, float] = {}
+    """mol by material that is not dissolved: crystals, salts, metals"""
 
 
 @dataclass(frozen=True)
@@ -165,13 +222,21 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
             "flask: a file of its materials, pairs or reactions was edited after this flask was made; make a new flask"
         )
     listed = sorted(names) or ["water"]
+    own = _materials(setting.material_files, setting.content)
+    found = {name: known for name in listed if name not in own and (known := catalogue_material(name))}
+    files, reactions = {path for path, _ in found.values()}, setting.reactions
+    if reactions == EVERYDAY:
+        # Acids and the catalogue's salts need more materials than are in the flask: read only where there are some.
+        ionic = setting.physics == "real" and (SALTS in files or ("water" in names and not ACIDS.isdisjoint(names)))
+        reactions = str(FAMILY) if ionic else "sodium_salts"
+        files |= {SALTS} if ionic else set()
     values = {
         "name": "flask",
         "title": "A flask",
         "summary": "",
         "physics": setting.physics,
-        "reactions": setting.reactions,
-        "material_files": list(setting.material_files),
+        "reactions": reactions,
+        "material_files": [*setting.material_files, *sorted(map(str, files))],
         **({"pair_files": list(setting.pair_files)} if setting.pair_files else {}),
         "goals": listed[:1],
         "lab_goals": listed[:1],
@@ -185,9 +250,52 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
     try:
         scenario = load_scenario(values)
         scenario._origin = "flask"
+        if setting.physics == "real":
+            scenario._pairs |= _pairs_of(scenario, set(load_materials(map(Path, setting.material_files))))
         return _Known(scenario, build_chemistry(scenario))
     except DataError as error:
         raise DataError(str(error).replace("(scenario given as a mapping)", "flask")) from error
+
+
+def _pairs_of(scenario: Scenario, own: set[str]) -> dict[frozenset[str], Pair]:
+    """Activity coefficients of the catalogue that a scenario lacks.
+
+    Pairs of materials that were added on this machine are fitted when they first meet, and kept.
+
+    Raises:
+        ImportError: the extra ``chem`` is not installed, which fits them.
+        OSError: the user's folder cannot be written to.
+    """
+    molecules = [name for name, m in scenario.materials.items() if m.role in ("solvent", "solute") and name not in own]
+    wanted = {frozenset(two) for two in itertools.combinations(molecules, 2)} - set(scenario.pairs)
+    found = catalogue_pairs(wanted) if wanted else {}
+    left = sorted(tuple(sorted(two)) for two in wanted - set(found))
+    if left:
+        from .openchem.fits import quick_pairs
+
+        rows = quick_pairs(cast("list[tuple[str, str]]", left), scenario.materials)
+        keep_pairs(rows)
+        found |= {frozenset((row.one, row.other)): row.pair() for row in rows}
+    return found
+
+
+def _dew_point(distillate: Mapping[str, float], known: _Known, guess: float) -> float:
+    """K, at which a vapour begins to condense at the room's pressure; of acids as if they had no dimers."""
+    names = [name for name, mol in distillate.items() if mol > 0.0 and known.scenario.materials[name].real]
+    materials = [known.scenario.materials[name] for name in names]
+    curves = [m.real.vapor_pressure for m in materials if m.real is not None]
+    y = np.array([distillate[name] for name in names])
+    y, x, kpa = y / y.sum(), y / y.sum(), float(known.table.world().ambient_pressure)
+    pairs, temperature = pair_table(names, known.scenario.pairs), guess
+    for _ in range(_MOST_ROUNDS):
+        pure = np.array([float(curve.pascal(temperature)) / 1000.0 if curve else 1e-9 for curve in curves])
+        ratio = pure * np.exp(log_activity_coefficients(x, pairs.tau(temperature), pairs.alpha)) / kpa
+        liquid = y / ratio
+        step = math.log(float(liquid.sum())) * temperature**2 / _CLAUSIUS_K
+        x, temperature = 0.5 * (x + liquid / liquid.sum()), temperature + max(min(step, 20.0), -20.0)
+        if abs(step) < 1e-3 and float(np.abs(x - liquid / liquid.sum()).max()) < 1e-4:
+            break
+    return temperature
 
 
 def _number(name: str, value: Any, low: float, high: float = math.inf) -> float:
@@ -225,11 +333,14 @@ def _all_or_nothing(operation: Callable[Concatenate[Flask, P], R]) -> Callable[C
         flasks = [self, *(other for other in (*args, *kwargs.values()) if isinstance(other, Flask))]
         saved = [flask._saved() for flask in flasks]
         try:
-            return operation(self, *args, **kwargs)
+            result = operation(self, *args, **kwargs)
         except BaseException:
             for flask, before in zip(flasks, saved, strict=True):
                 flask._put_back(before)
             raise
+        for flask in flasks:
+            flask._remember(operation.__name__)
+        return result
 
     return cast("Callable[Concatenate[Flask, P], R]", whole)
 
@@ -244,12 +355,13 @@ class Flask:
     heats in J.
 
     Args:
-        contents: mol by material.
+        contents: mol by material, which is named as a chemist does: ``acetone``, ``DCM``, ``CCO``, ``67-64-1``,
+            ``NaOH``; :meth:`known` lists them, :meth:`material` adds others. Strong acids are ions in water.
         physics: tier of physical laws: ``real`` or ``paper``.
         capacity_l: L; what is more runs over.
         temperature_k: of what is put together in it, molten above its melting point; the room's by default.
-        reactions: what can happen: a shipped family's name or the path of a reaction file. By default sodium salts
-            dissolve, and nothing else.
+        reactions: what can happen: a shipped family's name or the path of a reaction file. By default salts dissolve,
+            acids ionize in water, and nothing else.
         material_files: files with materials of your own.
         pair_files: files with activity coefficients of your own pairs of liquids (``real``).
         room_k, room_kpa: temperature and pressure around it.
@@ -269,7 +381,7 @@ class Flask:
         physics: str = "real",
         capacity_l: float = 1.0,
         temperature_k: float | None = None,
-        reactions: str = "sodium_salts",
+        reactions: str = EVERYDAY,
         material_files: Iterable[str] = (),
         pair_files: Iterable[str] = (),
         room_k: float = 298.15,
@@ -285,18 +397,20 @@ class Flask:
     ) -> None:
         self._setting = setting
         capacity_l = _number("capacity_l", capacity_l, 1e-6, 100.0)
-        known = self._materials()
+        contents = self._sorted_out(contents)
         litres, charge, ions = 0.0, 0.0, 0.0
         for name, mol in contents.items():
-            material = known[self._checked(name)]
-            contents[name] = _number(f"contents: {name}", mol, 0.0, 1e4)
-            litres += contents[name] * material.molar_mass_g_mol / material.density_kg_l / 1000.0
-            charge += contents[name] * material.charge
-            ions += contents[name] * abs(material.charge)
+            material = self._material(name)
+            litres += mol * material.molar_mass_g_mol / material.density_kg_l / 1000.0
+            charge += mol * material.charge
+            ions += mol * abs(material.charge)
         if litres > capacity_l:
             raise ValueError(f"contents: {litres:.4g} L do not fit in capacity_l = {capacity_l:g}")
         if abs(charge) > _NEUTRAL * ions:
             raise ValueError(f"contents: have a charge of {charge:+.4g} mol; give the ions that balance it")
+        self._seconds, self._joules = 0.0, 0.0
+        self._head: tuple[float | None, dict[str, float]] = (None, {})
+        self._history: collections.deque[Moment] = collections.deque(maxlen=_REMEMBERED)
         self._names = frozenset(contents)
         self._known = _chemistry(setting, self._names)
         self._shelf = Shelf(self._known.table, 1, 1)
@@ -314,8 +428,14 @@ class Flask:
 
     @property
     def amounts(self) -> dict[str, float]:
-        """mol of each material that is in it, as {name: mol}; 0 for what it knows and does not hold."""
-        return self._vessel.amounts(-1.0)
+        """mol of each material that is in it, as {name: mol}; 0 for what it knows and does not hold. Other names of a
+        material find it, too."""
+        return Amounts(self._vessel.amounts(-1.0))
+
+    @property
+    def history(self) -> tuple[Moment, ...]:
+        """What it was like after each operation, the last 10,000 of them."""
+        return tuple(self._history)
 
     @property
     def temperature_k(self) -> float:
@@ -393,6 +513,7 @@ class Flask:
         other._row[:] = self._row
         other._shelf.waste[:] = self._shelf.waste
         other._events[:], other._spilled = self._events, self._spilled
+        other._seconds, other._joules, other._history = self._seconds, self._joules, self._history.copy()
         return other
 
     @_all_or_nothing
@@ -403,15 +524,19 @@ class Flask:
             DataError: unknown material, or one that the tier lacks data of.
             ValueError: an amount or a temperature out of bounds; an ion, of which there is none alone.
         """
-        if self._materials()[self._checked(name)].charge:
-            raise ValueError(
-                f"add: {name!r} is an ion; pour a neutral mixture: flask.another({{{name!r}: ..., ...}}).pour(flask, 1)"
-            )
+        key = self._resolved(name)
         mol = _number(f"add: {name}", mol, 0.0, 1e4)
         warm = self._setting.room_k if temperature_k is None else temperature_k
         warm = _number("temperature_k", warm, 150.0, 900.0)
-        self._learn(self._names | {name})
-        material = self._shelf.layout.index(name)
+        if key in REAGENTS:
+            self._pour_ions(key, mol, warm)
+            return
+        if self._material(key).charge:
+            raise ValueError(
+                f"add: {name!r} is an ion; pour a neutral mixture: flask.another({{{name!r}: ..., ...}}).pour(flask, 1)"
+            )
+        self._learn(self._names | {key})
+        material = self._shelf.layout.index(key)
         transfer.add(self._row, material, mol, warm, self._chem, self._shelf.waste[0], self._events)
         self._after()
 
@@ -446,7 +571,10 @@ class Flask:
         lost = self.another(capacity_l=100.0) if receiver is None else receiver
         self._join(lost)
         row, target = self._row, lost._row
+        before = target[self._columns].copy()
         taken, condensed = laws.heat(row, target, joules, limits, self._chem, self._shelf.waste[0], self._events)
+        self._joules += float(taken)
+        self._note_head(target[self._columns] - before, stages)
         if receiver is None:
             self._shelf.waste[0] += target[self._columns]
         else:
@@ -464,6 +592,7 @@ class Flask:
         limits = np.array([0.0, _number("coolest_k", coolest_k, COLDEST_K, HOTTEST_K), 1.0, 0.0])
         asked = -_number("joules", joules, 0.0)
         taken, _ = laws.heat(self._row, self._row, asked, limits, self._chem, self._shelf.waste[0], self._events)
+        self._joules += float(taken)
         self._after()
         return abs(float(taken))
 
@@ -508,6 +637,7 @@ class Flask:
                 f"react: too stiff for {seconds:g} s at {self.temperature_k:.1f} K, and nothing has happened; "
                 "take a shorter time, a jacket, or smaller rate constants"
             )
+        self._seconds += seconds
         self._after(clock=T_MIX - CLOCK_SETTLED)
 
     @_all_or_nothing
@@ -522,6 +652,7 @@ class Flask:
         for _ in range(whole):
             if laws.elapse(self._row, ticks / whole, self._chem, waste, self._events, self._work):
                 laws.partition(self._row, self._chem, self._work)
+        self._seconds += seconds
         self._after(clock=CLOCK_SETTLED - T_MIX)
 
     @_all_or_nothing
@@ -617,6 +748,53 @@ class Flask:
             table.words(0, readings[0, 0]),
         )
 
+    # -- what flasks know ---------------------------------------------------------------------------------------------
+
+    @staticmethod
+    def known() -> tuple[str, ...]:
+        """Names of everything that flasks can hold without a file of yours."""
+        return tuple(sorted({key for keys in spellings().values() for key in keys}, key=str.lower))
+
+    @staticmethod
+    def material(name: str) -> Material:
+        """The data of a chemical, with their sources; what no flask knows yet is looked up and kept for later.
+
+        Args:
+            name: a name, a CAS number or a structure (SMILES).
+
+        Raises:
+            DataError: it means no single compound, or data are missing that a flask needs.
+            ImportError: the extra ``chem`` is not installed, which looks things up.
+            OSError: the folder of what is kept (:func:`chemlab.config.catalogue.user_folder`) cannot be written to.
+        """
+        known = shipped_materials()
+        for key in (name, *matches(name)):
+            if key in known:
+                return known[key]
+            if found := catalogue_material(key):
+                return found[1]
+            if key in REAGENTS:
+                ions = " and ".join(REAGENTS[key])
+                raise DataError(f"{name!r} is known as its ions in water only: see the materials {ions}")
+        from .openchem.compounds import known_as, material_tables
+        from .openchem.identity import compound_of
+        from .openchem.writing import material_text
+
+        compound = compound_of(name)
+        if same := known_as(compound, known):
+            return known[same]
+        if compound.key in known or (catalogue_material(compound.key) is not None and not matches(compound.key)):
+            raise DataError(
+                f"{name!r}: would be called {compound.key!r}, which another material is; give its CAS number"
+            )
+        texts = [name, compound.key, compound.name, compound.cas, compound.common_name, compound.formula]
+        spelled = [normalized(spelling) for spelling in texts if spelling]
+        text = material_text(material_tables([compound]), f"Flask.material({name!r})")
+        keep_material(compound.key, text, [*spelled, *([compound.smiles] if len(compound.smiles) > 2 else [])])
+        made = catalogue_material(compound.key)
+        assert made is not None
+        return made[1]
+
     # -- how it looks -------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
@@ -639,6 +817,41 @@ class Flask:
         except ImportError:  # Pillow is an extra
             return text
         return f'<img alt="The flask" src="data:image/png;base64,{picture}">{text}'
+
+    def plot(self, path: str | Path | None = None) -> Any:
+        """Draw its history: temperatures, amounts and compositions, over time, or over heat where no time has passed.
+
+        Args:
+            path: file to write the figure to (png, svg, pdf).
+
+        Returns:
+            The matplotlib figure.
+
+        Raises:
+            ImportError: matplotlib is not installed (``pip install '.[plot]'``).
+            ValueError: nothing was done with the flask yet.
+        """
+        from .render.bottles import flask_figure, save
+
+        if len(self._history) < 2:
+            raise ValueError("plot: there is no history yet; heat, add, react or wait first")
+        figure = flask_figure(self.history, {name: m.color for name, m in self._known.scenario.materials.items()})
+        if path is not None:
+            save(figure, Path(path))
+        return figure
+
+    def report(self) -> str:
+        """What is in it, what was done with it, and where its data are weak."""
+        lines = [repr(self), "", f"{'operation':<10} {'s':>8} {'kJ':>8} {'K':>7} {'head K':>7} {'L':>7}"]
+        for moment in self._history:
+            head = "" if moment.head_temperature_k is None else f"{moment.head_temperature_k:.1f}"
+            lines.append(
+                f"{moment.operation:<10} {moment.seconds:>8.0f} {moment.joules / 1000.0:>8.1f} "
+                f"{moment.temperature_k:>7.1f} {head:>7} {moment.volume_l:>7.3f}"
+            )
+        held = {name for name, mol in self.amounts.items() if mol > 0.0}
+        weak = list(_weak(self._known.scenario, held)) if self._setting.physics == "real" else []
+        return "\n".join([*lines, *(["", "estimates and doubts:", *weak] if weak else [])])
 
     def scene(self) -> Scene:
         """What its picture shows, as plain data."""
@@ -675,19 +888,80 @@ class Flask:
     def _columns(self) -> slice:
         return slice(AMOUNTS, AMOUNTS + len(self._shelf.layout.materials))
 
-    def _materials(self) -> Mapping[str, Any]:
+    def _materials(self) -> Mapping[str, Material]:
         return _materials(self._setting.material_files, self._setting.content)
 
-    def _checked(self, name: str) -> str:
-        """A material's name, of one that a flask can hold."""
+    def _material(self, key: str) -> Material:
         known = self._materials()
-        if name not in known:
-            near = difflib.get_close_matches(str(name), known, 3, 0.5)
-            hint = f"did you mean {' or '.join(map(repr, near))}?" if near else f"known: {', '.join(sorted(known))}"
-            raise DataError(f"unknown material {name!r}; {hint} Files of your own go into material_files")
-        if known[name].role == "gas":
+        found = None if key in known else catalogue_material(key)
+        return found[1] if found else known[key]
+
+    def _resolved(self, name: str) -> str:
+        """The key of a material that a flask can hold, or of a strong acid, by any of its names.
+
+        Raises:
+            DataError: none or several are called so, or it is a gas.
+        """
+        known, name = self._materials(), str(name)
+        if name in known and known[name].role != "gas":
+            return name
+        keys = matches(name) or _of_structure(name)
+        if len(keys) == 1:
+            return keys[0]
+        if keys:
+            raise DataError(f"{name!r} may be {' or '.join(map(repr, keys))}; give one of these names")
+        if name in known:
             raise DataError(f"{name!r} is a gas, which an open flask does not hold")
-        return name
+        if wrong_cas(name):
+            raise DataError(f"{name!r} is no CAS number: its check digit is wrong; correct it, or give a name")
+        near = list(dict.fromkeys([*closest(name), *difflib.get_close_matches(name, known, 3, 0.6)]))[:3]
+        hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+        raise DataError(
+            f"unknown material {name!r}; {hint}Flask.known() lists all names; Flask.material({name!r}) looks another "
+            "compound up (needs pip install '.[chem]'); files of your own go into material_files"
+        )
+
+    def _sorted_out(self, contents: Mapping[str, float]) -> dict[str, float]:
+        """Contents by key, strong acids as their ions."""
+        found: dict[str, float] = {}
+        for name, given in contents.items():
+            key, mol = self._resolved(name), _number(f"contents: {name}", given, 0.0, 1e4)
+            parts = {key: 1.0}
+            if key in REAGENTS:
+                if not any(self._resolved(other) == "water" for other in contents):
+                    raise ValueError(f"contents: {name!r} is known as its ions in water only; add water to them")
+                parts = REAGENTS[key]
+            for part, number in parts.items():
+                found[part] = found.get(part, 0.0) + number * mol
+        return found
+
+    def _pour_ions(self, key: str, mol: float, temperature_k: float) -> None:
+        """Add a strong acid as its ions."""
+        if self.amounts.get("water", 0.0) <= 0.0:
+            raise ValueError(f"add: {key!r} is known as its ions in water only; add water first")
+        ions = Flask.__new__(Flask)
+        ions._fill(self._setting, {part: mol * number for part, number in REAGENTS[key].items()}, 100.0, temperature_k)
+        ions._join(self)
+        transfer.pour(ions._row, self._row, 1.0, ions._chem, self._shelf.waste[0], self._events)
+        self._after()
+
+    def _note_head(self, distilled: FloatArray, stages: int) -> None:
+        """Remember what a heating step distilled, and the temperature at the head."""
+        named = dict(zip(self._shelf.layout.materials, distilled.tolist(), strict=True))
+        moved = {name: mol for name, mol in named.items() if mol > TRACE_MOL}
+        if moved and self._setting.physics == "real":
+            # Vapour of a pot alone leaves it as hot as it boils.
+            pot = self.temperature_k
+            self._head = (pot if stages == 1 else min(_dew_point(moved, self._known, pot), pot), moved)
+
+    def _remember(self, operation: str) -> None:
+        """Append what it is like now to its history."""
+        head, distilled = self._head
+        self._head = (None, {})
+        held = {name: mol for name, mol in self._vessel.amounts(-1.0).items() if mol > TRACE_MOL}
+        solids = next((layer.contents for layer in self.layers if layer.name == "solids"), {})
+        now = self._seconds, self._joules, self.temperature_k, self.volume_l
+        self._history.append(Moment(operation, *now, held, head, distilled, solids))
 
     def _make_scratch(self) -> None:
         rows, columns = laws.work_size(self._known.table)
@@ -724,12 +998,12 @@ class Flask:
 
     def _put_in_molten(self, contents: Mapping[str, float]) -> None:
         """What is put in above its melting point is a liquid (tier ``real``)."""
-        layout, known = self._shelf.layout, self._materials()
+        layout = self._shelf.layout
         if self._setting.physics != "real":
             return
         for name, mol in contents.items():
-            melts = known[name].melting_point_k
-            fluid = known[name].role in ("solvent", "solute")
+            melts = self._material(name).melting_point_k
+            fluid = self._material(name).role in ("solvent", "solute")
             if fluid and melts is not None and self._setting.room_k < melts < self.temperature_k:
                 self._shelf.dissolved[0, 0, layout.dissolved.index(name), layout.solvents.index("organic")] = mol
 
@@ -755,8 +1029,9 @@ class Flask:
     def _after(self, clock: float = 0.0) -> None:
         """What follows from an operation: settling or mixing by ``clock``, phases, a word about what ran over."""
         transfer.turn_clock(self._row, float(clock))
-        laws.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
-        laws.partition(self._row, self._chem, self._work)
+        for _ in range(2 if PROTON in self._shelf.layout.materials else 1):  # dissolved bases meet acids
+            laws.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
+            laws.partition(self._row, self._chem, self._work)
         spilled = float(self._events[SPILL])
         if spilled > self._spilled:
             more = spilled - self._spilled
@@ -764,8 +1039,33 @@ class Flask:
             self._spilled = spilled
 
 
+def _of_structure(text: str) -> tuple[str, ...]:
+    """Keys of a structure that is written in another way than the catalogue has it; none without RDKit."""
+    if importlib.util.find_spec("rdkit") is None or not re.search(r"[=#()\[\]]|[A-Zcnos]{3}", text):
+        return ()
+    from .openchem.identity import canonical
+
+    try:
+        return matches(canonical(text, "structure"))
+    except DataError:
+        return ()
+
+
+def _weak(scenario: Scenario, names: set[str]) -> Iterator[str]:
+    """A line for each number of some materials, and for each of their pairs, that was not measured."""
+    for name in sorted(names):
+        material = scenario.materials[name]
+        cited = {**material.source, **(material.real.source if material.real else {})}
+        for field, source in cited.items():
+            if source.startswith(("estimate", "guess", "doubtful")):
+                yield f"  {name}: {field}: {source}"
+    for two, pair in scenario.pairs.items():
+        if two <= names:
+            yield f"  {' with '.join(pair.of)}: {pair.source}"
+
+
 @functools.lru_cache(maxsize=16)
-def _materials(files: tuple[str, ...], content: str) -> dict[str, Any]:
+def _materials(files: tuple[str, ...], content: str) -> dict[str, Material]:
     """Materials by id; ``content`` is part of the key, so that an edited file is read again."""
     return {**shipped_materials(), **load_materials(Path(file) for file in files)}
 

@@ -9,7 +9,13 @@ from typing import Any
 import pytest
 
 from chemlab.config.materials import DataError, shipped_materials
-from chemlab.config.reactions import ReactionFamily, dissolved_reactions, load_reactions, shipped_reactions_folder
+from chemlab.config.reactions import (
+    ReactionFamily,
+    check_without_real,
+    dissolved_reactions,
+    load_reactions,
+    shipped_reactions_folder,
+)
 
 SHIPPED = sorted(path.stem for path in shipped_reactions_folder().glob("*.toml"))
 
@@ -116,12 +122,18 @@ def test_a_wrong_family_is_named_with_file_and_key(tmp_path: Path, old: str, new
         assert part in str(caught.value)
 
 
-def test_two_salts_may_share_a_cation_but_no_anion(tmp_path: Path) -> None:
+def test_two_salts_may_share_one_ion(tmp_path: Path) -> None:
+    """A shared anion couples two cations, which the closed form of the backend ``paper`` does not cover."""
     hydroxide = '\n[[salt]]\nsolid = "NaOH"\ncation = "Na+"\nanion = "OH-"\nsource = "made up"\n'
     assert len(load(tmp_path, FAMILY + hydroxide).salt) == 2
     twice = '\n[[salt]]\nsolid = "NaCl"\ncation = "Na+"\nanion = "Cl-"\nsource = "made up"\n'
-    with pytest.raises(DataError, match="share an anion"):
+    with pytest.raises(DataError, match="have the same ions"):
         load(tmp_path, FAMILY + twice)
+    salts = [salt for salt in load(tmp_path, FAMILY).salt if salt.anion == "Cl-"]
+    potassium = salts[0].model_copy(update={"solid": "KCl", "cation": "K+"})
+    both = load(tmp_path, FAMILY).model_copy(update={"salt": (*salts, potassium)})
+    with pytest.raises(DataError, match="share an anion"):
+        check_without_real(both, "mine")
 
 
 def test_an_unknown_family_lists_the_shipped_ones() -> None:

@@ -412,7 +412,7 @@ def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], w
 
     Raises:
         DataError: unknown material, a reaction that does not conserve atoms and charge, a salt that is not a solid of a
-            positive and a negative ion, salts that share an anion, acids that share a species.
+            positive and a negative ion, two salts of the same ions, acids that share a species.
     """
     unknown = sorted(family.materials() - set(materials))
     if unknown:
@@ -439,10 +439,9 @@ def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], w
                 f"given {salt.solid!r} ({solid.role}), "
                 f"{salt.cation!r} (charge {cation.charge}) and {salt.anion!r} (charge {anion.charge})"
             )
-    anions = [salt.anion for salt in family.salt]
-    if len(set(anions)) != len(anions):
-        # The closed-form equilibrium is one quadratic per cation; an anion shared by two cations would couple them.
-        raise DataError(f"{where}: salt: two salts share an anion; only a shared cation is supported")
+    ions = [(salt.cation, salt.anion) for salt in family.salt]
+    if len(set(ions)) != len(ions):
+        raise DataError(f"{where}: salt: two salts have the same ions; remove one of them")
     taken = {PROTON: "water", HYDROXIDE: "water", WATER: "water"}
     for i, acid in enumerate(family.acid):
         for name in acid.species:
@@ -463,7 +462,8 @@ def check_without_real(family: ReactionFamily, where: str) -> None:
         where: the file of the scenario, for the error message.
 
     Raises:
-        DataError: a reaction with a catalyst, an inhibitor, an equilibrium or a heat, or an acid.
+        DataError: a reaction with a catalyst, an inhibitor, an equilibrium or a heat; an acid; salts that share an
+            anion.
     """
     keys = [
         f"reaction {step.words}: {key}"
@@ -474,3 +474,10 @@ def check_without_real(family: ReactionFamily, where: str) -> None:
     keys += ["acid"] if family.acid else []
     if keys:
         raise DataError(f"{where}: reactions {family.name!r}: {keys[0]} needs physics = 'real' in the scenario")
+    anions = [salt.anion for salt in family.salt]
+    if len(set(anions)) != len(anions):
+        # The closed-form equilibrium is one quadratic per cation; an anion shared by two cations would couple them.
+        raise DataError(
+            f"{where}: salt: two salts share an anion; physics = 'paper' supports a shared cation only; "
+            "choose physics = 'real'"
+        )

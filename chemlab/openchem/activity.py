@@ -139,8 +139,10 @@ class Model:
         mains = {self.subgroups[number].main_group_id for found in groups for number in found}
         return any(j not in self.interactions.get(i, {}) for i, j in itertools.permutations(mains, 2))
 
-    def log_gamma(self, groups: list[Groups]) -> Array:
-        """Return [T, X, 2] ln of the activity coefficients of two materials, at TEMPERATURES_K and FRACTIONS."""
+    def log_gamma(
+        self, groups: list[Groups], temperatures_k: Array = TEMPERATURES_K, fractions: Array = FRACTIONS
+    ) -> Array:
+        """Return [T, X, 2] ln of the activity coefficients of two materials."""
         made = thermo.unifac.UNIFAC.from_subgroups(
             T=300.0,
             xs=[0.5, 0.5],
@@ -149,7 +151,7 @@ class Model:
             interaction_data=self.interactions,
             subgroups=self.subgroups,
         )
-        rows = [[made.to_T_xs(t, [x, 1.0 - x]).gammas() for x in FRACTIONS.tolist()] for t in TEMPERATURES_K.tolist()]
+        rows = [[made.to_T_xs(t, [x, 1.0 - x]).gammas() for x in fractions.tolist()] for t in temperatures_k.tolist()]
         return np.log(np.array(rows))
 
 
@@ -180,9 +182,9 @@ def models() -> list[Model]:
     ]
 
 
-def stable(log_gamma: Array) -> npt.NDArray[np.bool_]:
+def stable(log_gamma: Array, fractions: Array = FRACTIONS) -> npt.NDArray[np.bool_]:
     """Return [T, X] True where a mixture stays one liquid: on the lower hull of the Gibbs energy of mixing."""
-    x = FRACTIONS
+    x = fractions
     ideal = x * np.log(x) + (1.0 - x) * np.log(1.0 - x)
     energy = ideal + x * log_gamma[..., 0] + (1.0 - x) * log_gamma[..., 1]
     out = np.zeros(energy.shape, dtype=np.bool_)
@@ -370,11 +372,16 @@ def _apart(names: tuple[str, str], materials: Mapping[str, Material], forms: lis
     return found is not None and {forms[0].subgroups[number].group for number in found} <= APOLAR
 
 
+def _forms(names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]) -> list[Model]:
+    """Forms of UNIFAC, the best one for two materials first."""
+    return sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms) else forms
+
+
 def _form(
     names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]
 ) -> tuple[Model, list[Groups]] | None:
     """Return the form of UNIFAC for two materials, and their groups in it; None if no form has all groups."""
-    for form in sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms) else forms:
+    for form in _forms(names, materials, forms):
         groups = [found for name in names if (found := form.groups(name, materials[name])) is not None]
         if len(groups) == len(names) and not form.lacks(groups):
             return form, groups

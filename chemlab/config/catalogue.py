@@ -1,0 +1,238 @@
+"""The catalogue: everyday chemicals by any of their names, and activity coefficients of every two of them.
+
+``chemlab/data/catalogue`` has a material file for each molecule (``KEY.toml``), salts and ions in ``_salts.toml``, how
+they dissolve and ionize in ``_reactions.toml``, every spelling that is understood in ``names.csv``, and NRTL parameters
+in ``pairs.csv``. Only :class:`chemlab.sandbox.Flask` reads it, and only the files of
+what it holds; scenarios name the files that they want. A user's own folder (:func:`user_folder`) has the same files for
+what was added by :meth:`chemlab.sandbox.Flask.material`. ``studies/tools/catalogue.py`` makes the bundled files.
+"""
+
+from __future__ import annotations
+
+import csv
+import difflib
+import functools
+import os
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+from .files import write_text
+from .materials import Material, load_materials
+from .pairs import Pair
+
+__all__ = [
+    "ACIDS",
+    "FAMILY",
+    "IDEAL_PAIR",
+    "REAGENTS",
+    "SALTS",
+    "CataloguePair",
+    "catalogue_material",
+    "catalogue_pairs",
+    "closest",
+    "keep_material",
+    "keep_pairs",
+    "matches",
+    "names_text",
+    "normalized",
+    "pairs_text",
+    "spellings",
+    "user_folder",
+    "wrong_cas",
+]
+
+FOLDER = Path(__file__).parent.parent / "data" / "catalogue"
+SALTS, FAMILY = FOLDER / "_salts.toml", FOLDER / "_reactions.toml"
+IDEAL_PAIR = "ideal"
+"""Form of a pair without UNIFAC groups or interactions: all activity coefficients are 1."""
+_SOURCES = {
+    IDEAL_PAIR: "estimate: ideal mixture; no form of UNIFAC has the groups of both",
+    "azeotrope": "through the azeotrope at 101.325 kPa, Gmehling et al. (2004) (as remembered, not looked up)",
+}
+LOW_K, HIGH_K = 270.0, 480.0
+"""Range of temperatures of the fits."""
+
+REAGENTS: dict[str, dict[str, float]] = {
+    "hydrochloric acid": {"H+": 1.0, "Cl-": 1.0},
+    "hydrobromic acid": {"H+": 1.0, "Br-": 1.0},
+    "nitric acid": {"H+": 1.0, "NO3-": 1.0},
+    "sulfuric acid": {"H+": 1.0, "HSO4-": 1.0},
+}
+"""Strong acids, which are ions in water: mol of each ion in a mol of the acid."""
+ACIDS = frozenset(("acetic_acid", "benzoic_acid", "salicylic_acid", "acetylsalicylic_acid", "HSO4-"))
+"""Acids of ``_reactions.toml``."""
+
+
+class CataloguePair(NamedTuple):
+    """A row of ``pairs.csv``."""
+
+    one: str
+    other: str
+    form: str
+    """Of UNIFAC, ``azeotrope`` or ``ideal``."""
+    alpha: float
+    error: float
+    """Largest error of ln gamma against UNIFAC, from 270 to 480 K where the two mix and at infinite dilution."""
+    parameters: tuple[float, ...]
+    """a12, a21, b12, b21, c12, c21"""
+
+    def pair(self) -> Pair:
+        """The same as a pair of a pair file."""
+        a12, a21, b12, b21, c12, c21 = self.parameters
+        return Pair(
+            of=(self.one, self.other),
+            a=(a12, a21),
+            b=(b12, b21),
+            c=(c12, c21),
+            alpha=self.alpha,
+            low_k=LOW_K,
+            high_k=HIGH_K,
+            error=self.error,
+            source=_SOURCES.get(self.form, self.form),
+        )
+
+
+def user_folder() -> Path:
+    """The folder of chemicals that were added on this machine: ``CHEMLAB_CATALOGUE``, or in the user's cache."""
+    own = os.environ.get("CHEMLAB_CATALOGUE")
+    cache = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(own) if own else Path(cache) / "chemlab" / "catalogue"
+
+
+def normalized(name: str) -> str:
+    """A name without capitals, and with one space for blanks and underscores."""
+    return re.sub(r"[\s_]+", " ", name.strip()).casefold()
+
+
+def spellings() -> dict[str, tuple[str, ...]]:
+    """Keys by spelling: of names and formulas :func:`normalized`, of structures as they are written."""
+    own = user_folder() / "names.csv"
+    return {**_spellings(FOLDER / "names.csv", 0), **_spellings(own, own.stat().st_mtime_ns if own.is_file() else 0)}
+
+
+@functools.lru_cache(maxsize=4)
+def _spellings(path: Path, _changed: int) -> dict[str, tuple[str, ...]]:
+    found: dict[str, tuple[str, ...]] = {}
+    for spelling, key in _rows(path):
+        found[spelling] = (*found.get(spelling, ()), key)
+    return found
+
+
+def _rows(path: Path) -> list[list[str]]:
+    if not path.is_file():
+        return []
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.reader(file))
+
+
+def matches(text: str) -> tuple[str, ...]:
+    """Keys of what a text may mean: a name, a formula, a CAS number or a structure (SMILES)."""
+    known = spellings()
+    return known.get(text.strip()) or known.get(normalized(text), ())
+
+
+def closest(text: str) -> list[str]:
+    """Names that a misspelt one may have meant."""
+    known = spellings()
+    near = difflib.get_close_matches(normalized(text), known, 3, 0.7)
+    ends = [name for name in known if name.endswith((f"-{normalized(text)}", f" {normalized(text)}"))]
+    return list(dict.fromkeys([*ends[:3], *near]))[:3]
+
+
+def wrong_cas(text: str) -> bool:
+    """Whether a text has the form of a CAS number, and another check digit."""
+    if not re.fullmatch(r"\d{2,7}-\d{2}-\d", text.strip()):
+        return False
+    *digits, check = (int(digit) for digit in text.strip() if digit != "-")
+    return sum(place * digit for place, digit in enumerate(reversed(digits), 1)) % 10 != check
+
+
+def catalogue_material(key: str) -> tuple[Path, Material] | None:
+    """The file and the material of a key, None if the catalogue does not have it.
+
+    Raises:
+        DataError: the file is malformed.
+    """
+    if not re.fullmatch(r"[\w,.+() -]+", key) or key.startswith("_"):
+        return None
+    for path in (FOLDER / f"{key}.toml", user_folder() / f"{key}.toml", SALTS):
+        if path.is_file() and key in (found := _read(path, path.stat().st_mtime_ns)):
+            return path, found[key]
+    return None
+
+
+@functools.lru_cache(maxsize=256)
+def _read(path: Path, _changed: int) -> dict[str, Material]:
+    return load_materials([path])
+
+
+def keep_material(key: str, text: str, names: Iterable[str]) -> Path:
+    """Write a material file and its names into the user's folder, and return the file's path.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    path, listed = user_folder() / f"{key}.toml", user_folder() / "names.csv"
+    write_text(path, text)
+    rows = [(spelling, of) for spelling, of in _rows(listed) if of != key]
+    write_text(listed, names_text([*rows, *((name, key) for name in dict.fromkeys(names))]))
+    return path
+
+
+def keep_pairs(rows: Iterable[CataloguePair]) -> None:
+    """Add rows to ``pairs.csv`` of the user's folder.
+
+    Raises:
+        OSError: the folder cannot be written to.
+    """
+    path = user_folder() / "pairs.csv"
+    before = path.read_text(encoding="utf-8") if path.is_file() else ""
+    write_text(path, before + pairs_text(rows))
+
+
+def catalogue_pairs(wanted: Iterable[frozenset[str]]) -> dict[frozenset[str], Pair]:
+    """Those of some pairs that the catalogue has."""
+    left = set(wanted)
+    names = set[str]().union(*left)
+    found: dict[frozenset[str], Pair] = {}
+    for path in (FOLDER / "pairs.csv", user_folder() / "pairs.csv"):
+        for one, other, form, alpha, error, *parameters in _pair_rows(path, names) if left else ():
+            if frozenset((one, other)) in left:
+                numbers = tuple(map(float, parameters))
+                found[frozenset((one, other))] = CataloguePair(
+                    one, other, form, float(alpha), float(error), numbers
+                ).pair()
+        left -= set(found)
+    return found
+
+
+def _pair_rows(path: Path, names: set[str]) -> Iterator[list[str]]:
+    """The rows of two of some names: lines are parsed only where they begin with one of them."""
+    if not path.is_file():
+        return
+    first = tuple(f"{_cell(name)}," for name in names)
+    with path.open(encoding="utf-8", newline="") as file:
+        for row in csv.reader(line for line in file if line.startswith(first)):
+            if row[1] in names:
+                yield row
+
+
+def pairs_text(rows: Iterable[CataloguePair]) -> str:
+    """The text of a ``pairs.csv``."""
+    lines = (
+        ",".join([_cell(row.one), _cell(row.other), row.form, *(f"{n:g}" for n in (row.alpha, row.error))])
+        + "".join(f",{number:.5g}" for number in row.parameters)
+        for row in rows
+    )
+    return "".join(f"{line}\n" for line in lines)
+
+
+def names_text(rows: Iterable[tuple[str, str]]) -> str:
+    """The text of a ``names.csv``, of spellings and keys."""
+    return "".join(f"{_cell(spelling)},{_cell(key)}\n" for spelling, key in rows)
+
+
+def _cell(text: str) -> str:
+    return f'"{text}"' if "," in text else text

@@ -1,0 +1,359 @@
+"""Everyday chemicals in a flask: found by any name, boiling where handbooks say, dissolving as measured."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from helpers import script
+
+from chemlab.config.catalogue import ACIDS, FAMILY, FOLDER, catalogue_pairs, matches, spellings
+from chemlab.config.datafile import read_toml
+from chemlab.config.materials import load_materials, shipped_materials
+from chemlab.config.pairs import shipped_pairs
+from chemlab.sandbox import Flask
+
+ROOT = Path(__file__).parent.parent
+MOLECULES = {path.stem: load_materials([path])[path.stem] for path in sorted(FOLDER.glob("[!_]*.toml"))}
+THIRTY = [
+    "acetone",
+    "methanol",
+    "ethanol",
+    "benzene",
+    "toluene",
+    "hexane",
+    "water",
+    "2-propanol",
+    "THF",
+    "DMF",
+    "DMSO",
+    "CH2Cl2",
+    "chloroform",
+    "MeCN",
+    "glycerol",
+    "pyridine",
+    "triethylamine",
+    "NaOH",
+    "NaCl",
+    "KOH",
+    "HCl",
+    "H2SO4",
+    "Ethanol",
+    "H2O",
+    "67-64-1",
+    "CCO",
+]
+THIRTY += ["ethyl acetate", "acetic acid", "diethyl ether", "ethylene glycol"]
+MORE = [
+    "MeOH",
+    "EtOH",
+    "iPrOH",
+    "IPA",
+    "n-BuOH",
+    "t-BuOH",
+    "MEK",
+    "MIBK",
+    "MTBE",
+    "Et2O",
+    "2-MeTHF",
+    "dioxane",
+    "DME",
+    "diglyme",
+    "EtOAc",
+    "MeOAc",
+    "BuOAc",
+    "pentane",
+    "heptane",
+    "octane",
+    "decane",
+    "isooctane",
+    "cyclohexane",
+    "cyclohexene",
+    "PhMe",
+    "o-xylene",
+    "cumene",
+    "mesitylene",
+    "styrene",
+    "tetralin",
+    "DCM",
+    "CHCl3",
+    "CCl4",
+    "DCE",
+    "chlorobenzene",
+    "bromobenzene",
+    "iodomethane",
+    "NMP",
+    "DMAc",
+    "nitromethane",
+    "CS2",
+    "Et3N",
+    "DIPEA",
+    "piperidine",
+    "morpholine",
+    "aniline",
+    "AcOH",
+    "TFA",
+    "benzaldehyde",
+    "phenol",
+    "naphthalene",
+    "aspirin",
+    "KNO3",
+    "KCl",
+    "NaHCO3",
+    "HNO3",
+]
+MORE += ["Acetic_Acid", "isopropyl alcohol", "methylene chloride", "Hünig's base", "benzyl alcohol", "ethyl benzoate"]
+MORE += ["110-82-7", "64-17-5", "7732-18-5", "CC(=O)C", "c1ccccc1", "C1CCOC1", "CS(C)=O", "CC#N", "CH3OH", "C5H5N"]
+
+BOILS_ELSEWHERE = {
+    "N,N-diisopropylethylamine": "399.7 K by two compilations; 387 K is an old value",
+    "acetanilide": "577 K by three compilations",
+    "benzyl_chloride": "452 K by three compilations",
+    "N-methylpyrrolidone": "475 K by the equation of its vapour pressure",
+    "3-chlorohexane": "the bundled material's own source",
+}
+"""Molecules that boil 1.5 K or more from the CRC Handbook, 95th ed."""
+
+
+@pytest.fixture(autouse=True)
+def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing that this machine has kept takes part."""
+    monkeypatch.setenv("CHEMLAB_CATALOGUE", str(tmp_path / "kept"))
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", [*THIRTY, *MORE])
+def test_everyday_names_are_known(name: str) -> None:
+    flask = Flask({"Water ": 30.0, name: 0.1})
+    assert flask.volume_l > 0.5
+    keys = [key for key, mol in flask.amounts.items() if mol > 0.0]
+    assert len(keys) >= (1 if flask.amounts["water"] > 30.05 else 2)
+
+
+def test_the_catalogue_is_as_large_as_it_says() -> None:
+    assert len(THIRTY) == 30
+    assert len(MORE) >= 65
+    assert 110 <= len(MOLECULES) <= 150
+    assert {"acetone", "KNO3", "ethanol"} <= set(Flask.known())
+
+
+def test_every_name_leads_to_a_material() -> None:
+    for spelling, keys in spellings().items():
+        for key in keys:
+            if not key.endswith(" acid") or key in MOLECULES:
+                assert Flask.material(key).name, spelling
+
+
+def test_other_names_find_an_amount() -> None:
+    flask = Flask({"DCM": 1.0, "MeOH": 2.0})
+    assert flask.amounts["dichloromethane"] == flask.amounts["CH2Cl2"] == flask.amounts["75-09-2"] == 1.0
+    with pytest.raises(KeyError, match="is not in the flask"):
+        flask.amounts["benzene"]
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        (lambda: Flask({"acetonne": 1.0}), "did you mean 'acetone'"),
+        (lambda: Flask({"unobtainium": 1.0}), r"Flask\.material\('unobtainium'\) looks another compound up"),
+        (lambda: Flask({"C8H10": 1.0}), "may be .*'o-xylene'.*give one of these names"),
+        (lambda: Flask({"xylene": 1.0}), "did you mean .*-xylene"),
+        (lambda: Flask({"67-64-2": 1.0}), "its check digit is wrong"),
+        (lambda: Flask({"acetone": -1.0}), "contents: acetone: must be a finite number of at least 0"),
+        (lambda: Flask({"acetone": "a lot"}), "contents: acetone: must be a number"),  # type: ignore[dict-item]
+        (lambda: Flask({"HCl": 1.0}), "ions in water only; add water"),
+        (lambda: Flask({"water": 1.0, "K+": 0.1}), "charge of .*give the ions that balance it"),
+        (lambda: Flask({"water": 1.0}).add("K+", 1.0), "is an ion; pour a neutral mixture"),
+        (lambda: Flask({"toluene": 1.0}).add("HNO3", 1.0), "add water first"),
+        (lambda: Flask({"acetone": 1.0}, physics="paper"), "has no polarity.*choose physics = 'real'"),
+        (lambda: Flask({"water": 1.0}).plot(), "there is no history yet"),
+        (lambda: Flask.material("sulfuric acid"), "known as its ions in water only"),
+    ],
+)
+def test_mistakes_are_answered(made: Callable[[], object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        made()
+
+
+# -- data -------------------------------------------------------------------------------------------------------------
+
+
+def boiling_point(key: str) -> float:
+    """K at which a mole of it boils in a flask."""
+    flask = Flask({key: 1.0}, capacity_l=3.0)
+    for _ in range(60):
+        flask.heat(4e3)
+        if flask.waste.get(key, 0.0) > 1e-3:
+            return flask.temperature_k
+    return math.nan
+
+
+def test_flasks_boil_where_the_handbook_says() -> None:
+    chemicals: Any = pytest.importorskip("chemicals")
+    everything = {**MOLECULES, **{key: m for key, m in shipped_materials().items() if m.role in ("solvent", "solute")}}
+    off = {}
+    for key, material in everything.items():
+        if material.cas and "CRC_ORG" in chemicals.Tb_methods(material.cas):
+            off[key] = boiling_point(key) - float(chemicals.Tb(material.cas, method="CRC_ORG"))
+    assert len(off) > 125
+    assert {key for key, kelvin in off.items() if not abs(kelvin) < 1.5} == set(BOILS_ELSEWHERE)
+    assert float(np.median(np.abs(list(off.values())))) < 0.2
+
+
+def test_liquids_are_as_dense_as_the_other_compilation_says() -> None:
+    """COSTALD and Rackett fits against DIPPR's and the reference equations, where both are there."""
+    thermo: Any = pytest.importorskip("thermo")
+    off = {}
+    for key, material in MOLECULES.items():
+        found = thermo.VolumeLiquid(CASRN=material.cas) if material.role == "solvent" else None
+        for method in ("HTCOSTALDFIT", "RACKETTFIT", "VDI_PPDS"):
+            if (
+                found is not None
+                and method in found.all_methods
+                and f"[{method}]" not in material.source["density_kg_l"]
+            ):
+                other = material.molar_mass_g_mol / 1e6 / float(found.calculate(298.15, method))
+                off[key, method] = material.density_kg_l / other - 1.0
+    assert len(off) > 50
+    assert {key for key, share in off.items() if abs(share) > 0.03} == set()
+
+
+def test_azeotropes_are_where_they_were_measured() -> None:
+    """What the page's table says, misses included."""
+    study: Any = script("studies/physics/azeotropes.py")
+    found = list(study.rows())
+    missed = {(row.one, row.other) for row in found if not row.met}
+    assert missed == {("formic_acid", "water"), ("ethyl_acetate", "hexane")}
+    page = (ROOT / "docs" / "chemist" / "distillation.md").read_text(encoding="utf-8")
+    for row in found:
+        names = f"{row.one} and {row.other}".replace("_", " ")
+        assert re.search(rf"\| {re.escape(names)} \|.*\| {'yes' if row.met else 'no'} \|", page), names
+
+
+def test_every_two_molecules_are_a_pair() -> None:
+    pairs = {frozenset(two) for two in itertools.combinations([*MOLECULES, "water", "ethanol", "toluene"], 2)}
+    found = {**catalogue_pairs(pairs), **shipped_pairs()}
+    assert pairs <= set(found)
+    assert max(pair.error for pair in found.values()) < 2.0
+    ideal = [two for two in pairs if found[two].source.startswith("estimate")]
+    assert len(ideal) < 0.01 * len(pairs)
+    assert not [two for two in ideal if "water" in two]
+
+
+def test_salts_dissolve_as_listed() -> None:
+    for salt in read_toml(ROOT / "studies" / "tools" / "catalogue.toml")["salts"].values():
+        key = matches(salt["cas"])[0]
+        mass = Flask.material(key).molar_mass_g_mol
+        celsius, grams = salt["water_c"][-1], salt["water_g"][-1]
+        flask = Flask({key: 30.0, "water": 55.509}, capacity_l=10.0)
+        flask.react(10.0, temperature_k=celsius + 273.15)
+        hectograms = flask.amounts["water"] * 0.01801528 * 10.0  # its heat of dissolving may boil some off
+        assert flask.amounts[salt["ions"][0]] * mass / hectograms == pytest.approx(grams, rel=0.01), key
+
+
+def test_acids_ionize() -> None:
+    """Ostwald's law with Davies' coefficients."""
+    acids = {acid["species"][0]: acid["pka"][0] for acid in read_toml(FAMILY)["acid"]}
+    assert set(acids) == ACIDS
+    flask = Flask({"water": 55.509, "acetic acid": 0.1}, capacity_l=2.0, temperature_k=298.15)
+    ions = math.sqrt(10.0 ** -acids["acetic_acid"] * 0.1)
+    root = math.sqrt(ions)
+    davies = 0.509 * (root / (1.0 + root) - 0.3 * ions)
+    dissociation = 10.0 ** (-acids["acetic_acid"] + 2.0 * davies)
+    exact = (-dissociation + math.sqrt(dissociation**2 + 0.4 * dissociation)) / 2.0
+    assert float(flask.measure("ph_meter")) == pytest.approx(-math.log10(exact) + davies, abs=0.005)
+
+
+def test_a_strong_acid_is_neutralized_at_once() -> None:
+    flask = Flask({"water": 55.5, "HCl": 0.1}, capacity_l=2.0)
+    flask.add("NaOH", 0.1)
+    assert float(flask.measure("ph_meter")) == pytest.approx(7.0, abs=0.1)
+    assert flask.amounts["H+"] < 1e-6
+    flask.add("H2SO4", 0.01)
+    assert flask.amounts["H+"] == pytest.approx(0.02, rel=0.25)
+    assert flask.amounts["HSO4-"] + flask.amounts["SO4--"] == pytest.approx(0.01, rel=1e-9)
+
+
+def test_flasks_of_bundled_materials_read_nothing_of_it() -> None:
+    """Their chemistry is the one of before there was a catalogue."""
+    scenario = Flask({"ethanol": 1.0, "water": 1.0, "NaCl": 0.1})._known.scenario
+    assert scenario.family.name == "sodium_salts"
+    assert scenario.material_files == ()
+    assert set(scenario.pairs) <= set(shipped_pairs())
+
+
+# -- history ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_flask_remembers(tmp_path: Path) -> None:
+    pot = Flask({"acetone": 3.0, "MeOH": 3.0, "water": 3.0}, capacity_l=1.0)
+    head = pot.another()
+    for _ in range(20):
+        pot.heat(10e3, head, stages=4, reflux=3.0)
+    pot.react(60.0, 330.0)
+    last = pot.history[-2]
+    assert pot.history[-1].seconds == 60.0
+    assert last.joules == pytest.approx(sum(b.joules - a.joules for a, b in itertools.pairwise(pot.history[:-1])))
+    heads = [m.head_temperature_k for m in pot.history if m.head_temperature_k is not None]
+    assert 328.0 < heads[0] < 331.0  # the azeotrope of acetone and methanol boils at 328.7 K
+    assert all(m.head_temperature_k <= m.temperature_k + 0.1 for m in pot.history if m.head_temperature_k)
+    distilled = sum(m.distillate.get("acetone", 0.0) for m in pot.history)
+    assert distilled == pytest.approx(head.amounts["acetone"], rel=1e-6)
+    copy = pot.copy()
+    copy.settle()
+    assert len(copy.history) == len(pot.history) + 1
+    assert "estimates and doubts" in pot.report()
+    assert "acetone with methanol: UNIFAC" in pot.report()
+    pytest.importorskip("matplotlib")
+    pot.plot(tmp_path / "pot.png")
+    assert (tmp_path / "pot.png").read_bytes().startswith(b"\x89PNG")
+    with pytest.raises(ValueError, match=r"must end with \.png"):
+        pot.plot(tmp_path / "pot.gif")
+
+
+def test_an_operation_that_fails_is_not_remembered() -> None:
+    flask = Flask({"water": 1.0})
+    before = flask.history
+    with pytest.raises(ValueError, match="joules"):
+        flask.heat(-1.0)
+    assert flask.history == before
+
+
+# -- what is added ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rdkit") is None, reason="needs the extra chem")
+def test_other_compounds_are_looked_up_once(tmp_path: Path) -> None:
+    pytest.importorskip("ugropy")
+    anisole = Flask.material("anisole")
+    assert anisole.boiling_point_k == pytest.approx(426.8, abs=1.0)
+    assert (tmp_path / "kept" / "anisole.toml").is_file()
+    flask = Flask({"anisole": 1.0, "water": 5.0, "acetone": 1.0})
+    assert flask.amounts["100-66-3"] == 1.0
+    assert [layer.name for layer in flask.layers] == ["aqueous", "organic"]
+    rows = (tmp_path / "kept" / "pairs.csv").read_text(encoding="utf-8").splitlines()
+    assert {tuple(row.split(",")[:2]) for row in rows} == {("acetone", "anisole"), ("anisole", "water")}
+    Flask({"anisole": 2.0, "water": 5.0})
+    assert (tmp_path / "kept" / "pairs.csv").read_text(encoding="utf-8").splitlines() == rows
+    with pytest.raises(ValueError, match="a mixture of hydrocarbons"):
+        Flask.material("petroleum ether")
+
+
+# -- the pages --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "chemist").glob("*.md")), ids=lambda page: page.stem)
+def test_the_pages_show_what_their_code_prints(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib").use("Agg")
+    text = page.read_text(encoding="utf-8")
+    assert script("docs/printed.py").printed(text) == text
+    assert (ROOT / "docs" / "images" / f"{page.stem}.png").stat().st_size < 120_000
