@@ -24,7 +24,7 @@ import chemlab.sandbox
 from chemlab.config.datafile import read_toml
 from chemlab.config.materials import DataError, shipped_materials
 from chemlab.openchem.writing import material_text, pair_text
-from chemlab.physics import laws
+from chemlab.physics import backends as laws
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.sandbox import Flask, SpillWarning
 
