@@ -89,7 +89,7 @@ class SpillWarning(UserWarning):
 
 
 class Heated(NamedTuple):
-    """What became of heat, J."""
+    """Result of a heating step, J."""
 
     taken_j: float
     """went into the flask: less than was offered where it is as hot as the mantle, or nothing is in it"""
@@ -129,7 +129,7 @@ class Moment(NamedTuple):
 
 @dataclass(frozen=True)
 class Layer:
-    """What stands in a flask between two heights."""
+    """One layer of a flask."""
 
     name: str
     """``solids``, ``aqueous``, ``organic``; in the tier ``paper`` the solvent's name"""
@@ -146,7 +146,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Measurement:
-    """What an instrument reads, without noise and sample."""
+    """Reading of an instrument, without noise and sample."""
 
     values: FloatArray
     """[size] in ``unit``"""
@@ -171,7 +171,7 @@ class Measurement:
 
 
 class _Setting(NamedTuple):
-    """What flasks that exchange matter must have in common."""
+    """Settings that flasks must share to exchange matter."""
 
     physics: str
     reactions: str
@@ -348,11 +348,10 @@ def _all_or_nothing(operation: Callable[Concatenate[Flask, P], R]) -> Callable[C
 class Flask:
     """An open flask in a room.
 
-    A flask gets to know a material when it first meets it, by its contents, by :meth:`add` or from another flask; what
-    reactions can make of it comes with it. A new flask has settled, its layers at equilibrium. What comes in later
-    stirs it a little; :meth:`mix` shakes it, which brings the layers to equilibrium again. Crystals of molecules
-    dissolve and grow in time (:meth:`wait`), salts at once. All amounts are in mol, volumes in L, temperatures in K,
-    heats in J.
+    Materials are loaded on first use, together with the products of their reactions. A new flask has settled, its
+    layers at equilibrium. Additions stir it a little; :meth:`mix` shakes it, which brings the layers to equilibrium.
+    Crystals of molecules dissolve and grow in time (:meth:`wait`), salts at once. All amounts are in mol, volumes in
+    L, temperatures in K, heats in J.
 
     Args:
         contents: mol by material, which is named as a chemist does: ``acetone``, ``DCM``, ``CCO``, ``67-64-1``,
@@ -434,7 +433,7 @@ class Flask:
 
     @property
     def history(self) -> tuple[Moment, ...]:
-        """What it was like after each operation, the last 10,000 of them."""
+        """The flask after each of the last 10,000 operations, oldest first."""
         return tuple(self._history)
 
     @property
@@ -495,7 +494,7 @@ class Flask:
 
     @property
     def events(self) -> dict[str, float]:
-        """What has gone wrong so far, by kind of safety event (:data:`chemlab.config.scenario.SAFETY_EVENTS`)."""
+        """Safety events so far, by kind (:data:`chemlab.config.scenario.SAFETY_EVENTS`)."""
         return {kind: float(x) for kind, x in zip(SAFETY_EVENTS, self._events, strict=True) if x > 0.0}
 
     # -- what one does with it ----------------------------------------------------------------------------------------
@@ -752,12 +751,12 @@ class Flask:
 
     @staticmethod
     def known() -> tuple[str, ...]:
-        """Names of everything that flasks can hold without a file of yours."""
+        """Return the names of all chemicals that flasks can hold without files of your own."""
         return tuple(sorted({key for keys in spellings().values() for key in keys}, key=str.lower))
 
     @staticmethod
     def material(name: str) -> Material:
-        """The data of a chemical, with their sources; what no flask knows yet is looked up and kept for later.
+        """Return the data of a chemical with their sources; look up and keep what the catalogue lacks.
 
         Args:
             name: a name, a CAS number or a structure (SMILES).
@@ -819,7 +818,7 @@ class Flask:
         return f'<img alt="The flask" src="data:image/png;base64,{picture}">{text}'
 
     def plot(self, path: str | Path | None = None) -> Any:
-        """Draw its history: temperatures, amounts and compositions, over time, or over heat where no time has passed.
+        """Draw the history: temperatures, amounts and compositions, over time, or over heat if no time has passed.
 
         Args:
             path: file to write the figure to (png, svg, pdf).
@@ -841,7 +840,7 @@ class Flask:
         return figure
 
     def report(self) -> str:
-        """What is in it, what was done with it, and where its data are weak."""
+        """Return the contents, the history, and the data that are estimates, as text."""
         lines = [repr(self), "", f"{'operation':<10} {'s':>8} {'kJ':>8} {'K':>7} {'head K':>7} {'L':>7}"]
         for moment in self._history:
             head = "" if moment.head_temperature_k is None else f"{moment.head_temperature_k:.1f}"
@@ -854,7 +853,7 @@ class Flask:
         return "\n".join([*lines, *(["", "estimates and doubts:", *weak] if weak else [])])
 
     def scene(self) -> Scene:
-        """What its picture shows, as plain data."""
+        """Return the content of its picture as plain data."""
         from .render.scene import vessel_scene
 
         return vessel_scene(self._known.scenario, self._shelf)
@@ -997,7 +996,7 @@ class Flask:
             array[:] = before
 
     def _put_in_molten(self, contents: Mapping[str, float]) -> None:
-        """What is put in above its melting point is a liquid (tier ``real``)."""
+        """Make contents above their melting point liquid (backend ``real``)."""
         layout = self._shelf.layout
         if self._setting.physics != "real":
             return
@@ -1027,7 +1026,7 @@ class Flask:
         other._learn(names)
 
     def _after(self, clock: float = 0.0) -> None:
-        """What follows from an operation: settling or mixing by ``clock``, phases, a word about what ran over."""
+        """Settle or mix by ``clock``, bring phases to equilibrium, and warn of spills."""
         transfer.turn_clock(self._row, float(clock))
         for _ in range(2 if PROTON in self._shelf.layout.materials else 1):  # dissolved bases meet acids
             laws.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)

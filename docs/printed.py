@@ -1,14 +1,7 @@
-<<<<<<< HEAD
 """Write the output of a page's code into the page: ``python docs/printed.py [PAGE ...]``.
 
-A ``text`` block right after a ``python`` block is the output of that block. Tests run the same code and compare
-(tests/test_sandbox.py).
-=======
-"""Put what a page's code prints, and the pictures that it draws, into the pages: ``python docs/printed.py [PAGE ...]``.
-
-A ``text`` block right after a ``python`` block is what that one prints. Pictures go to ``images``. Tests run the same
-code and compare (tests/test_sandbox.py, tests/test_catalogue.py).
->>>>>>> 8be59d5 (Flask knows the everyday catalogue: names, pairs, history, plot, report; six pages for chemists)
+A ``text`` block right after a ``python`` block is the output of that block. Figures that it saves are copied to
+``images``. Tests run the same code and compare (tests/test_sandbox.py, tests/test_catalogue.py).
 """
 
 from __future__ import annotations
@@ -24,14 +17,9 @@ from pathlib import Path
 
 __all__ = ["PAGES", "printed"]
 
-<<<<<<< HEAD
-PAGES = ("sandbox.md",)
-"""Pages of this folder with such blocks."""
-=======
 HERE = Path(__file__).resolve().parent
 PAGES = ("sandbox.md", *(f"chemist/{path.name}" for path in sorted((HERE / "chemist").glob("*.md"))))
-"""Pages of this folder that have such blocks."""
->>>>>>> 8be59d5 (Flask knows the everyday catalogue: names, pairs, history, plot, report; six pages for chemists)
+"""Pages of this folder with such blocks."""
 _BLOCKS = re.compile(r"(?P<code>```python\n(?P<source>(?:(?!```).)*)```\n\n```text\n)(?:(?!```).)*```", re.S)
 _FILES = re.compile(r"```\w+\n# file: (?P<name>\S+)\n(?:(?!```).)*```", re.S)
 
@@ -43,13 +31,8 @@ def _run(source: str) -> str:
     return said.getvalue()
 
 
-<<<<<<< HEAD
-def printed(page: str) -> str:
-    """Return the text of a page with the current output of its code."""
-    return _BLOCKS.sub(lambda found: f"{found['code']}{_run(found['source'])}```", page)
-=======
 def printed(page: str, images: Path | None = None) -> str:
-    """The text of a page, with what its code prints now; pictures that it draws are copied to ``images``."""
+    """Return the text of a page with the current output of its code; copy the figures that it saves to ``images``."""
     before = os.getcwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
@@ -62,7 +45,6 @@ def printed(page: str, images: Path | None = None) -> str:
         finally:
             os.chdir(before)
     return text
->>>>>>> 8be59d5 (Flask knows the everyday catalogue: names, pairs, history, plot, report; six pages for chemists)
 
 
 if __name__ == "__main__":

@@ -228,7 +228,7 @@ def test_liquids_are_as_dense_as_the_other_compilation_says() -> None:
 
 
 def test_azeotropes_are_where_they_were_measured() -> None:
-    """What the page's table says, misses included."""
+    """The page's table, misses included."""
     study: Any = script("studies/physics/azeotropes.py")
     found = list(study.rows())
     missed = {(row.one, row.other) for row in found if not row.met}

@@ -142,7 +142,7 @@ def closest(text: str) -> list[str]:
 
 
 def wrong_cas(text: str) -> bool:
-    """Whether a text has the form of a CAS number, and another check digit."""
+    """Return True for a text in the form of a CAS number with a wrong check digit."""
     if not re.fullmatch(r"\d{2,7}-\d{2}-\d", text.strip()):
         return False
     *digits, check = (int(digit) for digit in text.strip() if digit != "-")

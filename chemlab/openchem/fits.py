@@ -23,8 +23,8 @@ _HALF = [1e-10, 1e-3, 0.01, 0.04, 0.12, 0.25]
 FRACTIONS: Array = np.array([*_HALF, 0.5, *(1.0 - x for x in reversed(_HALF))])
 _ALPHAS = (0.2, 0.3, 0.47, 0.65)
 _WIDEST, _LEAST = 6.0, -8.0
-"""How far ln gamma at infinite dilution may change from 270 to 480 K, and how low it may be: beyond that a form's group
-parameters are outside of the temperatures that they were made for, and the next form is taken."""
+"""Largest change of ln gamma at infinite dilution from 270 to 480 K, and least ln gamma. Beyond either, a form's group
+parameters are extrapolated too far in temperature, and the next form is used."""
 _TRIES = ((1.0, 20.0), (0.1, 20.0), (1.0, 0.0))
 """Weight of high dilution, and of an activity that falls with its mole fraction where there is one liquid."""
 _ENOUGH = 0.1

@@ -18,7 +18,7 @@ _MOST_LINES = 8
 
 
 class Moment(Protocol):
-    """What is drawn of a flask after an operation, see :class:`chemlab.sandbox.Moment`."""
+    """State of a flask after an operation, see :class:`chemlab.sandbox.Moment`."""
 
     @property
     def seconds(self) -> float: ...

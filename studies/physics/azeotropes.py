@@ -1,7 +1,7 @@
 """Azeotropes of the catalogue's pairs at 101.325 kPa against measured ones: ``python studies/physics/azeotropes.py``.
 
-Writes ``azeotropes.csv`` and the table in ``docs/chemist/distillation.md``. The measured values are those that Gmehling
-et al., Azeotropic Data (2004), and the CRC Handbook list, as remembered, not looked up again.
+Writes ``azeotropes.csv`` and the table in ``docs/chemist/distillation.md``. Measured values:
+Gmehling et al., Azeotropic Data (2004), and the CRC Handbook, as remembered, not looked up again.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ HERE = Path(__file__).resolve().parent
 PAGE = HERE.parent.parent / "docs" / "chemist" / "distillation.md"
 ATMOSPHERE_KPA = 101.325
 KELVIN, FRACTION = 1.0, 0.05
-"""How far a boiling point and a mole fraction may be from the measured ones to count as met."""
+"""Tolerances of temperature and mole fraction."""
 
 MEASURED: tuple[tuple[str, str, float, float], ...] = (
     ("ethanol", "water", 351.3, 0.895),
@@ -70,7 +70,7 @@ class Row(NamedTuple):
 
     @property
     def met(self) -> bool:
-        """Whether the model is within the tolerances, or has no azeotrope where there is none."""
+        """True if the model is within the tolerances, or has no azeotrope where none was measured."""
         if math.isnan(self.measured_k):
             return math.isnan(self.model_k)
         return abs(self.model_k - self.measured_k) <= KELVIN and abs(self.model_x - self.measured_x) <= FRACTION
