@@ -913,7 +913,7 @@ class Flask:
             raise DataError(f"{name!r} is a gas, which an open flask does not hold")
         if wrong_cas(name):
             raise DataError(f"{name!r} is no CAS number: its check digit is wrong; correct it, or give a name")
-        near = list(dict.fromkeys([*closest(name), *difflib.get_close_matches(name, known, 3, 0.6)]))[:3]
+        near = list(dict.fromkeys([*difflib.get_close_matches(name, known, 1, 0.9), *closest(name)]))[:3]
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         raise DataError(
             f"unknown material {name!r}; {hint}Flask.known() lists all names; Flask.material({name!r}) looks another "
