@@ -11,7 +11,7 @@ import numpy as np
 from chemlab.config.draws import Draw
 from chemlab.config.reactions import equation
 from chemlab.config.scenario import Scenario
-from chemlab.lab.describe import goal_words, limit_words, wear_words
+from chemlab.lab.describe import goal_words, wear_words
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import position_words
 from chemlab.roles.bench import Bench
@@ -61,7 +61,12 @@ def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[s
 def _manager_lines(labs: Laboratories) -> list[str]:
     spec = labs.scenario
     prices = ", ".join(f"{key} {one.price:g}" for key, one in spec.instruments.items())
-    lines = [*_order_lines(spec), limit_words(spec)]
+    limits, costs = spec.limits, spec.costs
+    lines = [
+        *_order_lines(spec),
+        f"Limits: {limits.manager_actions} actions, {limits.ticks} ticks, {limits.budget:g} for measuring. "
+        f"Costs: a tick {costs.tick:g}, a litre of waste {costs.waste_per_l:g}{_priced(spec)}.",
+    ]
     lines.append(f"Price of a measurement: {prices}." if prices else "There are no instruments.")
     kinds = {bench.key: bench for bench in labs.benches}
     for bench in kinds.values():
@@ -76,17 +81,26 @@ def _manager_lines(labs: Laboratories) -> list[str]:
     return [*lines, *wear_words(spec)]
 
 
+def _priced(spec: Scenario) -> str:
+    """Prices of stock and of safety events, where there are any."""
+    prices = [f"a mol of `{name}` {price:g}" for name, price in spec.costs.stock_per_mol.items() if price]
+    if spec.safety.reward_price:
+        weights = ", ".join(f"{kind} {spec.safety.reward_price * w:g}" for kind, w in spec.safety.weights.items())
+        prices.append(f"safety events: {weights}")
+    return "".join(f", {price}" for price in prices)
+
+
 def _order_lines(spec: Scenario) -> list[str]:
     """Orders and score, with the specifications where there are any."""
-    most = ", ".join(f"`{goal}` {mol:.3g} mol" for goal, mol in spec.theoretical_maximum_mol.items())
+    most = spec.theoretical_maximum_mol
     several = f"{spec.orders} orders, each" if spec.orders > 1 else "One order"
-    wanted = ", ".join(f"`{goal}`" for goal in spec.lab_goals)
-    lines = [f"{several} for {'one of ' if len(spec.lab_goals) > 1 else ''}{wanted}. At most there can be {most}."]
+    wanted = ", ".join(f"`{goal}` (maximum {most.get(goal, 1.0):.3g} mol)" for goal in spec.lab_goals)
+    lines = [f"{several} for {'one of ' if len(spec.lab_goals) > 1 else ''}{wanted}."]
     if spec.demand.order:
         late, short = spec.demand.late, spec.demand.short
         share = f"a late delivery pays {late:g} of its price, one below the least amount or purity {short:g}"
         return [*lines, f"Score: the mean over orders of the price paid ({share}), minus all costs."]
-    lines.append("Score: mol submitted x purity / that maximum (mean over orders), minus all costs.")
+    lines.append("Score: mol submitted x purity / maximum (mean over orders), minus all costs.")
     return lines + goal_words(spec)[3:]
 
 
@@ -110,7 +124,7 @@ def _tokens(words: str, name: Callable[[str], str]) -> str:
 
 
 def _concerns(spec: Scenario, draw: Draw) -> bool:
-    """Whether a draw is about the laboratory, not only about benches on their own."""
+    """True where a draw is about the laboratory, not only about benches on their own."""
     return not draw.of or any(target not in spec.benches for target in draw.of)
 
 
@@ -130,6 +144,7 @@ def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
     change = "" if draw.what in ("identity", "titre") else change
     targets = _ranges([_tokens(one, name) for one in draw.of if one not in spec.benches])
     of = f" of {name(draw.material)}" if draw.material else ""
+    of += f" (rest {name(draw.inert)})" if draw.inert else ""
     told = f", revealed to {', '.join(draw.told)}" if draw.told else ""
     where = f" ({targets})" if targets else ""
     return f"{draw.what}{of}{where}, {change}{kind} {', '.join(parts)}{told}"

@@ -41,6 +41,8 @@ CANARY = "chemlab-transcript canary 5f0e3c7a-91d4-4f0e-8a55-6c1b2d9e7f43: not fo
 
 LONGEST_WAIT_S = 15.0
 _MOST_ARGUMENTS = 64
+_UNNOTICED = 0.03
+"""Largest change of a spectrum that a reply does not repeat it for; ``look`` always shows it as it is."""
 
 
 @dataclass(frozen=True)
@@ -142,6 +144,7 @@ class Room:
             self._views = {seat: RoleText(labs, labs.agents.index(seat), renaming) for seat in self.seats}
             self._verbs = {seat: {verb.name: verb for verb in self._make_verbs(seat)} for seat in self.seats}
             self._shown: dict[str, set[str]] = {seat: set() for seat in self.seats}
+            self._noted: dict[str, Any] = {}
             self._fresh = dict.fromkeys(self.seats, True)
             self._turns = dict.fromkeys(self.seats, 1)
             self._last: dict[str, tuple[int, str, Mapping[str, Any], Reply]] = {}
@@ -205,7 +208,7 @@ class Room:
 
     @property
     def over(self) -> bool:
-        """Whether the episode is over."""
+        """True once the episode is over."""
         return self._over
 
     @property
@@ -407,11 +410,11 @@ class Room:
         return f"{notices} {self._display(agent, whole)}".strip()
 
     def _display(self, agent: str, whole: bool) -> str:
-        """What the seat observes: everything, or the lines that have changed since it was shown something."""
+        """The seat's observation: everything, or the lines that have changed since the last reply."""
         labs = self._labs
         assert labs is not None
         number = labs.agents.index(agent)
-        lines = self._views[agent].lines(labs.observe(number, labs.members)[0])
+        lines = self._views[agent].lines(self._noticed(agent, labs.observe(number, labs.members)[0], whole))
         head, had = f"Turn {self._turns[agent]}", int(labs.turns_had(number)[0])
         if number:
             bench = labs.benches[number - 1]
@@ -428,6 +431,21 @@ class Room:
         else:
             head += f"; {self._current()} has the turn"
         return "\n".join([head, *changed])
+
+    def _noticed(self, agent: str, observation: Any, whole: bool) -> Any:
+        """The observation, with curves as they were last shown where they have changed by next to nothing."""
+        labs = self._labs
+        assert labs is not None
+        last = self._noted.get(agent)
+        if last is not None and not whole:
+            at = 0
+            for channel in labs.role(labs.agents.index(agent)).channels:
+                own = slice(at, at + channel.size)
+                at += channel.size
+                if channel.unit == "absorption" and np.abs(observation[own] - last[own]).max() <= _UNNOTICED:
+                    observation[own] = last[own]
+        self._noted[agent] = observation
+        return observation
 
     def _impossible(self, agent: str, verb: str, mask: Any) -> str:
         """Why an action is refused: what of the verb is possible, and which verbs are."""

@@ -40,7 +40,7 @@ _PURE = 3
 
 
 def named_events(scenario: Scenario, info: Mapping[str, Any]) -> dict[str, float]:
-    """The safety events of an agent's info by kind; only those that happened."""
+    """The safety events of an agent's info by kind, without those of amount 0."""
     amounts = info["events"].tolist()
     return {kind: amount for kind, amount in zip(scenario.safety_events, amounts, strict=True) if amount}
 
@@ -51,7 +51,7 @@ def named_costs(info: Mapping[str, Any]) -> dict[str, float]:
 
 
 def action_words(laboratories: Laboratories, agent: int, action: Any) -> str:
-    """What an action does, in words; of continuous ones, what they change.
+    """An action in words; of a continuous one, its changes.
 
     Args:
         laboratories: the laboratories.
@@ -312,7 +312,7 @@ class RoleText:
         return lines
 
     def _about(self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> str:
-        """What is observed of a slot, a bench, an order or an instrument."""
+        """The observation of a slot, a bench, an order or an instrument."""
         ages = {channel.name for label, channel in channels if label.endswith("age")}
         still = all((value >= 1.0).all() if name in ages else not value.any() for name, value in values.items())
         if subject.startswith("slot_"):
@@ -388,7 +388,7 @@ class RoleText:
 
     @staticmethod
     def _chosen(channel: Channel, values: Mapping[str, npt.NDArray[Any]]) -> str:
-        """What a one-hot channel says; empty where it says nothing."""
+        """The name that a one-hot channel selects; empty where it selects none."""
         own = values[channel.name]
         names = channel.meaning.rpartition(": ")[2].split(", ")
         return names[int(own.argmax())] if own.any() else ""

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from seat_calls import call_for, play_scripted
 
 from chemlab.agents.ledger import read_ledger
 from chemlab.agents.seats import LabTools, Room, ToolError, input_schema
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.lab.engine import Laboratories
 from chemlab.record import verify_record
+from studies.tools.seats import call_for, play_scripted
 
 SALT = "0123456789abcdef0123456789abcdef"
 TWO = ("manager_0", "dit_0")

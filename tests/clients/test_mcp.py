@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from seat_calls import play_scripted
 
 from chemlab.agents.ledger import read_ledger
 from chemlab.agents.seats import Room
+from studies.tools.seats import play_scripted
 
 mcp = pytest.importorskip("mcp", reason="needs mcp (extra mcp)")
 import anyio  # noqa: E402 - comes with it
