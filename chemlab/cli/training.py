@@ -194,7 +194,7 @@ class _Train(TyperCommand):
 
 def _given(values: dict[str, Any], target: str) -> dict[str, Any]:
     """Return the arguments that were given; an old ``--scenario`` says the scenario of an environment id."""
-    flags = {name: value for name, value in values.items() if value not in (None, (), [], False)}
+    flags = {name: value for name, value in values.items() if value is not None and value not in ((), [])}
     return {**flags, "env_id": target} if "scenario" in flags else {**flags, "scenario": target}
 
 

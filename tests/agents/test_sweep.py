@@ -64,7 +64,7 @@ def test_order_and_folders(tmp_path: Path) -> None:
     runs = plan(file, tmp_path / "out")
     cells = [f"Wurtz{b}/{a}" for b in ("Extraction", "Distillation") for a in ("ppo", "dqn")]
     first, second = ([f"{cell}/seed-{seed}" for cell in cells] for seed in (0, 1))
-    last = ["WurtzExtraction/ppo-xl/seed-0", "salt_from_oil-ext/ppo-lab/seed-0"]
+    last = ["WurtzExtraction/ppo-xl/seed-0", "SaltFromOilExtraction/ppo-lab/seed-0"]
     assert [one.name for one in runs] == ["WurtzReaction/ppo/seed-3", *first, *last, *second]
     assert [one.arguments.steps for one in runs[:2]] == [64, 100_000]
     assert runs[-2].arguments.envs == 2, "the file's defaults win over the preset's"
@@ -77,7 +77,7 @@ def test_order_and_folders(tmp_path: Path) -> None:
         ("", r"needs \[\[runs\]\]"),
         ("[[runs]]\nseeds = 0", "seeds: needs a list"),
         ('[[runs]]\nsedes = 3\nalgo = "ppo"', "sedes: unknown argument; did you mean seed"),
-        ('[[runs]]\nalgo = "ppo"\n[[runs]]\nalgo = "ppo"\ngamma = 0.9', "another run above; give this table a name"),
+        ('[[runs]]\nbench = "rxn"\n[[runs]]\nbench = "rxn"\ngamma = 0.9', "another run above; give this table a name"),
         *(
             (f"[[runs]]\nname = {json.dumps(name)}", "a run's folder cannot be called")
             for name in ("../../x", "/tmp/x", "..", ".", "a/b", "a\\b", "x" * 300)
