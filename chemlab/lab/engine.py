@@ -29,7 +29,7 @@ from ..roles import wear
 from ..roles.bench import Bench, Channel, Experiments, Goals, check_discrete, load_observations, load_terms
 from ..roles.instruments.table import InstrumentTable
 from ..roles.kinds import build_bench
-from ..roles.maintenance import begin_drift, drift_numbers, equip, go_astray, repair_numbers
+from ..roles.maintenance import begin_drift, equip, go_astray, maintenance_rules
 from ..roles.manager import (
     BEGUN,
     MEASURED,
@@ -142,7 +142,8 @@ class Laboratories:
         self.worlds = Worlds(spec, self.shelf)
         self.instruments = InstrumentTable(spec, chemistry)
         self.actions = ManagerActions.of(spec)
-        drifting, wearing = len(drift_numbers(spec)), len(repair_numbers(spec))
+        upkeep = maintenance_rules(spec)
+        drifting, wearing = len(upkeep["drift_first"]), len(upkeep["repair_price"])
         numbers_read = int(self.instruments.rules.arrays.start[-1])
         self.table: Table[ManagerState] = Table.empty(
             ManagerState,
@@ -252,6 +253,8 @@ class Laboratories:
         counted = np.array([[name in own for name in layout.materials] for own in among], dtype=np.float64)
         return Rules(
             table=self.actions.table,
+            manager=self.agents.index(MANAGER_AGENT),
+            agent=np.array([self.agents.index(agent) for agent in self.bench_agents], dtype=np.int64),
             slots=spec.shelf.slots,
             first=first,
             positions=positions,
@@ -277,8 +280,7 @@ class Laboratories:
             action_limit=spec.limits.manager_actions,
             tick_limit=spec.limits.ticks,
             largest_capacity=max(capacities),
-            drift=drift_numbers(spec),
-            repair=repair_numbers(spec),
+            **maintenance_rules(spec),
             drifting=np.array([self.actions.instruments.index(name) for name in self.actions.drifting], dtype=np.int64),
             wearing=np.array([self.bench_agents.index(agent) for agent in self.actions.wearing], dtype=np.int64),
             least_purity=np.array([wanted.get(goal, OrderSpec()).purity_at_least for goal in spec.goals]),
@@ -470,7 +472,7 @@ class Laboratories:
         episode is over."""
         if out is None:
             out = np.empty((len(self.agents), len(members)), dtype=np.bool_)
-        turns(members, self.table.handle, out)
+        turns(members, self.table.handle, self.rules.handle, out)
         return out
 
     def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:

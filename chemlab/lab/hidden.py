@@ -111,12 +111,11 @@ def _put_contents(
 ) -> None:
     """Exchange the ``mol`` [C] of the files for what was drawn of them: ``contents`` [C, 7], ``values`` [N, K]."""
     arrays, volume = opened(ShelfArrays, shelf), opened(Chemistry, chemistry[0]).molar_volume
-    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
     for i in range(members.shape[0]):
         n = members[i]
         for c in range(contents.shape[0]):
-            row, material, inert = arrays.rows[n * vessels + contents[c, _POSITION]], contents[c, _MATERIAL], -1
-            litres, share, real = mol[c] * volume[material], 1.0, material
+            row, material = arrays.rows[n * arrays.vessels + contents[c, _POSITION]], contents[c, _MATERIAL]
+            litres, share, real, inert = mol[c] * volume[material], 1.0, material, -1
             if contents[c, _IDENTITY] >= 0:
                 real = int(values[n, contents[c, _IDENTITY]])
             if contents[c, _TITRE] >= 0:
@@ -152,11 +151,10 @@ def _rest_all(
 ) -> None:
     """Let the first ``slots`` vessels of each laboratory come to rest in its own world."""
     arrays = opened(ShelfArrays, shelf)
-    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
     for i in range(members.shape[0]):
         n = members[i]
         for s in range(slots):
-            rest_on_shelf(arrays.rows[n * vessels + s], chemistry[arrays.variant[n]], waste, events, work)
+            rest_on_shelf(arrays.rows[n * arrays.vessels + s], chemistry[arrays.variant[n]], waste, events, work)
 
 
 class Worlds:

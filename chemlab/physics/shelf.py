@@ -49,6 +49,8 @@ class ShelfArrays(NamedTuple):
     """[N, M] mol discarded, vented or spilled"""
     variant: Annotated[IntArray, Field("N")]
     """[N] index of the laboratory's world"""
+    vessels: Annotated[int, Field("", kept=False)]
+    """vessel positions of a laboratory"""
 
 
 class Shelf:
@@ -63,7 +65,7 @@ class Shelf:
         layout = chemistry.layout
         self.chemistry = chemistry
         sizes = {"N": laboratories, "R": laboratories * vessels, "W": layout.width, "M": len(layout.materials)}
-        self.table = Table.empty(ShelfArrays, **sizes)
+        self.table = Table(Table.empty(ShelfArrays, **sizes).arrays._replace(vessels=vessels))
 
     @classmethod
     def empty(cls, scenario: Scenario, laboratories: int, vessels: int) -> Shelf:

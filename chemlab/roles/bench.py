@@ -227,8 +227,12 @@ class BenchRules(NamedTuple):
     step_limit: Annotated[int, Field("")]
     auxiliary_capacity: Annotated[float, Field("")]
     """L, of the clean vessels it provides"""
-    wear: Annotated[FloatArray, Field("5")]
-    """[5] how it wears: actuator, gain, spread, drift, life (see :class:`chemlab.config.scenario.WearSpec`)"""
+    wear_actuator: Annotated[int, Field("")]
+    """STIR or HEAT; how it degrades, with the four below: see :class:`chemlab.config.scenario.WearSpec`"""
+    wear_gain: Annotated[float, Field("")]
+    wear_spread: Annotated[float, Field("")]
+    wear_drift: Annotated[float, Field("")]
+    wear_life: Annotated[float, Field("")]
     work: Annotated[FloatArray, Field("A B")]
     """scratch of the bench's kernels, which allocate nothing"""
 
@@ -453,7 +457,11 @@ class Bench(ABC):
             "illegal_price": scenario.costs.illegal_action,
             "step_limit": self.step_limit,
             "auxiliary_capacity": self.auxiliary_capacity_l,
-            "wear": np.array([(STIR, HEAT)[wear.actuator == "heat"], wear.gain, wear.spread, wear.drift, wear.life]),
+            "wear_actuator": HEAT if wear.actuator == "heat" else STIR,
+            "wear_gain": wear.gain,
+            "wear_spread": wear.spread,
+            "wear_drift": wear.drift,
+            "wear_life": wear.life,
             "work": np.zeros(
                 np.maximum((columns + 9, max(columns + 1, len(WAVELENGTHS_NM))), work_size(self.chemistry))
             ),

@@ -7,12 +7,13 @@ on the use of another. Only scenarios that declare ``wear`` of a bench or ``drif
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ..config.scenario import DriftSpec, Scenario, WearSpec
-from ..kernels.arrays import FloatArray, Handle, IntArray
+from ..kernels.arrays import Handle, IntArray
 from ..kernels.jit import inner, kernel, opened
 from ..kernels.rng import normal
 from ..kernels.tables import Table
@@ -27,33 +28,30 @@ if TYPE_CHECKING:
 __all__ = [
     "begin_drift",
     "calibrate",
-    "drift_numbers",
     "equip",
     "go_astray",
-    "repair_numbers",
+    "maintenance_rules",
     "send_fitter",
     "under_repair",
     "usable",
 ]
 
-_FIRST, _WALK, _TREND, _PRICE, _ERROR = range(5)
-_COST, _TICKS = range(2)
 
-
-def drift_numbers(scenario: Scenario) -> FloatArray:
-    """[I, 5] of each instrument first, walk, trend, price and error; nobody's, where none drifts."""
-    if not any(spec.drift is not None for spec in scenario.instruments.values()):
-        return np.zeros((0, 5))
-    drifts = [spec.drift or DriftSpec() for spec in scenario.instruments.values()]
-    return np.array([(one.first, one.walk, one.trend, one.price, one.error) for one in drifts])
-
-
-def repair_numbers(scenario: Scenario) -> FloatArray:
-    """[B, 2] of each bench price and ticks of a repair; nobody's, where none wears."""
-    specs = [bench.wear for bench in scenario.benches.values() for _ in range(bench.count)]
-    if all(spec is None for spec in specs):
-        return np.zeros((0, 2))
-    return np.array([(one.repair_price, one.repair_ticks) for one in (spec or WearSpec() for spec in specs)])
+def maintenance_rules(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
+    """Rules of drift [I] and repair [B], by field of :class:`~.manager_state.Rules`; empty where there is none."""
+    drifts = [spec.drift for spec in scenario.instruments.values()]
+    wears = [bench.wear for bench in scenario.benches.values() for _ in range(bench.count)]
+    drifting = [one or DriftSpec() for one in drifts] if any(drifts) else []
+    wearing = [one or WearSpec() for one in wears] if any(wears) else []
+    return {
+        "drift_first": np.array([one.first for one in drifting]),
+        "drift_walk": np.array([one.walk for one in drifting]),
+        "drift_trend": np.array([one.trend for one in drifting]),
+        "calibration_price": np.array([one.price for one in drifting]),
+        "calibration_error": np.array([one.error for one in drifting]),
+        "repair_price": np.array([one.repair_price for one in wearing]),
+        "repair_ticks": np.array([one.repair_ticks for one in wearing], dtype=np.int64),
+    }
 
 
 def equip(bench: Bench, experiments: Experiments, members: IntArray, worlds: Worlds, device: int, name: str) -> None:
@@ -84,9 +82,9 @@ def _draw_biases(members: IntArray, manager: Handle, scenario: Handle) -> None:
     for b in range(members.shape[0]):
         n = members[b]
         for i in range(state.trend.shape[1]):
-            state.trend[n, i] = rules.drift[i, _TREND]
+            state.trend[n, i] = rules.drift_trend[i]
             for r in range(rules.reading_start[i], rules.reading_start[i + 1]):
-                state.bias[n, r] = rules.drift[i, _FIRST] * normal(state.drift_stream[n, i : i + 1])
+                state.bias[n, r] = rules.drift_first[i] * normal(state.drift_stream[n, i : i + 1])
 
 
 def begin_drift(
@@ -125,18 +123,18 @@ def go_astray(members: IntArray, used: IntArray, manager: Handle, scenario: Hand
         state.since[n, i] = state.ticks[n]
         for r in range(rules.reading_start[i], rules.reading_start[i + 1]):
             state.bias[n, r] += state.trend[n, i] * ticks
-            if rules.drift[i, _WALK] > 0.0:
-                state.bias[n, r] += rules.drift[i, _WALK] * math.sqrt(ticks) * normal(state.drift_stream[n, i : i + 1])
+            if rules.drift_walk[i] > 0.0:
+                state.bias[n, r] += rules.drift_walk[i] * math.sqrt(ticks) * normal(state.drift_stream[n, i : i + 1])
 
 
 @inner
 def calibrate(n: int, i: int, state: ManagerState, rules: Rules) -> None:
     """Set instrument ``i`` right, as well as it can be, and charge it."""
     for r in range(rules.reading_start[i], rules.reading_start[i + 1]):
-        state.bias[n, r] = rules.drift[i, _ERROR] * normal(state.drift_stream[n, i : i + 1])
+        state.bias[n, r] = rules.calibration_error[i] * normal(state.drift_stream[n, i : i + 1])
     state.since[n, i] = state.ticks[n]
     state.calibrated[n, i] = state.ticks[n]
-    state.charges[n, INSTRUMENTS] += rules.drift[i, _PRICE]
+    state.charges[n, INSTRUMENTS] += rules.calibration_price[i]
 
 
 @inner
@@ -159,5 +157,5 @@ def under_repair(n: int, state: ManagerState) -> bool:
 @inner
 def send_fitter(n: int, b: int, state: ManagerState, rules: Rules) -> None:
     """Have bench ``b`` repaired, and pay for it."""
-    state.ready[n, b] = state.ticks[n] + int(rules.repair[b, _TICKS])
-    state.charges[n, TIME] += rules.repair[b, _COST]
+    state.ready[n, b] = state.ticks[n] + rules.repair_ticks[b]
+    state.charges[n, TIME] += rules.repair_price[b]

@@ -13,7 +13,18 @@ from ..physics.surroundings import Surroundings
 from ..physics.transfer import clear, move, remove_fraction, spill, volume
 from .bench import ExperimentState, goal_amount, weighted_amount
 from .maintenance import calibrate, send_fitter, under_repair, usable
-from .manager_actions import CALIBRATE, DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT
+from .manager_actions import (
+    CALIBRATE,
+    DISCARD,
+    FIRST,
+    KIND,
+    MEASURE,
+    RECALL,
+    REPAIR,
+    SECOND,
+    START,
+    SUBMIT,
+)
 from .manager_state import (
     ARRIVES,
     CLOSED,
@@ -55,18 +66,8 @@ __all__ = [
 BEGUN, RECALLED, OVER, MEASURED, REPAIRED = 1, 2, 4, 8, 16
 """What a turn led to: an experiment begun, one recalled, an episode over, a vessel to be measured, a bench repaired."""
 
-
-_CALIBRATION = 3
-"""Column of ``Rules.drift`` with the price."""
-
 _RTOL, _ATOL = 1e-3, 1e-6
 """Error tolerances of reactions on the shelf: those that a reaction bench has by default (relative; mol/L)."""
-
-
-@inner
-def _first_row(n: int, shelf: ShelfArrays) -> int:
-    """Row of a laboratory's first vessel."""
-    return int(n * (shelf.rows.shape[0] // shelf.stock.shape[0]))
 
 
 @inner
@@ -85,8 +86,8 @@ def _count_slots(n: int, base: int, state: ManagerState, rules: Rules, shelf: Sh
 def _allowed(
     n: int, a: int, slots: tuple[int, int], any_busy: bool, state: ManagerState, rules: Rules, shelf: ShelfArrays
 ) -> bool:
-    kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
-    base = _first_row(n, shelf)
+    kind, x, y = rules.table[a, KIND], rules.table[a, FIRST], rules.table[a, SECOND]
+    base = n * shelf.vessels
     if kind == START:
         free = slots[0] >= rules.positions[x] - 1
         return not state.busy[x, n] and shelf.rows[base + y, PRESENT] > 0.0 and free and usable(n, x, state)
@@ -100,7 +101,7 @@ def _allowed(
     if kind == RECALL:
         return bool(state.busy[x, n])
     if kind == CALIBRATE:
-        return bool(state.charges[n, INSTRUMENTS] + rules.drift[x, _CALIBRATION] <= rules.budget + 1e-12)
+        return bool(state.charges[n, INSTRUMENTS] + rules.calibration_price[x] <= rules.budget + 1e-12)
     if kind == REPAIR:
         return not state.busy[x, n] and bool(state.ready[n, x] <= state.ticks[n])
     return any_busy or under_repair(n, state) or _expects(n, state)
@@ -137,7 +138,7 @@ def _is_closed(n: int, state: ManagerState, rules: Rules) -> bool:
 @inner
 def _differ(action: IntArray, other: IntArray) -> bool:
     """Whether two rows of the table differ in what :func:`_allowed` depends on."""
-    return bool(action[0] != other[0] or action[1] != other[1] or action[2] != other[2])
+    return bool(action[KIND] != other[KIND] or action[FIRST] != other[FIRST] or action[SECOND] != other[SECOND])
 
 
 @helper
@@ -154,7 +155,7 @@ def manager_mask(members: IntArray, manager: Handle, scenario: Handle, shelf: Ha
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]
-        slots = _count_slots(n, _first_row(n, arrays), state, rules, arrays)
+        slots = _count_slots(n, n * arrays.vessels, state, rules, arrays)
         any_busy = _any_busy(n, state.busy)
         before, allowed = 0, False
         for a in range(rules.table.shape[0]):
@@ -186,7 +187,7 @@ def _forget(n: int, s: int, state: ManagerState) -> None:
 @inner
 def _start(n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays) -> None:
     """Bring the vessel of slot ``y`` to bench ``x``, and keep slots for what will come back."""
-    base = _first_row(n, shelf)
+    base = n * shelf.vessels
     move(shelf.rows[base + y], shelf.rows[base + rules.first[x]])
     _forget(n, y, state)  # what comes back is not what was measured
     state.origin[n, x] = y
@@ -227,7 +228,7 @@ def _submit(
 ) -> None:
     """Fill order ``y`` with the vessel of slot ``x``; the episode is over once no other order can be met, or where
     nothing is left to meet one with (``last``)."""
-    row, goal = shelf.rows[_first_row(n, shelf) + x], state.goal[n, y]
+    row, goal = shelf.rows[n * shelf.vessels + x], state.goal[n, y]
     amount = goal_amount(row, rules.parts[goal])
     total = weighted_amount(row, rules.counts[goal])
     purity = amount / total if total > 0.0 else 0.0
@@ -236,9 +237,10 @@ def _submit(
     state.filled[n, y] = True
     if state.terms.shape[1] > 0:
         state.paid[n, y] = _payment(n, y, state, rules)
-        state.rewards[0, n] += rules.share * state.paid[n, y] / state.goal.shape[1]
+        state.rewards[rules.manager, n] += rules.share * state.paid[n, y] / state.goal.shape[1]
     elif amount >= rules.least_amount[goal] and purity >= rules.least_purity[goal]:
-        state.rewards[0, n] += rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1]
+        earned = rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1]
+        state.rewards[rules.manager, n] += earned
     if last or _is_closed(n, state, rules):
         state.status[n] = CLOSED
     else:
@@ -248,7 +250,7 @@ def _submit(
 @inner
 def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> None:
     """A tick passes for the vessels that nobody works on; what flies counts among the episode's events."""
-    base = _first_row(n, shelf)
+    base = n * shelf.vessels
     for s in range(rules.slots):
         row = shelf.rows[base + s]
         if row[PRESENT] > 0.0 and elapse(row, 1.0, chem, shelf.waste[n], state.safety_totals[n], rules.work):
@@ -305,12 +307,12 @@ def manager_act(
     flags = 0
     for i in range(members.shape[0]):
         n, a = members[i], actions[i]
-        base, chem = _first_row(n, arrays), chemistry[arrays.variant[n]]
+        base, chem = n * arrays.vessels, chemistry[arrays.variant[n]]
         state.begun[n], state.recalled[n], state.measured[n] = -1, -1, -1
         state.actions[n] += 1
         slots, any_busy = _count_slots(n, base, state, rules, arrays), _any_busy(n, state.busy)
         state.illegal[n] = not _allowed(n, a, slots, any_busy, state, rules, arrays)
-        kind, x, y = rules.table[a, 0], rules.table[a, 1], rules.table[a, 2]
+        kind, x, y = rules.table[a, KIND], rules.table[a, FIRST], rules.table[a, SECOND]
         if state.illegal[n]:
             state.charges[n, ILLEGAL] += rules.illegal_price
         elif kind == START:
@@ -359,7 +361,7 @@ def return_vessels(
     events = opened(ExperimentState, experiment).events
     for i in range(members.shape[0]):
         n = members[i]
-        base, chem = _first_row(n, arrays), chemistry[arrays.variant[n]]
+        base, chem = n * arrays.vessels, chemistry[arrays.variant[n]]
         for p in range(rules.positions[b]):
             row = arrays.rows[base + rules.first[b] + p]
             slot = state.origin[n, b]
@@ -396,16 +398,17 @@ def open_turn(members: IntArray, manager: Handle) -> None:
 
 
 @kernel
-def turns(members: IntArray, manager: Handle, out: BoolArray) -> None:
+def turns(members: IntArray, manager: Handle, scenario: Handle, out: BoolArray) -> None:
     """Write into ``out`` [agents, B] who plays in the laboratories' next round: the manager, or every busy bench that
     has not had its turn in this tick."""
-    state = opened(ManagerState, manager)
+    state, rules = opened(ManagerState, manager), opened(Rules, scenario)
     for i in range(members.shape[0]):
         n = members[i]
         running = state.status[n] == RUNNING
-        out[0, i] = running and state.cursor[n] == MANAGER
+        out[rules.manager, i] = running and state.cursor[n] == MANAGER
         for b in range(state.busy.shape[0]):
-            out[b + 1, i] = running and state.cursor[n] != MANAGER and b >= state.cursor[n] and state.busy[b, n]
+            ticking = running and state.cursor[n] != MANAGER
+            out[rules.agent[b], i] = ticking and b >= state.cursor[n] and state.busy[b, n]
 
 
 @kernel
@@ -420,7 +423,7 @@ def charge_events(
         n = members[i]
         for k in range(own.events.shape[1]):
             state.safety_totals[n, k] += own.events[n, k]
-        state.charges[n, SAFETY] += rules.event_price * state.cost[b + 1, n]
+        state.charges[n, SAFETY] += rules.event_price * state.cost[rules.agent[b], n]
         if own.ended[n]:
             state.finished[n] = True
             which[count] = n
@@ -466,7 +469,7 @@ def age_on_shelf(
     stiff = -1
     for i in range(members.shape[0]):
         n = members[i]
-        base, chem = _first_row(n, arrays), chemistry[arrays.variant[n]]
+        base, chem = n * arrays.vessels, chemistry[arrays.variant[n]]
         time = dt * (state.ticks[n] - since[i])
         for s in range(rules.slots):
             row = arrays.rows[base + s]

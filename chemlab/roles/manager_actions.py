@@ -16,10 +16,15 @@ from ..kernels.arrays import IntArray
 __all__ = [
     "CALIBRATE",
     "DISCARD",
+    "FIRST",
+    "GOAL",
+    "GRADE",
+    "KIND",
     "KINDS",
     "MEASURE",
     "RECALL",
     "REPAIR",
+    "SECOND",
     "START",
     "SUBMIT",
     "WAIT",
@@ -28,6 +33,8 @@ __all__ = [
 
 START, MEASURE, DISCARD, SUBMIT, RECALL, WAIT, CALIBRATE, REPAIR = range(8)
 KINDS = ("start", "measure", "discard", "submit", "recall", "wait", "calibrate", "repair")
+KIND, FIRST, SECOND, GOAL, GRADE = range(5)
+"""Columns of :attr:`ManagerActions.table`; FIRST and SECOND are the arguments that an action of any kind may have."""
 
 
 @dataclass(frozen=True)

@@ -138,7 +138,11 @@ class Rules(NamedTuple):
     instruments."""
 
     table: Annotated[IntArray, Field("A 5")]
-    """[A, 5] the manager's actions"""
+    """[A, 5] the manager's actions: see :class:`~chemlab.roles.manager_actions.ManagerActions`"""
+    manager: Annotated[int, Field("")]
+    """index of the manager among the agents"""
+    agent: Annotated[IntArray, Field("B")]
+    """[B] index of each bench's agent among the agents"""
     slots: Annotated[int, Field("")]
     first: Annotated[IntArray, Field("B")]
     """[B] first vessel position of each bench"""
@@ -181,11 +185,16 @@ class Rules(NamedTuple):
     tick_limit: Annotated[int, Field("")]
     largest_capacity: Annotated[float, Field("")]
     """L"""
-    drift: Annotated[FloatArray, Field("D 5")]
-    """[D, 5] how instruments drift: first, walk, trend, price, error (see
-    :class:`chemlab.config.scenario.DriftSpec`)"""
-    repair: Annotated[FloatArray, Field("W 2")]
-    """[W, 2] price of a repair, and the ticks it takes"""
+    drift_first: Annotated[FloatArray, Field("D")]
+    """[D] how instruments drift, this and the four below: see :class:`chemlab.config.scenario.DriftSpec`"""
+    drift_walk: Annotated[FloatArray, Field("D")]
+    drift_trend: Annotated[FloatArray, Field("D")]
+    calibration_price: Annotated[FloatArray, Field("D")]
+    calibration_error: Annotated[FloatArray, Field("D")]
+    repair_price: Annotated[FloatArray, Field("W")]
+    """[W] score for a repair"""
+    repair_ticks: Annotated[IntArray, Field("W")]
+    """[W] ticks that it takes"""
     drifting: Annotated[IntArray, Field("d")]
     """[d] instruments that drift, and benches that wear [w]"""
     wearing: Annotated[IntArray, Field("w")]

@@ -53,7 +53,7 @@ def _vessel_channels(slot: str, scenario: Scenario, positions: int, largest_capa
 def _write_vessel(
     out: ObservationArray, at: int, n: int, s: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle
 ) -> int:
-    row = shelf.rows[n * (shelf.rows.shape[0] // shelf.stock.shape[0]) + s]
+    row = shelf.rows[n * shelf.vessels + s]
     if row[PRESENT] > 0.0:
         out[at] = 1.0
         fill = volume(row, chem) / row[CAPACITY]

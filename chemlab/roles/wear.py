@@ -11,32 +11,31 @@ from .bench import Bench, BenchRules, Experiments, ExperimentState
 
 __all__ = ["LEAST_GAIN", "MOST_GAIN", "renew", "wear_out"]
 
-_ACTUATOR, _GAIN, _SPREAD, _DRIFT, _LIFE = range(5)
 LEAST_GAIN, MOST_GAIN = 0.01, 100.0
 """Bounds of a drifting gain."""
 
 
 @kernel
 def _renew(members: IntArray, experiment: Handle, bench: Handle) -> None:
-    state, wear = opened(ExperimentState, experiment), opened(BenchRules, bench).wear
+    state, rules = opened(ExperimentState, experiment), opened(BenchRules, bench)
     for b in range(members.shape[0]):
         m = members[b]
         stream = state.wear_stream[m]
-        gain = wear[_GAIN] * math.exp(wear[_SPREAD] * normal(stream))
-        state.gain[m, int(wear[_ACTUATOR])] = min(max(gain, LEAST_GAIN), MOST_GAIN)
+        gain = rules.wear_gain * math.exp(rules.wear_spread * normal(stream))
+        state.gain[m, rules.wear_actuator] = min(max(gain, LEAST_GAIN), MOST_GAIN)
         span = -math.log(1.0 - uniform(stream))
-        state.life[m] = wear[_LIFE] * span if wear[_LIFE] > 0.0 else math.inf
+        state.life[m] = rules.wear_life * span if rules.wear_life > 0.0 else math.inf
         state.broken[m] = False
 
 
 @kernel
 def _wear_out(members: IntArray, experiment: Handle, bench: Handle) -> None:
-    state, wear = opened(ExperimentState, experiment), opened(BenchRules, bench).wear
-    k = int(wear[_ACTUATOR])
+    state, rules = opened(ExperimentState, experiment), opened(BenchRules, bench)
+    k = rules.wear_actuator
     for b in range(members.shape[0]):
         m = members[b]
-        if wear[_DRIFT] > 0.0:
-            gain = state.gain[m, k] * math.exp(wear[_DRIFT] * normal(state.wear_stream[m]))
+        if rules.wear_drift > 0.0:
+            gain = state.gain[m, k] * math.exp(rules.wear_drift * normal(state.wear_stream[m]))
             state.gain[m, k] = min(max(gain, LEAST_GAIN), MOST_GAIN)
         state.life[m] -= 1.0
         if state.life[m] <= 0.0:

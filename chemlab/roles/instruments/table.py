@@ -84,10 +84,9 @@ def _take(
     The sample is consumed. Readings of user-defined instruments have been taken already.
     """
     rules, arrays = opened(InstrumentRules, instruments), opened(ShelfArrays, shelf)
-    vessels = arrays.rows.shape[0] // arrays.stock.shape[0]
     for b in range(members.shape[0]):
         m, i = members[b], used[b]
-        chem, row = chemistry[arrays.variant[m]], arrays.rows[m * vessels + slots[b]]
+        chem, row = chemistry[arrays.variant[m]], arrays.rows[m * arrays.vessels + slots[b]]
         out = readings[m, slots[b], rules.start[i] : rules.start[i + 1]]
         _read(rules.kind[i], _reading(i, row, stream[m], out, rules), chem)
         if rules.sample[i] > 0.0:
