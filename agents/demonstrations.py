@@ -126,8 +126,7 @@ class _Splitter:
 
     def _begin(self, agent: str, number: int, tick: int) -> None:
         labs = self._labs
-        goal = labs.scenario.goals[int(labs.experiments[number - 1].goal[0])] if number else ""
-        self._open[agent] = self._latest[agent] = Demonstration(agent, goal, tick)
+        self._open[agent] = self._latest[agent] = Demonstration(agent, labs.roles[number].goal(0), tick)
         self.found[agent].append(self._open[agent])
         self._turn_at.pop(agent, None)
         self._pending_cost.pop(agent, None)
@@ -265,7 +264,7 @@ def _environment(scenario: Scenario, agent: str, labs: Laboratories) -> EnvSpec:
     spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v0" if manager else "chemlab/Bench-v0"))
     spec.kwargs["scenario"] = plain_scenario(scenario)
     if not manager:
-        spec.kwargs["bench"] = labs.role(labs.agents.index(agent)).key
+        spec.kwargs["bench"] = labs.roles[labs.agents.index(agent)].key
     return spec
 
 

@@ -272,8 +272,9 @@ class HumanPolicy:
         before: Callable[[], None] | None = None,
     ) -> None:
         self._labs, self._number = laboratories, number
+        self._manages = number == laboratories.manager.index
         self._ask, self._console, self._before = ask, console or Console(), before
-        self._role = laboratories.role(number)
+        self._role = laboratories.roles[number].workplace
         self._slices = channel_slices(self._role.channels)
         self._shades = LetterShades(laboratories.scenario)
         self._text = RoleText(laboratories, number)
@@ -372,9 +373,9 @@ class HumanPolicy:
     def _choose(self, mask: npt.NDArray[np.int8]) -> int:
         """A legal discrete action."""
         labs, meanings = self._labs, list(self._role.action_meanings)
-        paths = _manager_paths(labs) if self._number == 0 else [_bench_path(meaning) for meaning in meanings]
+        paths = _manager_paths(labs) if self._manages else [_bench_path(meaning) for meaning in meanings]
         menu = Menu(meanings, paths, np.flatnonzero(mask).tolist())
-        repeat = int(self._last) if self._number > 0 and self._last is not None and mask[int(self._last)] else None
+        repeat = int(self._last) if not self._manages and self._last is not None and mask[int(self._last)] else None
         fresh = True
         while True:
             if fresh:
@@ -426,7 +427,7 @@ class HumanPolicy:
         scenario = self._labs.scenario
         lines = [f"{scenario.title}: {scenario.summary}"]
         reagents = getattr(self._role, "reagent_names", ())
-        if self._number == 0:
+        if self._manages:
             worth = scenario.theoretical_maximum_mol
             goals = ", ".join(f"{goal} ({worth[goal]:g} mol at best)" for goal in scenario.lab_goals if goal in worth)
             prices = [f"{name} {spec.price:g}" for name, spec in scenario.instruments.items()]

@@ -258,7 +258,7 @@ def _probability(name: str, text: str) -> float:
 def agent_policy(
     name: str, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None = None, deep: int = 0
 ) -> Policy:
-    """A policy by name (see :func:`make_policies`) for agent ``number`` of a laboratory (0 is the manager).
+    """A policy by name (see :func:`make_policies`) for agent ``number`` of a laboratory.
 
     Args:
         name, laboratories, number, seed: whose policy it is.
@@ -270,14 +270,15 @@ def agent_policy(
     if deep > _DEEPEST:
         raise ValueError(f"policy: {name}: more than {_DEEPEST} runs, each in the background of the one before")
     name = current_name(name)
-    agent, role = laboratories.agents[number], laboratories.role(number)
+    agent, role = laboratories.agents[number], laboratories.roles[number].workplace
+    operates = isinstance(role, Bench)
     own = _name_for(name, agent, laboratories.agents)
     steady, at, share = own.rpartition("@")
     if at and not is_saved(own):
         policy = agent_policy(steady, laboratories, number, seed, deep)
         return LapsingPolicy(policy, _probability(own, share), _size(laboratories.action_space(number)), seed)
     if own == "plan" or own.startswith("plan:"):
-        if number == 0:
+        if not operates:
             operators = name.split(",")[0].partition("@")[0]
             return plan_for(laboratories, own[5:] or ("scripted" if operators == "plan" else operators))
         own = "scripted"
@@ -296,14 +297,14 @@ def agent_policy(
             raise ValueError(f"{own}: background of this run: {error}" if deep == 0 else str(error)) from error
     if own == "random":
         return RandomPolicy(_size(laboratories.action_space(number)), seed)
-    if own == "trained" and number > 0:
+    if own == "trained" and operates:
         return agent_policy(_partners(laboratories), laboratories, number, seed, deep + 1)
-    if own == "trained" or (own in ("pretrained", "pretrained-isolated") and number > 0):
+    if own == "trained" or (own in ("pretrained", "pretrained-isolated") and operates):
         found = pretrained_for(role, laboratory=True, alone=own == "pretrained-isolated")
         return _as_trained(found, laboratories, number, seed, deep)
     careful = own != "scripted:unsafe"
-    if number > 0:
-        return scripted_bench(laboratories.benches[number - 1], careful, seed)
+    if isinstance(role, Bench):
+        return scripted_bench(role, careful, seed)
     benches = laboratories.scenario.benches
     washing = [key for key, bench in benches.items() if bench.kind == "extraction"]
     skip = washing if own == "scripted:no-extraction" else []
@@ -324,7 +325,7 @@ def _as_trained(
 def _partners(laboratories: Laboratories) -> str:
     """Return the background of the bundled manager of a laboratory; ``pretrained`` without one."""
     try:
-        return pretrained_for(laboratories.role(0), laboratory=True).card.background or "scripted"
+        return pretrained_for(laboratories.manager.workplace, laboratory=True).card.background or "scripted"
     except ValueError:
         return "pretrained"
 

@@ -31,7 +31,7 @@ from chemlab.config.loading import shipped_file
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Memory, Policy
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.lab.engine import ManagerRole
+from chemlab.roles.base import Workplace
 from chemlab.roles.bench import Bench
 from chemlab.roles.kinds import discretised_twin
 
@@ -61,9 +61,6 @@ _MOST_LAYERS = 32
 
 LSTM = {"lstm.weight_ih": ("4H", "O"), "lstm.weight_hh": ("4H", "H"), "lstm.bias": ("4H",)}
 """Weights of a memory of H numbers that sees O: shape by name."""
-
-Workplace = Bench | ManagerRole
-"""What a policy operates: a bench, or a laboratory as its manager has it (:meth:`Laboratories.role`)."""
 
 
 def interface(workplace: Workplace) -> dict[str, Any]:

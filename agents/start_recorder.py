@@ -76,7 +76,7 @@ def record_starts(
         }
     )
     env = raw_env(every_goal)
-    labs, manager = env.laboratories, env.possible_agents[0]
+    labs, manager = env.laboratories, env.laboratories.manager.name
     found: dict[str, list[Start]] = {key: [] for key in (*scenario.benches, SUBMIT)}
     washing = {key for key, bench in scenario.benches.items() if bench.kind == "extraction"}
     ways = [scripted_manager(labs), scripted_manager(labs, skip=washing), scripted_manager(labs, careful=False)]

@@ -45,7 +45,7 @@ def improvement(process: GaussianProcessRegressor, best: float) -> FloatArray:
 
 def purity(labs: Laboratories, slot: int) -> float:
     """Return the purity of a vessel from a paid chromatogram."""
-    labs.act(0, labs.members, np.array([labs.actions.encode("measure", slot, INSTRUMENT)]))
+    labs.act(labs.manager.index, labs.members, np.array([labs.actions.encode("measure", slot, INSTRUMENT)]))
     names = labs.instruments.analytes[labs.instruments.names.index(INSTRUMENT)]
     amounts = np.maximum(labs.state.reading[0, slot, : len(names)], 0.0)
     return float(amounts[names.index(GOAL)] / max(amounts.sum(), 1e-9))
@@ -70,7 +70,7 @@ def campaign(seed: int, first: int) -> float:
         if not last:
             tried.append(first)
             read.append(purity(labs, batch))
-        labs.act(0, labs.members, np.array([labs.actions.encode("submit", batch, batch)]))
+        labs.act(labs.manager.index, labs.members, np.array([labs.actions.encode("submit", batch, batch)]))
     return float(labs.result(labs.members)[0])
 
 

@@ -374,9 +374,9 @@ def test_descriptions_are_for_people(name: str) -> None:
         lines = done.stdout.splitlines()
         assert max(map(len, lines)) <= 80
         joined = " ".join(done.stdout.split())
-        for action, meaning in enumerate(labs.role(number).action_meanings):
+        for action, meaning in enumerate(labs.roles[number].action_meanings):
             assert f" {action} {meaning}" in joined
-        assert all(re.sub(r"slot_\d+", "slot_s", channel.name) in joined for channel in labs.role(number).channels[:9])
+        assert all(re.sub(r"slot_\d+", "slot_s", channel.name) in joined for channel in labs.roles[number].channels[:9])
 
 
 def test_describing_nobody() -> None:

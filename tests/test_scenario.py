@@ -557,7 +557,7 @@ def test_lint(name: str) -> None:
     others = slots * len(scenario.instruments) + slots + slots * scenario.orders + len(labs.experiments) + 1
     others += sum(spec.drift is not None for spec in scenario.instruments.values())
     others += sum(spec.count for spec in scenario.benches.values() if spec.wear is not None)
-    assert labs.manager_action_space == gymnasium.spaces.Discrete(starts + others)
+    assert labs.manager.action_space == gymnasium.spaces.Discrete(starts + others)
     # Goals can be made, and no more of them than the file says.
     for goal in scenario.goals:
         assert most_moles(scenario, goal) > 0.0, f"{goal} cannot be made here"

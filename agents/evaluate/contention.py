@@ -12,6 +12,7 @@ from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, O
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import PRESENT
 from chemlab.roles.manager_state import ARRIVES, INSTRUMENTS, WITHIN
+from chemlab.roles.reaction_bench import ReactionBench
 
 __all__ = ["CONTENDED", "Contention"]
 
@@ -41,7 +42,7 @@ class Contention:
         self._supplies = []
         """Of every reagent of every bench: the bench, the material, mol that an experiment may take."""
         for b, bench in enumerate(labs.benches):
-            if bench.reagents:
+            if isinstance(bench, ReactionBench):
                 rules = bench.rules.arrays
                 self._supplies += [(b, m, full) for m, full in zip(rules.reagents, rules.full, strict=True)]
 

@@ -129,7 +129,7 @@ def _policies(name: str, labs: Laboratories, side: str) -> list[Policy]:
     Raises:
         ValueError: there are none of that name, or they do not fit.
     """
-    numbers = range(1) if side == MANAGER_ROLE else range(1, len(labs.agents))
+    numbers = [role.index for role in ([labs.manager] if side == MANAGER_ROLE else labs.bench_roles)]
     return [agent_policy(name, labs, number, 0) for number in numbers]
 
 

@@ -238,7 +238,7 @@ def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str
     assert run.folder is not None, "it can be played"
     path, scenario, rewards = str(run.folder.path), load_scenario(group.scenario), run.config.get("rewards")
     task = scenario if rewards is None else scenario.configured(rewards=str(rewards))
-    same_task = fingerprint(Laboratories(task).role(0)) == run.config.get("fingerprint")
+    same_task = fingerprint(Laboratories(task).manager.workplace) == run.config.get("fingerprint")
     rows = _play(group, _LEARNED, path, episodes, run=run.name, same_task=same_task)
     # The scripted manager over the same benches: those that have learned are other ones than the background's.
     if _learned(run) != [MANAGER_ROLE]:

@@ -238,13 +238,13 @@ def foreseen(
 def run_once(labs: Laboratories, agent: str, goal: str, slot: int = 0) -> int:
     """Run one experiment of the scripted bench on a slot of every laboratory; return its duration in ticks."""
     number, members, ticks = labs.agents.index(agent), labs.members, 0
-    bench = labs.benches[number - 1]
+    bench = labs.roles[number].workplace
     assert isinstance(bench, ReactionBench), "the manager starts reactions only"
     policy = ScriptedReaction(bench)
     grade = list(labs.scenario.grades)[-1:]
     for action in (labs.actions.encode("start", agent, slot, goal, *grade), labs.actions.encode("wait")):
-        labs.act(0, members, np.full(len(members), action))
-    while labs.busy[number - 1, 0]:
+        labs.act(labs.manager.index, members, np.full(len(members), action))
+    while labs.busy[labs.bench_agents.index(agent), 0]:
         seen, step = labs.observe(number, members), labs.turns_had(number)[members]
         labs.act(number, members, policy.act(seen, None, step, members))
         ticks += 1

@@ -65,7 +65,7 @@ def run_experiment(
     """
     actions = laboratories.actions
     for action in (actions.encode("start", step[0], slot, step[1]), actions.encode("wait")):
-        laboratories.act(0, members, np.full(len(members), action))
+        laboratories.act(laboratories.manager.index, members, np.full(len(members), action))
     Players(laboratories, policies).play_on(members)
 
 
@@ -441,9 +441,9 @@ def _foreseen(
     steps = _steps(labs, goal, skip)
     policies: list[Policy | None] = [None, *(script(bench) for bench in labs.benches)]
     slices = channel_slices(labs.channels)
-    fills = labs.observe(0, members)[:, slices["slot_0_fill"]][:, 0].astype(np.float64)
+    fills = labs.observe(labs.manager.index, members)[:, slices["slot_0_fill"]][:, 0].astype(np.float64)
     for slot in range(1, len(scenario.shelf.vessel)):
-        labs.act(0, members, np.full(len(members), labs.actions.encode("discard", slot)))
+        labs.act(labs.manager.index, members, np.full(len(members), labs.actions.encode("discard", slot)))
     begun = labs.charges(members).sum(axis=1)
     kept: dict[tuple[Step, ...], list[npt.NDArray[Any]]] = {(): labs.snapshot()}
     stages = list(_stages(steps))
@@ -488,11 +488,11 @@ def _make_room(labs: Laboratories, step: Step, members: IntArray) -> None:
     """Discard returned vessels other than the first slot's where they block the next experiment."""
     start = labs.actions.encode("start", step[0], 0, step[1])
     for slot in reversed(range(1, labs.actions.slots)):
-        mask, discard = labs.mask(0, members), labs.actions.encode("discard", slot)
+        mask, discard = labs.mask(labs.manager.index, members), labs.actions.encode("discard", slot)
         assert mask is not None, "the manager has discrete actions"
         some = members[(mask[:, start] == 0) & (mask[:, discard] != 0)]
         if len(some):
-            labs.act(0, some, np.full(len(some), discard))
+            labs.act(labs.manager.index, some, np.full(len(some), discard))
 
 
 def _worth(labs: Laboratories, goal: str) -> FloatArray:

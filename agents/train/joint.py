@@ -430,7 +430,7 @@ class Team(Trainee):
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         save_team(folder, {role: learner.model for role, learner in self.learners.items()})
         save_state(folder, {"team": self.get_state(), **random_state(), "progress": vars(progress)})
-        for number, agent in enumerate(self.labs.agents):
+        for agent in self.labs.agents:
             role = role_of(agent)
             if role in self.learners and not (folder / f"{role}.json").exists():
                 save_learned(
@@ -438,7 +438,7 @@ class Team(Trainee):
                     self.learners[role].model,
                     self._workplaces[role],
                     self.config,
-                    goals=goals_met(self.scenario, role) if number else list(self.scenario.lab_goals),
+                    goals=list(self.scenario.lab_goals if role == MANAGER_ROLE else goals_met(self.scenario, role)),
                     starts="lab",
                     step=progress.step,
                     command=self.arguments.command_line(),

@@ -204,7 +204,7 @@ class LaboratoryTask(Task):
             raise ValueError(f"goals: {self.scenario.name} asks for {', '.join(known)}, given {', '.join(self.goals)}")
         env = self.batch(1)
         self._number = env.focal
-        self.workplace = env.laboratories.role(env.focal)
+        self.workplace = env.laboratories.roles[env.focal].workplace
         self._labs: dict[int, Laboratories] = {}
 
     def batch(self, members: int) -> FocalVectorEnv:
@@ -228,7 +228,8 @@ class LaboratoryTask(Task):
         others = background_policies(self._background)
         policies = {**(others(labs) if callable(others) else others), self.agent: policy}
         played = [play_laboratory(labs, policies, goal, seed) for goal in self.goals]
-        own = (one.returns if self._number == 0 else one.measures[f"reward {self.agent}"] for one in played)
+        manages = self.agent == MANAGER_AGENT
+        own = (one.returns if manages else one.measures[f"reward {self.agent}"] for one in played)
         return np.array(list(own))
 
     def policy(self, name: str) -> Policy:

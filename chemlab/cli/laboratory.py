@@ -125,18 +125,16 @@ def _show_scenario(labs: Laboratories) -> None:
 def _show_agent(labs: Laboratories, agent: str) -> None:
     """Print an agent's observation and actions, number by number."""
     from ..lab import describe as facts
-    from ..roles.bench import Bench
 
     number = labs.agents.index(agent)
-    role, space = labs.role(number), facts.space_words(labs.action_space(number))
+    role, space = labs.roles[number], facts.space_words(labs.action_space(number))
     _show(f"Observation of {agent}: Box({labs.observation_sizes[number]})", facts.channel_table(role.channels))
-    discrete = labs.action_counts[number] > 0
-    _show(f"Actions of {agent}: {space}", facts.action_list(role.action_meanings, discrete))
-    if isinstance(role, Bench):
-        page.print(f"Paid when an experiment ends: {plain(role.score_meaning)}.")
-        page.print(f"An experiment has at most {role.step_limit} steps.")
+    _show(f"Actions of {agent}: {space}", facts.action_list(role.action_meanings, role.action_count > 0))
+    if role is not labs.manager:
+        page.print(f"Paid when an experiment ends: {plain(role.workplace.score_meaning)}.")
+        page.print(f"An experiment has at most {role.workplace.step_limit} steps.")
     else:
-        page.print(f"Paid: {plain(facts.MANAGER_SCORE)}.")
+        page.print(f"Paid: {plain(role.workplace.score_meaning)}.")
         page.print(plain(facts.limit_words(labs.scenario).replace("`", "")))
     page.print(plain(facts.reward_words(labs.scenario)))
     page.print()
@@ -231,7 +229,7 @@ class _Account:
             notes.append("[yellow]not possible now: the turn is lost[/yellow]")
         events = named_events(labs.scenario, turn.info)
         notes += [f"[red]safety: {plain(words)}[/red]" for words in event_words(events)]
-        score = turn.info["score"] if turn.agent != "manager_0" and turn.info["experiment_over"] else None
+        score = turn.info["score"] if turn.agent != labs.manager.name and turn.info["experiment_over"] else None
         outcome = self._outcome(turn, score)
         if notes or outcome:
             self._flush("; ".join([*notes, *([outcome] if outcome else [])]))
@@ -241,18 +239,15 @@ class _Account:
 
         labs = self._env.laboratories
         if score is not None:
-            bench = labs.benches[labs.bench_agents.index(turn.agent)]
-            return f"[green]experiment over: {score:+.3f} {plain(bench.score_meaning)}[/green]"
-        if turn.agent != "manager_0":
+            meaning = labs.roles[labs.agents.index(turn.agent)].workplace.score_meaning
+            return f"[green]experiment over: {score:+.3f} {plain(meaning)}[/green]"
+        if turn.agent != labs.manager.name:
             return ""
         kind, *arguments = labs.actions.decode(int(turn.action))
         if kind == "start":
-            labs = self._env.laboratories
-            experiments = labs.bench_agents.index(str(arguments[0]))
-            vessel = labs.shelf.vessel(0, int(labs.rules.first[experiments]))
-            return (
-                f"a vessel with {vessel.volume_l:.2f} L in it; reward: {plain(labs.benches[experiments].score_meaning)}"
-            )
+            role = labs.bench_roles[labs.bench_agents.index(str(arguments[0]))]
+            vessel = labs.shelf.vessel(0, role.first_position)
+            return f"a vessel with {vessel.volume_l:.2f} L in it; reward: {plain(role.workplace.score_meaning)}"
         if kind == "measure":
             return plain(reading_words(labs, int(arguments[0]), str(arguments[1])))
         return ""
@@ -262,7 +257,7 @@ class _Account:
             return
         agent, words = self._last
         times = f" x{self._times}" if self._times > 1 else ""
-        manager = agent == "manager_0"
+        manager = agent == self._env.laboratories.manager.name
         what = f"[bold]{plain(words)}[/bold]" if manager else plain(words)
         out.print(
             f"tick {self._since:>3}  {'' if manager else '  '}{agent:<10} {what}{times}{'  -> ' + note if note else ''}"

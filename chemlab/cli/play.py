@@ -60,7 +60,7 @@ class _Told:
         from ..lab.text import named_events
 
         labs = self._env.laboratories
-        if turn.agent == labs.agents[0] and not turn.info["illegal_action"]:
+        if turn.agent == labs.manager.name and not turn.info["illegal_action"]:
             self._decided(turn)
         if turn.agent not in self._people:
             self._others[turn.agent] = self._others.get(turn.agent, 0) + 1
@@ -68,15 +68,15 @@ class _Told:
         self.flush()
         notes = ["not possible: the turn is lost"] if turn.info["illegal_action"] else []
         notes += [f"safety: {words}" for words in event_words(named_events(labs.scenario, turn.info))]
-        if turn.info["experiment_over"] and turn.agent != labs.agents[0]:
+        if turn.info["experiment_over"] and turn.agent != labs.manager.name:
             notes.append(self._over(turn.agent))
         for note in notes:
             page.print(f"  [bold]{plain(note)}[/bold]")
 
     def _over(self, agent: str) -> str:
         labs = self._env.laboratories
-        bench = labs.benches[labs.bench_agents.index(agent)]
-        return f"experiment over: {self._env.infos[agent]['score']:+.3f} {bench.score_meaning}"
+        meaning = labs.roles[labs.agents.index(agent)].workplace.score_meaning
+        return f"experiment over: {self._env.infos[agent]['score']:+.3f} {meaning}"
 
     def _decided(self, turn: PlayedTurn) -> None:
         """What a manager's decision means for people at the benches, and what it has read."""

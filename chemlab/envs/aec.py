@@ -174,7 +174,8 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self.rewards = dict(zip(self.possible_agents, labs.rewards[0].tolist(), strict=True))
         infos = self.infos
         infos[agent] = self._info(number)
-        if number == 0 and labs.state.begun.item(0) >= 0:  # an experiment may begin with an accident
+        manages = number == labs.manager.index
+        if manages and labs.state.begun.item(0) >= 0:  # an experiment may begin with an accident
             for other, cost in enumerate(labs.cost[0].tolist()):
                 if cost:
                     infos[self.possible_agents[other]] = self._info(other)
@@ -187,8 +188,8 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
             for name in self.agents:  # a limit is an end as well: see chemlab.roles.manager_state
                 self.terminations[name] = True
                 infos[name]["elapsed_ticks"] = labs.state.ticks.item(0) - self._last_turn[name]
-            self.agent_selection = self.possible_agents[0]
-        if number and self.agent_selection == self.possible_agents[0]:
+            self.agent_selection = labs.manager.name
+        if not manages and self.agent_selection == labs.manager.name:
             infos[self.agent_selection]["costs"] = labs.charges(self._members)[0]
         self._accumulate_rewards()
         self._unfinished = False

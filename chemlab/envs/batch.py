@@ -17,7 +17,6 @@ from ..lab.engine import Laboratories
 from ..lab.hidden import World
 from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
-from .common import manager_accounts
 from .global_state import GlobalState
 from .vector import checked_actions, parsed_reset
 
@@ -72,9 +71,9 @@ class BatchedLaboratory:
         self._observations: list[ObservationArray] = [
             np.zeros((num_envs, size), dtype=np.float32) for size in labs.observation_sizes
         ]
-        pairs = zip(labs.resting_actions, labs.action_counts, strict=True)
         self._masks: list[MaskArray] = [
-            np.tile(np.arange(n) == rest, (num_envs, 1)).astype(np.int8) for rest, n in pairs
+            np.tile(np.arange(role.action_count) == role.resting_action, (num_envs, 1)).astype(np.int8)
+            for role in labs.roles
         ]
         self._idle_actions = [
             np.zeros(num_envs, dtype=np.int64) if count else np.zeros((num_envs, *(labs.action_space(a).shape or ())))
@@ -217,20 +216,20 @@ class BatchedLaboratory:
         labs, members = self.laboratories, self.laboratories.members
         before = self._turns.copy()
         labs.turns(members, self._turns)
-        for number, resting in enumerate(labs.resting_actions):
+        for number, role in enumerate(labs.roles):
             who = members[self._turns[number]]
             shown = members if self.idle_observations else who
             if len(shown):
                 rows = None if len(shown) == self.num_envs else shown
                 labs.observe(number, shown, self._observations[number], rows)
-            if resting >= 0:
+            if role.action_count:
                 masks, rest = self._masks[number], members[before[number] & ~self._turns[number]]
                 if len(rest):
                     masks[rest] = 0
-                    masks[rest, resting] = 1
+                    masks[rest, role.resting_action] = 1
                 if len(who):
                     legal = labs.mask(number, who)
-                    assert legal is not None, "a resting action means discrete actions"
+                    assert legal is not None, "actions are discrete"
                     masks[who] = legal
 
     def _seen(self) -> dict[str, ObservationArray]:
@@ -244,21 +243,18 @@ class BatchedLaboratory:
         acted = np.zeros_like(self._turns) if begun else self._turns
         scores = np.full_like(state.scores, np.nan) if begun else state.scores.copy()
         if len(over):
-            scores[0, over] = labs.result(over)
+            scores[labs.manager.index, over] = labs.result(over)
         ended, cost = np.isfinite(scores), state.cost.copy()
         scores[~ended] = 0.0
         # An experiment may begin with an accident, in a round in which its agent has not acted.
         eventful = acted | (cost > 0.0)
         elapsed = state.ticks - self._last_turn
         told: list[Arrays] = []
-        for number in range(len(self.possible_agents)):
+        for number, role in enumerate(labs.roles):
             info: Arrays = {"elapsed_ticks": elapsed[number], "cost": cost[number]}
-            info["illegal_action"] = labs.illegal(number) & acted[number]
-            if number == 0:
-                info["events"] = np.zeros((self.num_envs, len(self.scenario.safety_events)))
-                info.update(manager_accounts(labs, slice(None)))
-            else:
-                info["events"] = labs.experiments[number - 1].events * eventful[number, :, None]
+            info["illegal_action"] = role.illegal & acted[number]
+            info["events"] = role.events * eventful[number, :, None]
+            info.update(role.accounts(slice(None)))
             told.append({**info, "experiment_over": ended[number], "score": scores[number]})
         return told
 

@@ -23,27 +23,7 @@ from .rendering import Rendered
 if TYPE_CHECKING:
     from ..render.scene import Scene
 
-__all__ = ["OneLaboratory", "manager_accounts"]
-
-
-def manager_accounts(laboratories: Laboratories, which: int | slice = 0) -> dict[str, npt.NDArray[Any]]:
-    """What the manager's infos have besides everybody's: of one laboratory, or, with one more axis, of several.
-
-    ``costs`` [items, as in :data:`~chemlab.roles.manager_state.COST_ITEMS`] so far, in units of the score; and by order
-    ``goals`` [orders] (index into the scenario's), ``submitted_mol`` [orders] and ``purity`` [orders] of the vessel
-    submitted for it (0 until then).
-    """
-    state = laboratories.state
-    if isinstance(which, int):
-        costs = laboratories.charges(laboratories.members[which : which + 1])[0]
-    else:
-        costs = laboratories.charges(laboratories.members[which])
-    return {
-        "costs": costs,
-        "goals": state.goal[which].copy(),
-        "submitted_mol": state.submitted[which, :, 0].copy(),
-        "purity": state.submitted[which, :, 1].copy(),
-    }
+__all__ = ["OneLaboratory"]
 
 
 class OneLaboratory(Rendered):
@@ -71,8 +51,10 @@ class OneLaboratory(Rendered):
         self._members = self.laboratories.members
         self._seeded = False
         self._unfinished = False
-        pairs = zip(self.laboratories.resting_actions, self.laboratories.action_counts, strict=True)
-        self._resting = [(np.arange(count) == action).astype(np.int8) if count else None for action, count in pairs]
+        self._resting = [
+            (np.arange(role.action_count) == role.resting_action).astype(np.int8) if role.action_count else None
+            for role in self.laboratories.roles
+        ]
         self._no_events = np.zeros(len(self.scenario.safety_events))
         self._allocate()
 
@@ -129,13 +111,11 @@ class OneLaboratory(Rendered):
     def _info(self, agent: int, acted: bool = True) -> dict[str, Any]:
         """An agent's info, always of the same keys, types and shapes: what its last turn led to, if it has just
         ``acted``, and the mask of one that does not have the turn."""
-        labs = self.laboratories
-        state = labs.state
-        own: Any = labs.experiments[agent - 1].table.arrays if agent else state
+        role = self.laboratories.roles[agent]
         info = {
-            "cost": state.cost.item(agent, 0),
-            "illegal_action": acted and own.illegal.item(0),
-            "events": (own.events[0] if acted and agent else self._no_events).copy(),
+            "cost": self.laboratories.state.cost.item(agent, 0),
+            "illegal_action": acted and role.illegal.item(0),
+            "events": (role.events[0] if acted else self._no_events).copy(),
             "experiment_over": False,
             "score": 0.0,
             "elapsed_ticks": 0,
@@ -143,8 +123,7 @@ class OneLaboratory(Rendered):
         resting = self._resting[agent]
         if resting is not None:
             info["action_mask"] = resting.copy()
-        if agent == 0:
-            info.update(manager_accounts(labs))
+        info.update(role.accounts(0))
         return info
 
     def _add_scores(self, infos: list[dict[str, Any]]) -> None:
@@ -155,7 +134,8 @@ class OneLaboratory(Rendered):
                 if score == score:  # NaN where none of its own has ended
                     info["experiment_over"], info["score"] = True, score
         if labs.state.status.item(0) != RUNNING:
-            infos[0]["experiment_over"], infos[0]["score"] = True, labs.result(self._members).item()
+            own = infos[labs.manager.index]
+            own["experiment_over"], own["score"] = True, labs.result(self._members).item()
 
     def _text(self) -> str:
         return describe_laboratory(self.laboratories, 0)

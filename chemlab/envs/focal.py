@@ -20,8 +20,8 @@ that power where time matters, by gamma once where decisions do.
 In every step: `action_mask` (discrete actions), `cost` (weighted safety events of the agent's own actions), `lab_cost`
 (of all agents'), `events` (the laboratory's in the step by kind, [kinds, as in the scenario's `safety_events`]),
 `illegal_action`, `elapsed_ticks`, `experiment_over`, and `score` (0 where nothing has ended); in single environments
-the manager's also `costs`, `goals`, `submitted_mol` and `purity` (:func:`~chemlab.envs.common.manager_accounts`),
-and single values are of NumPy's types, too.
+the manager's also `costs`, `goals`, `submitted_mol` and `purity`
+(:meth:`~chemlab.roles.manager_role.ManagerRole.accounts`), and single values are of NumPy's types, too.
 
 ### Seeds
 Member i of a batch that is reset with seed s plays what a single environment reset with seed s + i plays, as long as
@@ -50,7 +50,6 @@ from ..lab.engine import MANAGER_AGENT, Laboratories
 from ..lab.hidden import World, Worlds
 from ..lab.text import describe_laboratory
 from ..roles.manager_state import RUNNING
-from .common import manager_accounts
 from .players import Players, as_policy
 from .rendering import RENDER_MODES, Rendered
 from .vector import BatchEnv, BoundedSpec, State
@@ -104,6 +103,7 @@ class FocalVectorEnv(BatchEnv):
         if agent not in labs.agents:
             raise ValueError(f"agent: {self.scenario.name} has {', '.join(labs.agents)}; given {agent!r}")
         self.focal = labs.agents.index(agent)
+        self._manages = self.focal == labs.manager.index
         given = policies(labs) if callable(policies) else policies or {}
         unknown = [name for name in given if name not in labs.agents]
         if unknown:
@@ -118,7 +118,7 @@ class FocalVectorEnv(BatchEnv):
             agent,
             self.scenario.lab_goals,
             len(self.scenario.safety_events),
-            limits.manager_actions if self.focal == 0 else limits.ticks,  # a bench has one turn a tick at most
+            limits.manager_actions if self._manages else limits.ticks,  # a bench has one turn a tick at most
             labs.observation_space(self.focal),
             labs.action_space(self.focal),
             autoreset_mode,
@@ -135,8 +135,7 @@ class FocalVectorEnv(BatchEnv):
     @property
     def action_meanings(self) -> list[str]:
         """What each action (or each number of a continuous action) does."""
-        labs = self.laboratories
-        return labs.actions.action_meanings if self.focal == 0 else labs.benches[self.focal - 1].action_meanings
+        return self.laboratories.roles[self.focal].action_meanings
 
     def _seed_member(self, member: int, seed: int) -> None:
         self.laboratories.seed(member, seed)
@@ -187,7 +186,7 @@ class FocalVectorEnv(BatchEnv):
             self._look()
             return []
         self._terminated[ended] = True
-        if self.focal == 0:
+        if self._manages:
             self._scores[ended] = labs.result(ended)
         last = labs.observe(self.focal, ended)
         if self.autoreset_mode is AutoresetMode.SAME_STEP:
@@ -216,13 +215,12 @@ class FocalVectorEnv(BatchEnv):
         """Add up what the last turn, whoever's it was, meant for the agent."""
         labs, focal = self.laboratories, self.focal
         self._rewards[members] += labs.state.rewards[focal][members]
-        if focal > 0:
-            self._costs[members] += labs.cost[members, focal]
-            scores = labs.scores[members, focal]
-            ended = np.isfinite(scores)
-            if ended.any():
-                before = self._scores[members[ended]]
-                self._scores[members[ended]] = np.where(np.isnan(before), 0.0, before) + scores[ended]
+        self._costs[members] += labs.cost[members, focal]
+        scores = labs.scores[members, focal]
+        ended = np.isfinite(scores)
+        if ended.any():
+            before = self._scores[members[ended]]
+            self._scores[members[ended]] = np.where(np.isnan(before), 0.0, before) + scores[ended]
 
     def _look(self) -> None:
         labs, members = self.laboratories, self.laboratories.members
@@ -333,8 +331,7 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         own = {name: values for name, values in infos.items() if not name.startswith("_")}
         # Booleans as arrays without an axis: Gymnasium's vector environments take NumPy's single ones for objects.
         info = {name: np.array(values[0]) if values.dtype == np.bool_ else values[0] for name, values in own.items()}
-        if self.batch.focal == 0:
-            info.update(manager_accounts(self.laboratories))
+        info.update(self.laboratories.roles[self.batch.focal].accounts(0))
         return info
 
     def action_masks(self) -> npt.NDArray[np.bool_]:

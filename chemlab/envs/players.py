@@ -246,11 +246,11 @@ class Players:
             ValueError: a policy's actions are outside its agent's space; the message names the agent.
         """
         labs = self._labs
-        cursor, status = labs.state.cursor, labs.state.status
+        status = labs.state.status
         for number, policy in enumerate(self._policies):
             if policy is None:
                 continue
-            here = members[cursor[members] == number - 1]
+            here = members[labs.turn_of(members) == number]
             group = here[status[here] == RUNNING]
             if len(group):
                 self._act(number, group, self.decide(number, group))
@@ -263,7 +263,7 @@ class Players:
         """
         state = self._labs.state
         while True:
-            members = members[(state.status[members] == RUNNING) & self._played[state.cursor[members] + 1]]
+            members = members[(state.status[members] == RUNNING) & self._played[self._labs.turn_of(members)]]
             if not len(members):
                 return
             self.play_pass(members, after)

@@ -93,11 +93,11 @@ class Table(Generic[T]):
         ]
 
     def member(self, member: int, without: str = "") -> list[npt.NDArray[Any]]:
-        """The part of every array that is one laboratory's (views, with the axis N, of length 1)."""
+        """The part of every array of :meth:`changing` that is one laboratory's (views, with axis N, of length 1)."""
         return [
             array[(slice(None),) * field.axes.index("N") + (slice(member, member + 1),)]
             for field, array in zip(self._fields, self._own, strict=True)
-            if field.name != without and "N" in field.axes
+            if field.name != without and field.field.kept and "N" in field.axes
         ]
 
     def copy(self) -> Table[T]:

@@ -15,11 +15,10 @@ import gymnasium
 
 from ..config.draws import Draw
 from ..config.scenario import InstrumentSpec, Scenario
-from ..roles.bench import Bench, Channel
+from ..roles.bench import Channel
 from .engine import Laboratories
 
 __all__ = [
-    "MANAGER_SCORE",
     "FactTable",
     "action_list",
     "action_table",
@@ -42,7 +41,6 @@ __all__ = [
 ]
 
 
-MANAGER_SCORE = "mol submitted x absolute purity / theoretical maximum (the mean over orders), minus all costs"
 """What an episode is worth to the manager, as a bench's ``score_meaning`` is what an experiment is to its agent."""
 
 
@@ -308,15 +306,15 @@ def description(labs: Laboratories, agents: Sequence[str] | None = None) -> dict
     told: dict[str, Any] = {}
     for agent in labs.agents if agents is None else agents:
         number = labs.agents.index(agent)
-        role = labs.role(number)
+        role = labs.roles[number].workplace
         channels, at = [], 0
         for channel in role.channels:
             channels.append({"start": at, "stop": at + channel.size, **asdict(channel)})
             at += channel.size
         told[agent] = {
             "kind": role.kind,
-            "score": role.score_meaning if isinstance(role, Bench) else MANAGER_SCORE,
-            "step_limit": role.step_limit if isinstance(role, Bench) else spec.limits.manager_actions,
+            "score": role.score_meaning,
+            "step_limit": role.step_limit,
             "observation": {"size": at, "channels": channels},
             "actions": {"discrete": labs.action_counts[number] > 0, "meanings": list(role.action_meanings)},
         }

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from typing_extensions import Unpack
 
 from ..config.loading import load_scenario
 from ..config.materials import DataError
-from ..config.parts import blamed, checked_numbers, strangers_code
+from ..config.parts import strangers_code
 from ..config.scenario import OrderSpec, Scenario, Settings
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
@@ -25,52 +24,33 @@ from ..kernels.warmup import Rehearsal, compile_first
 from ..physics.backends import work_size
 from ..physics.chemistry import tier_dimensions
 from ..physics.shelf import Shelf
-from ..roles import wear
-from ..roles.bench import Bench, Channel, Experiments, Goals, check_discrete, load_observations, load_terms
+from ..roles.base import Role
+from ..roles.bench import Bench, Channel, Experiments, Goals
+from ..roles.bench_role import BenchRole
 from ..roles.instruments.table import InstrumentTable
 from ..roles.kinds import build_bench
-from ..roles.maintenance import begin_drift, equip, go_astray, maintenance_rules
+from ..roles.maintenance import begin_drift, equip, maintenance_rules
 from ..roles.manager import (
-    BEGUN,
-    MEASURED,
     OVER,
-    RECALLED,
-    REPAIRED,
     advance,
     age_on_shelf,
-    charge_events,
     itemize,
     manager_act,
-    manager_mask,
     open_turn,
     rest_on_shelf,
     return_vessels,
     turns,
 )
-from ..roles.manager_actions import REPAIR, ManagerActions
-from ..roles.manager_state import COST_ITEMS, MANAGER, RUNNING, ManagerState, Rules
-from ..roles.manager_view import manager_channels, manager_observe, report_channels
+from ..roles.manager_actions import ManagerActions
+from ..roles.manager_role import MANAGER_AGENT, ManagerRole
+from ..roles.manager_state import COST_ITEMS, RUNNING, ManagerState, Rules
+from ..roles.manager_view import manager_observe
+from ..roles.wear import wear_out
 from .episodes import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
 
-__all__ = ["MANAGER_AGENT", "Laboratories", "ManagerRole"]
-
-MANAGER_AGENT = "manager_0"
-
-
-@dataclass(frozen=True)
-class ManagerRole:
-    """What the manager sees and may do, with the names a :class:`~chemlab.roles.bench.Bench` has for its agent's."""
-
-    key: str
-    kind: str
-    scenario: Scenario
-    channels: tuple[Channel, ...]
-    action_meanings: list[str]
-    action_count: int
-    observation_space: gymnasium.spaces.Box
-    action_space: gymnasium.spaces.Discrete
+__all__ = ["MANAGER_AGENT", "Laboratories"]
 
 
 @kernel
@@ -176,23 +156,17 @@ class Laboratories:
             self.experiments.append(Experiments(self.bench_agents[b], bench, places, **self._shared(b)))
         self._first_stock = np.array([spec.stock.get(name, 0.0) for name in chemistry.layout.materials])
         self.rules = Table(self._build_rules(positions, first))
-        self._terms = load_terms(spec.manager.reward, spec, "manager.reward")
-        self._added = load_observations(spec.manager.observe, spec, "manager.observe")
-        self._reporting = [b for b, bench in enumerate(self.benches) if bench.spec.report is not None]
-        self.channels: list[Channel] = manager_channels(spec, self.instruments, self.rules.arrays)
-        self._reports_from = sum(channel.size for channel in self.channels)
-        self.channels += report_channels(spec)
-        self._own_channels = sum(channel.size for channel in self.channels)
-        self.channels += [part.declared(name, self) for name, part in self._added.items()]
-        size = sum(channel.size for channel in self.channels)
-        self.manager_observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
-        self.manager_action_space = gymnasium.spaces.Discrete(len(self.actions))
-        self._ended: IntArray = np.zeros(n, dtype=np.int64)
         self.experiment_ended = False
         """Whether the last turn or round has ended an experiment anywhere, so that there are scores."""
-        numbers = range(len(self.agents))
-        self.observation_sizes = [int(self.observation_space(agent).shape[0]) for agent in numbers]
-        self.action_counts = [self._count_actions(agent) for agent in numbers]
+        self.manager = ManagerRole(self, MANAGER_AGENT)
+        pairs = zip(self.benches, self.experiments, strict=True)
+        self.bench_roles = [BenchRole(self, b, bench, own) for b, (bench, own) in enumerate(pairs)]
+        self.roles: list[Role] = sorted([self.manager, *self.bench_roles], key=lambda role: role.index)
+        """Role of every agent, in the order of ``agents``."""
+        self._by_cursor = np.array([role.index for role in (*self.bench_roles, self.manager)])
+        """Index of the agent that has the turn, by cursor; the manager's, which is -1, stands last."""
+        self.observation_sizes = [int(role.observation_space.shape[0]) for role in self.roles]
+        self.action_counts = [role.action_count for role in self.roles]
         """Number of each agent's discrete actions; 0 where they are continuous."""
         self._lab_goals = np.array([spec.goals.index(goal) for goal in spec.lab_goals])
         self._rehearsed = False
@@ -320,7 +294,7 @@ class Laboratories:
 
     def rehearsal(self) -> Rehearsal:
         """What happens in an episode, of no laboratory: see :mod:`chemlab.kernels.warmup`."""
-        none, handles = self.members[:0], self._handles()
+        none, handles = self.members[:0], self.handles()
         calls: list[Callable[[], object]] = [lambda: self.reset(none)]
         kinds = {bench.key: b for b, bench in enumerate(self.benches)}
         for b in kinds.values():
@@ -329,14 +303,14 @@ class Laboratories:
         return [
             *calls,
             lambda: manager_act(none, none, *handles),
-            lambda: self._measure(none, none),
-            lambda: wear.wear_out(self.benches[0], self.experiments[0], none),
-            lambda: self.observe(0, none),
+            lambda: self.manager.measure(none, none),
+            lambda: wear_out(self.benches[0], self.experiments[0], none),
+            lambda: self.observe(self.manager.index, none),
             lambda: return_vessels(none, 0, state, rules, self.experiments[0].handle, *rest),
-            lambda: self.mask(0, none),
-            lambda: self._charge(0, none, begun=True),
+            lambda: self.mask(self.manager.index, none),
+            lambda: self.bench_roles[0].charge(none, begun=True),
             lambda: advance(none, *handles),
-            lambda: self._age(none, none),
+            lambda: self.age(none, none),
             lambda: self.charges(none),
             lambda: self.turns(none),
         ]
@@ -346,14 +320,13 @@ class Laboratories:
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Begin a new series of episodes of one laboratory: the same seed is the same series, whatever is played."""
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        seed_streams(sequence, [self.state.stream, *(experiments.stream for experiments in self.experiments)], member)
+        seed_streams(sequence, [role.stream for role in self.roles], member)
         self.worlds.seed(member, sequence)
         self.episodes.seed(member, self._streams())
 
     def _streams(self) -> list[StreamArray]:
         """Every random stream that an episode begins with; what wears or drifts has its own from the world's number."""
-        own = [self.state.stream, *(experiments.stream for experiments in self.experiments)]
-        return [*own, self.worlds.table.arrays.stream]
+        return [*(role.stream for role in self.roles), self.worlds.table.arrays.stream]
 
     def reset(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
         """Begin new episodes.
@@ -456,16 +429,20 @@ class Laboratories:
     # -- turns ------------------------------------------------------------------------------------------------
 
     def turn(self, member: int = 0) -> int:
-        """Number of the agent that has the turn in a laboratory."""
-        return int(self.state.cursor[member]) + 1
+        """Index of the agent that has the turn in a laboratory."""
+        return int(self._by_cursor[self.state.cursor[member]])
+
+    def turn_of(self, members: IntArray) -> IntArray:
+        """[B] index of the agent that has the turn in each laboratory."""
+        return np.asarray(self._by_cursor[self.state.cursor[members]])
 
     def turns_had(self, agent: int) -> IntArray:
         """[N] turns an agent has had: the manager in this episode, a bench's agent in this experiment."""
-        return self.state.actions if agent == 0 else self.experiments[agent - 1].steps
+        return self.roles[agent].turns_had
 
     def illegal(self, agent: int) -> BoolArray:
         """[N] whether an agent's last action was masked, and so lost."""
-        return self.state.illegal if agent == 0 else self.experiments[agent - 1].illegal
+        return self.roles[agent].illegal
 
     def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
         """[agents, B] who plays in each laboratory's next round: the manager, or the busy benches; nobody when the
@@ -477,9 +454,7 @@ class Laboratories:
 
     def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:
         """The action as an array of one member; ``ValueError`` if it is outside the agent's action space."""
-        if agent == 0:
-            return np.array([check_discrete(MANAGER_AGENT, action, len(self.actions))])
-        return self.benches[agent - 1].checked(self.agents[agent], action)
+        return self.roles[agent].checked(action)
 
     def act(self, agent: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
         """One turn of ``agent`` in each laboratory of ``members`` (which all give it the turn).
@@ -491,10 +466,7 @@ class Laboratories:
         """
         open_turn(members, self.table.handle)
         self.experiment_ended = False
-        if agent == 0:
-            self._act_manager(members, actions)
-        else:
-            self._act_bench(agent - 1, members, actions)
+        self.roles[agent].act(members, actions)
 
     def act_round(self, members: IntArray, actions: Sequence[npt.NDArray[Any]]) -> None:
         """One round in each laboratory of ``members``: the manager's action where it has the turn, else the rest of
@@ -509,123 +481,48 @@ class Laboratories:
         open_turn(members, self.table.handle)
         self.experiment_ended = False
         cursor = self.state.cursor
-        waiting = cursor[members] == MANAGER
+        waiting = cursor[members] == self.manager.cursor
         managed, ticking = members[waiting], members[~waiting]
         if len(managed):
-            self._act_manager(managed, actions[0][managed])
-        for b in range(len(self.experiments)):
+            self.manager.act(managed, actions[self.manager.index][managed])
+        for role in self.bench_roles:
             # Where the tick is over the cursor stands at the manager or at the first busy bench, which is past.
-            group = ticking[cursor[ticking] == b]
+            group = ticking[cursor[ticking] == role.cursor]
             if len(group):
-                self._act_bench(b, group, actions[b + 1][group])
+                role.act(group, actions[role.index][group])
 
-    def _act_manager(self, members: IntArray, actions: IntArray) -> None:
-        state, shelf, handles = self.state, self.shelf, self._handles()
-        since = state.ticks[members]
-        flags = manager_act(members, actions, *handles)
-        self._age(members, since)
-        if flags & MEASURED:
-            self._measure(members, actions)
-        if flags & REPAIRED:
-            self._repair(members, actions)
-        if flags & BEGUN:
-            begun = state.begun[members]
-            for b, experiments in enumerate(self.experiments):
-                some = members[begun == b]
-                if len(some):
-                    asked = self.rules.arrays.table[actions[begun == b]]
-                    experiments.goal[some] = asked[:, 3]
-                    if self.scenario.grades:
-                        experiments.grade[some] = asked[:, 4]
-                    self.benches[b].begin(shelf, experiments, some)
-                    self._charge(b, some, begun=True)
-        if flags & RECALLED:
-            recalled = state.recalled[members]
-            for b in range(len(self.experiments)):
-                some = members[recalled == b]
-                if len(some):
-                    self._end(b, some)
-        for name, term in self._terms.items():
-            with blamed(name):
-                earned = term(self, members)
-            state.rewards[0, members] += checked_numbers(earned, members.shape, name)
-        if flags & OVER:
-            self._settle_accounts(members)
-
-    def _handles(self) -> tuple[Handle, Handle, Handle, Handle]:
+    def handles(self) -> tuple[Handle, Handle, Handle, Handle]:
         """What most of the manager's kernels take."""
         return self.table.handle, self.rules.handle, self.shelf.handle, self.shelf.chemistry.handles
 
-    def _measure(self, members: IntArray, actions: IntArray) -> None:
-        """Let instruments read the vessels that manager actions have sent there."""
-        state, sent = self.state, self.state.measured[members] >= 0
-        some, used = members[sent], self.rules.arrays.table[actions[sent], 2]
-        slots, bias = state.measured[some], None
-        if state.bias.shape[1]:
-            go_astray(some, used, self.table.handle, self.rules.handle)
-            bias = state.bias
-        self.instruments.read(self.shelf, state.reading, state.stream, some, slots, used, bias)
-
-    def _repair(self, members: IntArray, actions: IntArray) -> None:
-        """Give benches that manager actions have had repaired a new gain and life."""
-        kind, which = self.rules.arrays.table[actions, :2].T
-        sent = (kind == REPAIR) & ~self.state.illegal[members]
-        for b in range(len(self.experiments)):
-            some = members[sent & (which == b)]
-            if len(some):
-                wear.renew(self.benches[b], self.experiments[b], some)
-
-    def _act_bench(self, b: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        self.benches[b].act(self.shelf, self.experiments[b], members, actions)
-        wear.wear_out(self.benches[b], self.experiments[b], members)
-        ended = self._charge(b, members)
-        if ended:
-            self._end(b, self._ended[:ended].copy())
+    def pass_turn(self, members: IntArray) -> None:
+        """Give the turn to the next role after a bench has acted; a tick may be over, and with it an episode."""
         since = self.state.ticks[members]
-        flags = advance(members, *self._handles())
-        self._age(members, since)
+        flags = advance(members, *self.handles())
+        self.age(members, since)
         if flags & OVER:
-            self._settle_accounts(members)
+            self.settle(members)
 
-    def _age(self, members: IntArray, since: IntArray) -> None:
+    def age(self, members: IntArray, since: IntArray) -> None:
         """Let vessels on the shelf react in the ticks that have passed ``since`` [B], where the scenario says so.
 
         Raises:
             ArithmeticError: the reactions are too stiff.
         """
         tick = self.scenario.shelf.tick
-        if tick and age_on_shelf(members, since, tick, *self._handles()) >= 0:
+        if tick and age_on_shelf(members, since, tick, *self.handles()) >= 0:
             raise ArithmeticError(
                 f"{self.scenario.name}: the reactions of a vessel on the shelf are too stiff: more than 1,000,000 "
                 "steps. Nothing has reacted in it; give the scenario a shorter shelf.tick, or smaller rate constants"
             )
 
-    def _charge(self, b: int, members: IntArray, begun: bool = False) -> int:
-        """Charge what the bench's last action (or the beginning) cost: safety events and lost turns; returns how many
-        experiments have ended, the first so many of ``self._ended``."""
-        experiments, state = self.experiments[b], self.state
-        self.benches[b].consequences(self.shelf, experiments, members, state.cost[b + 1], state.rewards[b + 1], begun)
-        return charge_events(members, b, experiments.handle, self.table.handle, self.rules.handle, self._ended)
-
-    def _end(self, b: int, members: IntArray) -> None:
-        """End the experiment of bench ``b``: its reward, and its vessels back to the shelf."""
-        experiments, shelf = self.experiments[b], self.shelf
-        if b in self._reporting:
-            self.state.report[members, b] = self.benches[b].reported(shelf, experiments, members)
-        score = self.benches[b].finish(shelf, experiments, members)
-        self.state.scores[b + 1, members] = score
-        self.experiment_ended = True
-        self.state.rewards[b + 1, members] += self.scenario.rewards.bench_local * score
-        state, rules, *rest = self._handles()
-        return_vessels(members, b, state, rules, experiments.handle, *rest)
-
-    def _settle_accounts(self, members: IntArray) -> None:
-        """Where the episode is over: the manager pays its costs, and everybody has a share of the result."""
+    def settle(self, members: IntArray) -> None:
+        """Where the episode is over, pay every role what the result means for it."""
         over = members[self.state.status[members] != RUNNING]
-        mix = self.scenario.rewards
         self.state.charges[over] = self.charges(over)
-        self.state.rewards[0, over] -= (mix.manager_local + mix.manager_team) * self.state.charges[over].sum(axis=1)
-        self.state.rewards[1:, over] += mix.bench_team * self.result(over)
+        result, charges = self.result(over), self.state.charges[over].sum(axis=1)
+        for role in self.roles:
+            role.settle(over, result, charges)
 
     def result(self, members: IntArray) -> FloatArray:
         """[B] the manager's score: what orders with terms have paid, else each order's product by amount and purity,
@@ -644,33 +541,23 @@ class Laboratories:
         """[B, items] what the managers have been charged so far, in units of the score; items as in
         :data:`~chemlab.roles.manager_state.COST_ITEMS`."""
         out = np.empty((len(members), len(COST_ITEMS)))
-        itemize(members, *self._handles(), out)
+        itemize(members, *self.handles(), out)
         return out
-
-    def role(self, agent: int) -> Bench | ManagerRole:
-        """What an agent operates, with its channels and actions."""
-        if agent > 0:
-            return self.benches[agent - 1]
-        return ManagerRole(
-            "manager",
-            "manager",
-            self.scenario,
-            tuple(self.channels),
-            self.actions.action_meanings,
-            len(self.actions),
-            self.manager_observation_space,
-            self.manager_action_space,
-        )
 
     # -- what agents see --------------------------------------------------------------------------------------
 
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The manager's channels."""
+        return self.manager.channels
+
     def observation_space(self, agent: int) -> gymnasium.spaces.Box:
         """The agent's observation space."""
-        return self.manager_observation_space if agent == 0 else self.benches[agent - 1].observation_space
+        return self.roles[agent].observation_space
 
     def action_space(self, agent: int) -> gymnasium.Space[Any]:
         """The agent's action space."""
-        return self.manager_action_space if agent == 0 else self.benches[agent - 1].action_space
+        return self.roles[agent].action_space
 
     def observe(
         self, agent: int, members: IntArray, out: ObservationArray | None = None, rows: IntArray | None = None
@@ -685,37 +572,8 @@ class Laboratories:
         """
         if out is None:
             out = np.empty((len(members), self.observation_sizes[agent]), dtype=np.float32)
-        if agent > 0:
-            seen = out if rows is None else np.empty((len(members), out.shape[1]), dtype=np.float32)
-            self.benches[agent - 1].observe(self.shelf, self.experiments[agent - 1], members, seen)
-            if rows is not None:
-                out[rows] = seen
-            return out
-        if rows is None:
-            rows = np.arange(len(members))
-        manager_observe(members, *self._handles(), out, rows)
-        if self._reporting:
-            reports = self.state.report[members][:, self._reporting]
-            out[rows, self._reports_from : self._own_channels] = reports.reshape(
-                len(members), self._own_channels - self._reports_from
-            )
-        at = self._own_channels
-        channels = self.channels[len(self.channels) - len(self._added) :]
-        for (name, part), channel in zip(self._added.items(), channels, strict=True):
-            out[rows, at : at + channel.size] = part.seen(name, len(members), channel.size, self, members)
-            at += channel.size
+        self.roles[agent].observe(members, out, rows)
         return out
-
-    @functools.cached_property
-    def resting_actions(self) -> list[int]:
-        """What each agent is shown to play while it does not have the turn: the manager waits, benches end; -1 where
-        actions are continuous."""
-        benches = [bench.end_action if bench.action_count else -1 for bench in self.benches]
-        return [self.actions.encode("wait"), *benches]
-
-    def _count_actions(self, agent: int) -> int:
-        space = self.action_space(agent)
-        return int(space.n) if isinstance(space, gymnasium.spaces.Discrete) else 0
 
     def mask(self, agent: int, members: IntArray, out: MaskArray | None = None) -> MaskArray | None:
         """[B, actions] legal actions (1 = legal), or None where the action space is continuous."""
@@ -723,10 +581,7 @@ class Laboratories:
             return None
         if out is None:
             out = np.empty((len(members), self.action_counts[agent]), dtype=np.int8)
-        if agent == 0:
-            manager_mask(members, self.table.handle, self.rules.handle, self.shelf.handle, out)
-        else:
-            self.benches[agent - 1].mask(self.shelf, self.experiments[agent - 1], members, out)
+        self.roles[agent].mask(members, out)
         return out
 
     def costs(self, member: int = 0) -> dict[str, float]:
@@ -751,9 +606,7 @@ class Laboratories:
 
     def events(self, agent: int, member: int = 0) -> dict[str, float]:
         """Safety events of the agent's last action, by kind; only those that happened."""
-        if agent == 0:
-            return {}
-        row = self.experiments[agent - 1].events[member].tolist()
+        row = self.roles[agent].events[member].tolist()
         return (
             {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}
             if any(row)

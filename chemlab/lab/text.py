@@ -55,27 +55,10 @@ def action_words(laboratories: Laboratories, agent: int, action: Any) -> str:
 
     Args:
         laboratories: the laboratories.
-        agent: number of the agent whose action it is.
+        agent: index of the agent whose action it is.
         action: an int, or the numbers of a continuous action.
     """
-    labs = laboratories
-    if agent == 0:
-        return labs.actions.action_meanings[int(action)]
-    bench = labs.benches[agent - 1]
-    if bench.action_count:
-        return bench.action_meanings[int(action)]
-    values = [float(value) for value in action]
-    names = getattr(bench, "reagent_names", None)
-    if names is None:
-        return ", ".join(f"{value:.2f}" for value in values)
-    words = []
-    for label, value in zip(("temperature", "volume"), values, strict=False):
-        if abs(value - 0.5) > 5e-3:
-            words.append(f"{label} {'up' if value > 0.5 else 'down'} {abs(2.0 * value - 1.0):.0%}")
-    words += [
-        f"add {value:.0%} of the {name} left" for name, value in zip(names, values[2:], strict=True) if value > 5e-3
-    ]
-    return ", ".join(words) or "hold"
+    return laboratories.roles[agent].workplace.action_words(action)
 
 
 def reading_words(laboratories: Laboratories, slot: int, instrument: str, member: int = 0) -> str:

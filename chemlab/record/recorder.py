@@ -21,7 +21,6 @@ from ..config.materials import validated
 from ..kernels.arrays import IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
 from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE
-from ..roles.manager_actions import MEASURE
 from ..roles.manager_state import RUNNING, STATUS_WORDS
 from .format import FORMAT, Header, digest, seen_hash, to_text
 
@@ -32,7 +31,7 @@ class Play(NamedTuple):
     """What one agent was shown and did."""
 
     agent: int
-    """Number of the agent (0 is the manager)."""
+    """Index of the agent."""
     observation: ObservationArray
     mask: MaskArray | None
     action: Any
@@ -60,25 +59,14 @@ class Witness:
         self.rewards = dict.fromkeys(laboratories.agents, 0.0)
         self.turns = 0
         shelf = laboratories.shelf
-        # Readings are the largest part and in the record anyway, from when they were taken.
-        own = laboratories.table.member(member, without="reading")
+        own = [array for role in laboratories.roles for array in role.arrays(member)]
         parts = [shelf.vessels[member], shelf.stock[member], shelf.waste[member], *own]
-        for bench, experiments in zip(laboratories.benches, laboratories.experiments, strict=True):
-            if bench.spec.wear is not None:  # a bench's condition is its own also while it is idle
-                condition = experiments.gain, experiments.life, experiments.wear_stream
-                parts += [array[member : member + 1] for array in condition]
         # Views, which stay: that they are looked up once makes a turn cheaper by a tenth.
         self._parts = [memoryview(part) if part.flags.c_contiguous else part for part in parts if part.size]
-        # All that a bench keeps of an experiment; where its vessels stand in the shelf's rows is no part of it.
-        self._running = [
-            (one.busy, one.stream[member], one.table.member(member, without="places"))
-            for one in laboratories.experiments
-        ]
 
     def _streams(self) -> dict[str, int]:
         labs = self._labs
-        streams = [labs.state.stream, *(experiments.stream for experiments in labs.experiments)]
-        return {agent: int(stream[self._m, 0]) for agent, stream in zip(labs.agents, streams, strict=True)}
+        return {role.name: int(role.stream[self._m, 0]) for role in labs.roles}
 
     def opening(
         self,
@@ -147,12 +135,9 @@ class Witness:
         ended = {agent: s for agent, s in zip(labs.agents, labs.scores[m].tolist(), strict=True) if s == s}
         if ended:
             line["scores"] = ended
-        if plays[0].agent == 0 and not lost:
-            kind, slot, instrument, *_ = labs.actions.table[int(plays[0].action)].tolist()
-            if kind == MEASURE:
-                start, stop = labs.instruments.start[instrument : instrument + 2]
-                values = labs.state.reading[m, slot, start:stop].tolist()
-                line["reading"] = {"slot": slot, "instrument": labs.instruments.names[instrument], "values": values}
+        for play in plays:
+            if reading := labs.roles[play.agent].reading(play.action, m):
+                line["reading"] = reading
         line["hidden"] = self._hidden()
         self.turns += 1
         return line
@@ -183,13 +168,7 @@ class Witness:
         return hidden
 
     def _state(self) -> str:
-        parts = [part if isinstance(part, memoryview) else part.tobytes() for part in self._parts]
-        for busy, stream, fields in self._running:
-            if busy[self._m]:
-                parts += [field.tobytes() for field in fields]
-            else:  # an idle bench's other numbers are left over from experiments before
-                parts.append(stream.tobytes())
-        return digest(b"".join(parts))
+        return digest(b"".join(part if isinstance(part, memoryview) else part.tobytes() for part in self._parts))
 
     @property
     def over(self) -> bool:

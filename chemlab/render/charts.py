@@ -123,7 +123,7 @@ class _Story:
 def _doing(labs: Laboratories, agent: int, action: Any) -> str:
     """Return a one-word description of an action."""
     words = action_words(labs, agent, action)
-    if agent == 0 or labs.action_counts[agent]:
+    if labs.action_counts[agent]:
         return words.replace(",", " ").split()[0]
     if "add" in words:
         return "add"
@@ -146,7 +146,7 @@ def _tell(record: Record, trust: bool) -> _Story:
     note()
     open_tick = False
     for move in replay.moves():
-        by_manager = move.plays[0].agent == 0
+        by_manager = move.plays[0].agent == labs.manager.index
         if open_tick and (by_manager or move.tick != tick):  # the open tick has ended
             unit, open_tick = unit + 1, False
             tick = move.tick
@@ -156,7 +156,7 @@ def _tell(record: Record, trust: bool) -> _Story:
             _add(story.strips[agent], unit, _doing(labs, play.agent, play.action), agent in move.lost, by_manager)
         earned += np.array([move.rewards[agent] for agent in labs.agents])
         if by_manager:
-            story.decisions.append((unit, action_words(labs, 0, move.plays[0].action)))
+            story.decisions.append((unit, action_words(labs, labs.manager.index, move.plays[0].action)))
         _experiments(story, running, move, unit, by_manager)
         if by_manager:
             unit, tick = unit + 1, int(labs.state.ticks[0])
@@ -269,7 +269,7 @@ def _lanes(axes: Any, story: _Story, units: int, inches: float) -> None:
             if number == 1 or story.decisions[number - 2][0] != unit - 1:
                 axes.text(unit, -0.42, str(number), fontsize=6.5, ha="left", va="bottom", color=SOFT)
             continue
-        kind = story.strips[agents[0]][number - 1]
+        kind = story.strips[story.labs.manager.name][number - 1]
         dark = kind.kind in ("submit", "start", "discard") and not kind.lost
         axes.text(unit + 0.5, 0, str(number), fontsize=size, ha="center", va="center", color="white" if dark else INK)
     for agent, start, stop, goal, score in story.experiments:
@@ -305,7 +305,7 @@ def _doing_key(figure: Any, story: _Story, height: float) -> None:
     for agent in agents:
         for strip in story.strips[agent]:
             lost = lost or strip.lost
-            who = "manager: " if agent == agents[0] else "benches: "
+            who = "manager: " if agent == story.labs.manager.name else "benches: "
             shown.setdefault(who + strip.kind, _DOING.get(strip.kind, "#999999"))
     parts = []
     for who in ("manager: ", "benches: "):
@@ -372,16 +372,16 @@ def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reactio
         for play in move.plays:
             agent = labs.agents[play.agent]
             if agent in spectra and agent not in first:
-                goal = labs.scenario.goals[int(labs.experiments[play.agent - 1].goal[0])]
+                goal = labs.roles[play.agent].goal(0)
                 first[agent] = (move.tick, np.array(play.observation[spectra[agent]]), goal)
         for agent, score in move.scores.items():
             if agent in first:
                 slot = int(labs.state.origin[0, labs.bench_agents.index(agent)])
                 close(agent, move.last[agent].observation, labs.shelf.amounts[0, slot].copy(), score)
     for agent in list(first):
-        number = labs.agents.index(agent)
-        place = int(labs.rules.first[number - 1])
-        close(agent, replay.look(number).observation, labs.shelf.amounts[0, place].copy(), None)
+        role = labs.bench_roles[labs.bench_agents.index(agent)]
+        contents = labs.shelf.amounts[0, role.first_position].copy()
+        close(agent, replay.look(role.index).observation, contents, None)
     return labs, found
 
 

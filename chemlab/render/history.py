@@ -78,9 +78,9 @@ class RecordReplay(Replay):
                 plays = self.play(turn)
             except (ValueError, TypeError) as error:
                 raise RecordError(f"{self.record.path}: turn {number}: {error} (see chemlab verify)") from error
-            by_manager = plays[0].agent == 0
+            by_manager = plays[0].agent == labs.manager.index
             lost = tuple(labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0])
-            ended = np.flatnonzero(busy & ~labs.state.busy[:, 0]) + 1
+            ended = [labs.bench_roles[b].index for b in np.flatnonzero(busy & ~labs.state.busy[:, 0])]
             begun = np.flatnonzero(~busy & labs.state.busy[:, 0])
             yield Move(
                 number=number,
@@ -92,7 +92,7 @@ class RecordReplay(Replay):
                 cost=dict(zip(labs.agents, labs.cost[0].tolist(), strict=True)),
                 begun=labs.bench_agents[begun[0]] if len(begun) else "",
                 scores={labs.agents[agent]: float(labs.scores[0, agent]) for agent in ended},
-                last={labs.agents[agent]: self._last_look(before, plays, int(agent)) for agent in ended},
+                last={labs.agents[agent]: self._last_look(before, plays, agent) for agent in ended},
             )
 
         if self.record.broken is not None:
@@ -108,9 +108,9 @@ class RecordReplay(Replay):
         after = labs.snapshot()
         labs.restore(before)
         for play in plays:
-            if play.agent > 0:  # a recall has no action of the bench
-                action = np.asarray(play.action)[None]
-                labs.benches[play.agent - 1].act(labs.shelf, labs.experiments[play.agent - 1], labs.members, action)
+            for role in labs.bench_roles:  # a recall has no action of the bench
+                if role.index == play.agent:
+                    role.workplace.act(labs.shelf, role.experiments, labs.members, np.asarray(play.action)[None])
             if play.agent == agent:
                 break
         seen = self.look(agent)

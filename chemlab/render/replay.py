@@ -21,6 +21,7 @@ from ..lab.text import action_words, reading_words
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..physics.transfer import liquid_volume
 from ..record import Play, Record, RecordError, Replay, verify_record
+from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_ITEMS
 from .scene import laboratory_scene
 
@@ -108,16 +109,21 @@ def _outcome(labs: Laboratories, turn: dict[str, Any], plays: list[Play]) -> str
     for agent, events in turn.get("events", {}).items():
         words += [f"safety, {agent}: {_EVENT_WORDS.get(kind, kind).format(x)}" for kind, x in events.items()]
     for agent, score in turn.get("scores", {}).items():
-        meaning = labs.benches[labs.bench_agents.index(agent)].score_meaning
+        meaning = labs.roles[labs.agents.index(agent)].workplace.score_meaning
         words.append(f"experiment of {agent} over: {score:+.3f} {meaning}")
     reading = turn.get("reading")
     if reading:
         words.append(reading_words(labs, reading["slot"], reading["instrument"]))
-    if plays[0].agent == 0 and not turn.get("lost") and labs.actions.decode(int(plays[0].action))[0] == "submit":
-        order = int(labs.actions.table[int(plays[0].action), 2])
+    if _managed(labs, plays) == "submit" and not turn.get("lost"):
+        order = int(labs.actions.table[int(plays[0].action), SECOND])
         mol, purity = labs.state.submitted[0, order].tolist()
         words.append(f"{mol:.3f} mol {labs.scenario.goals[labs.state.goal[0, order]]} at purity {purity:.3f}")
     return "; ".join(words)
+
+
+def _managed(labs: Laboratories, plays: list[Play]) -> str:
+    """Kind of the manager's action; nothing where benches have acted."""
+    return str(labs.actions.decode(int(plays[0].action))[0]) if plays[0].agent == labs.manager.index else ""
 
 
 def _materials(labs: Laboratories, scene: dict[str, Any]) -> list[dict[str, Any]]:
@@ -159,8 +165,15 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
         number = len(turns) + 1
         turn = _turn(labs, plays)
         shown = [[play.agent, action_words(labs, play.agent, play.action)] for play in plays]
-        kind = labs.actions.decode(int(plays[0].action))[0] if plays[0].agent == 0 else ""
-        turns.append({"tick": tick, "plays": shown, "kind": kind, "outcome": _outcome(labs, turn, plays), **turn})
+        turns.append(
+            {
+                "tick": tick,
+                "plays": shown,
+                "kind": _managed(labs, plays),
+                "outcome": _outcome(labs, turn, plays),
+                **turn,
+            }
+        )
         frame, scene = _frame(labs)
         frames.append(pool.pack(frame))
         costs.append(list(labs.costs().values()))
@@ -226,7 +239,7 @@ def _turn(labs: Laboratories, plays: list[Play]) -> dict[str, Any]:
         found["lost"] = lost
     if events:
         found["events"] = events
-    if plays[0].agent == 0 and not lost:
+    if _managed(labs, plays) and not lost:
         kind, *arguments = labs.actions.decode(int(plays[0].action))
         if kind == "measure":
             found["reading"] = {"slot": arguments[0], "instrument": arguments[1]}

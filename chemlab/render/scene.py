@@ -500,15 +500,13 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
         benches=tuple(
             _bench(
                 camera,
-                bench,
-                experiments,
+                role.workplace,
+                role.experiments,
                 member,
-                range(first, first + len(bench.positions)),
-                running and turn == b + 1,
+                range(role.first_position, role.first_position + len(role.workplace.positions)),
+                running and turn == role.index,
             )
-            for b, (bench, experiments, first) in enumerate(
-                zip(labs.benches, labs.experiments, labs.rules.first.tolist(), strict=True)
-            )
+            for role in labs.bench_roles
         ),
         materials=material_pictures(scenario),
         largest_capacity_l=largest,

@@ -7,7 +7,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -26,6 +26,7 @@ from ..kernels.arrays import (
     MaskArray,
     ObservationArray,
     StreamArray,
+    declared,
     merged,
 )
 from ..kernels.jit import helper, kernel, opened
@@ -35,11 +36,9 @@ from ..physics.backends import partition, settle_phases, work_size
 from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
 from ..physics.shelf import Shelf, ShelfArrays
 from ..physics.transfer import place
+from .base import Quantity
 from .grades import Grades, GradeState, best_vessel, noisy
 from .models import load_model
-
-if TYPE_CHECKING:
-    pass
 
 __all__ = [
     "CAMERA_PIXELS",
@@ -237,6 +236,11 @@ class BenchRules(NamedTuple):
     """scratch of the bench's kernels, which allocate nothing"""
 
 
+def _is_bundled(cls: type) -> bool:
+    """Whether a class is one of chemlab's."""
+    return cls.__module__.startswith(f"{__package__}.")
+
+
 @helper
 def on_scale(value: float, low: float, high: float) -> float:
     """A gauge's reading from 0 to 1: where a value stands between ``low`` and ``high``; 0 if it is no number."""
@@ -392,8 +396,6 @@ class Bench(ABC):
     """Methods of the model that may replace its physics (:mod:`chemlab.roles.models`); empty: it takes none."""
     camera: ClassVar[bool] = False
     """Whether it looks at its vessels with a layer camera."""
-    reagents: int = 0
-    """Number of reagents an experiment has a supply of."""
 
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         self.key = key
@@ -493,7 +495,7 @@ class Bench(ABC):
     @property
     def _is_shipped(self) -> bool:
         """Whether the bench is one of chemlab's, of which all that it does is known to be within bounds."""
-        return type(self).__module__.startswith(f"{__package__}.")
+        return _is_bundled(type(self))
 
     @property
     def action_count(self) -> int:
@@ -510,6 +512,12 @@ class Bench(ABC):
     def action_meanings(self) -> list[str]:
         """What each action (or each number of a continuous action) does."""
         raise NotImplementedError(f"bench {self.key!r} does not describe its actions")
+
+    def action_words(self, action: Any) -> str:
+        """An action in words; of a continuous one, its numbers."""
+        if self.action_count:
+            return self.action_meanings[int(action)]
+        return ", ".join(f"{float(value):.2f}" for value in action)
 
     def representative_actions(self) -> list[tuple[str, FloatArray]]:
         """What continuous actions are discretised to (``actions = "discrete"``): of each what it does, and its numbers
@@ -640,6 +648,22 @@ class Bench(ABC):
                 with blamed(name):
                     earned = term(self, shelf, experiments, members)
                 reward[members] += checked_numbers(earned, members.shape, name)
+
+    def memory(self, experiments: Experiments, members: IntArray) -> list[Quantity]:
+        """The bench's own state in the global state (``env.state()``) of laboratories ``members`` [B].
+
+        The arrays of ``own_state`` that a class of your own declares are part of it by themselves, scaled to [0, 1] as
+        0.5 + arctan(x) / pi. Override this to give them units and bounds. Bundled benches list what does not follow
+        from the contents of their vessels.
+        """
+        found = []
+        for declaration in self.own_state:
+            for field in () if _is_bundled(declaration) else declared(declaration):
+                if field.field.kept and "N" in field.axes:
+                    array = np.moveaxis(getattr(experiments, field.name), field.axes.index("N"), 0)[members]
+                    scaled = 0.5 + np.arctan(np.nan_to_num(array.astype(np.float64))) / np.pi
+                    found.append(Quantity(field.name, "scaled", 0.0, 1.0, "0.5 + arctan(x) / pi of its own", scaled))
+        return found
 
     def rehearsal(self, shelf: Shelf, experiments: Experiments) -> Rehearsal:
         """What happens in an experiment, of no laboratory: see :mod:`chemlab.kernels.warmup`. Nothing, if the bench

@@ -13,6 +13,7 @@ from ..kernels.jit import inner, kernel, opened
 from ..physics.chemistry import CAPACITY, PRESENT, TEMPERATURE
 from ..physics.shelf import ShelfArrays
 from ..physics.transfer import volume
+from .base import VESSEL_TEMPERATURES_K
 from .bench import Channel
 from .instruments.table import InstrumentTable
 from .manager_actions import ManagerActions
@@ -20,7 +21,7 @@ from .manager_state import ARRIVES, INSTRUMENTS, LEAST_AMOUNT, LEAST_PURITY, PRI
 
 __all__ = ["manager_channels", "manager_observe", "order_channels", "report_channels", "terms_channels"]
 
-_COLDEST_K, _HOTTEST_K = 200.0, 800.0
+_COLDEST_K, _HOTTEST_K = VESSEL_TEMPERATURES_K
 
 
 def manager_channels(scenario: Scenario, instruments: InstrumentTable, rules: Rules) -> list[Channel]:

@@ -36,6 +36,7 @@ from ..physics.spectra import spectrum
 from ..physics.surroundings import Surroundings
 from ..physics.thermal import pressure, seal_vessel
 from ..physics.transfer import heat_capacity, liquid_volume, spill, volume, within_range
+from .base import VESSEL_TEMPERATURES_K, Quantity
 from .bench import (
     HEAT,
     STIR,
@@ -466,6 +467,28 @@ class ReactionBench(Bench):
                 self._elements,
             )
         _conclude_all(members, *handles)
+
+    def memory(self, experiments: Experiments, members: IntArray) -> list[Quantity]:
+        busy = experiments.busy[members][:, None]
+        supply = experiments.supply[members] / np.maximum(self.rules.arrays.full, 1e-12) * busy
+        parts = [Quantity("supply", "fraction", 0.0, 1.0, "left of the supply, by reagent", supply)]
+        if self.options.jacket_w_k is not None:
+            jacket = experiments.jacket[members][:, None] * busy
+            parts.append(Quantity("jacket", "K", 0.0, VESSEL_TEMPERATURES_K[1], "temperature of the jacket", jacket))
+        return [*parts, *super().memory(experiments, members)]
+
+    def action_words(self, action: Any) -> str:
+        if self.action_count:
+            return super().action_words(action)
+        values = [float(value) for value in action]
+        words = [
+            f"{label} {'up' if value > 0.5 else 'down'} {abs(2.0 * value - 1.0):.0%}"
+            for label, value in zip(("temperature", "volume"), values, strict=False)
+            if abs(value - 0.5) > 5e-3
+        ]
+        added = zip(self.reagent_names, values[2:], strict=True)
+        words += [f"add {value:.0%} of the {name} left" for name, value in added if value > 5e-3]
+        return ", ".join(words) or "hold"
 
     def see(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         _observe(members, *self._handles(shelf, experiments), out)

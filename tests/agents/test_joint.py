@@ -237,7 +237,7 @@ def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: P
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         card = export_run(tmp_path / "run", tmp_path / "mine", "manager")
-        load_pretrained(tmp_path / "mine").check(Laboratories("relay", 1).role(0))
+        load_pretrained(tmp_path / "mine").check(Laboratories("relay", 1).manager.workplace)
     assert card.bench == "manager"
 
 

@@ -343,7 +343,7 @@ def test_fingerprints_of_bundled_policies_are_of_the_scenarios_as_they_are() -> 
         card = load_pretrained(name).card
         labs = Laboratories(load_scenario(card.scenario))
         roles = {bench.key: bench for bench in labs.benches}
-        assert fingerprint(roles.get(card.bench, labs.role(0))) == card.fingerprint, name
+        assert fingerprint(roles.get(card.bench, labs.manager.workplace)) == card.fingerprint, name
     values = load_scenario("wurtz_dodecane").model_dump()
     values["safety"]["events"] = {"hum": "a bench hums"}
     assert fingerprint(ExperimentBatch(load_scenario(values), "dit").bench) != fingerprint(bench_of(DIT))

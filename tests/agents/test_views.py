@@ -49,8 +49,8 @@ def test_ids_make_views_of_any_scenario(scenario: str) -> None:
     assert isinstance(env.unwrapped, FocalEnv)
     labs = env.unwrapped.laboratories
     assert env.unwrapped.agent == "manager_0"
-    assert env.observation_space == labs.manager_observation_space
-    assert env.action_space == labs.manager_action_space
+    assert env.observation_space == labs.manager.observation_space
+    assert env.action_space == labs.manager.action_space
     observation, info = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     observation, _, _, _, info = env.step(int(np.flatnonzero(info["action_mask"])[0]))

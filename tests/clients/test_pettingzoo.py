@@ -227,7 +227,7 @@ def test_infos_are_flat_and_say_what_has_happened(name: str) -> None:
             assert named_costs(env.infos["manager_0"]) == labs.costs() or env.agent_selection != "manager_0"
             for other in env.possible_agents:
                 if other != env.agent_selection and "action_mask" in env.infos[other]:
-                    resting = labs.resting_actions[env.possible_agents.index(other)]
+                    resting = labs.roles[env.possible_agents.index(other)].resting_action
                     assert np.flatnonzero(env.infos[other]["action_mask"]).tolist() == [resting]
             if any(env.terminations.values()) or any(env.truncations.values()):
                 assert env.infos["manager_0"]["score"] == labs.result(labs.members)[0]

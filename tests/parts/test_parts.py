@@ -52,7 +52,7 @@ def copied(folder: Path, old: str = "", new: str = "", parts: str = "") -> Path:
 def channel(laboratories: Laboratories, agent: int, name: str, member: int = 0) -> npt.NDArray[np.float32]:
     """What an agent sees in one of its channels."""
     seen = laboratories.observe(agent, np.array([member]))[0]
-    return np.asarray(seen[channel_slices(laboratories.role(agent).channels)[name]])
+    return np.asarray(seen[channel_slices(laboratories.roles[agent].channels)[name]])
 
 
 def chosen(laboratories: Laboratories, agent: int, rng: np.random.Generator, member: int = 0) -> Any:
