@@ -49,7 +49,7 @@ def list_scenarios(as_json: JsonOption = False) -> None:
                 "synthesis": s in syntheses,
                 "title": s.title,
                 "summary": s.summary,
-                "agents": ["manager_0", *s.bench_agents()],
+                "agents": s.agents(),
                 "goals": list(s.lab_goals),
                 "file": s.origin,
             }

@@ -23,6 +23,7 @@ from .pairs import Pair
 from .reactions import ReactionFamily
 
 __all__ = [
+    "MANAGER_AGENT",
     "PHYSICS_TIERS",
     "REWARD_MIXES",
     "SAFETY_EVENTS",
@@ -47,6 +48,9 @@ __all__ = [
     "VesselSpec",
     "WearSpec",
 ]
+
+MANAGER_AGENT = "manager_0"
+"""Name of the manager."""
 
 SAFETY_EVENTS: tuple[str, ...] = ("spill_l", "relief_valve_mol", "boiled_dry", "dry_heating", "metal_in_water_mol")
 """Kinds of safety event, with their units: litres spilled, moles of vapour lost through the relief valve,
@@ -586,6 +590,10 @@ class Scenario(BaseModel):
         seen = self.manager.readings
         return {name: spec for name, spec in self.instruments.items() if seen is None or name in seen}
 
+    def agents(self) -> list[str]:
+        """Names of all agents in order; nothing else says which one of them is the manager."""
+        return [MANAGER_AGENT, *self.bench_agents()]
+
     def bench_agents(self) -> list[str]:
         """Agent ids of the benches in turn order: ``rxn_0``, ``rxn_1``, ``ext_0``, ..."""
         return [f"{key}_{i}" for key, bench in self.benches.items() for i in range(bench.count)]
@@ -635,6 +643,6 @@ class Scenario(BaseModel):
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
         yield None, self.name
         yield "title", self.title
-        yield "agents", ["manager_0", *self.bench_agents()]
+        yield "agents", self.agents()
         yield "goals", list(self.lab_goals)
         yield "origin", self.origin

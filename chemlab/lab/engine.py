@@ -15,7 +15,7 @@ from typing_extensions import Unpack
 from ..config.loading import load_scenario
 from ..config.materials import DataError
 from ..config.parts import strangers_code
-from ..config.scenario import OrderSpec, Scenario, Settings
+from ..config.scenario import MANAGER_AGENT, OrderSpec, Scenario, Settings
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform
@@ -42,7 +42,7 @@ from ..roles.manager import (
     turns,
 )
 from ..roles.manager_actions import ManagerActions
-from ..roles.manager_role import MANAGER_AGENT, ManagerRole
+from ..roles.manager_role import ManagerRole
 from ..roles.manager_state import COST_ITEMS, RUNNING, ManagerState, Rules
 from ..roles.manager_view import manager_observe
 from ..roles.wear import wear_out
@@ -95,10 +95,10 @@ def _rehearsal_of(scenario: Scenario) -> Rehearsal:
 class Laboratories:
     """N independent laboratories of one scenario.
 
-    Agents are numbered 0 (the manager), then the benches in the scenario's order; ``agents`` has their ids. In
-    every method ``members`` [B] says which laboratories it is about; their arrays are independent of each
-    other, so results do not depend on N. ``settings`` are those of
-    :meth:`~chemlab.config.scenario.Scenario.configured`.
+    ``agents`` has the names of the agents, ``roles`` the role of each in the same order; ``manager`` and
+    ``bench_roles`` are the same roles by kind. An agent's index has no other meaning. In every method ``members`` [B]
+    are the laboratories that it is about; their arrays are independent of each other, so results do not depend on N.
+    ``settings`` are those of :meth:`~chemlab.config.scenario.Scenario.configured`.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Laboratories:
         self.scenario = load_scenario(scenario, **settings)
         spec = self.scenario
         self.bench_agents = spec.bench_agents()
-        self.agents = [MANAGER_AGENT, *self.bench_agents]
+        self.agents = spec.agents()
         n, slots = laboratories, spec.shelf.slots
         chemistry = world_chemistry(spec, n)
         kinds = {key: build_bench(key, spec, chemistry) for key in spec.benches}
@@ -320,13 +320,15 @@ class Laboratories:
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Begin a new series of episodes of one laboratory: the same seed is the same series, whatever is played."""
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        seed_streams(sequence, [role.stream for role in self.roles], member)
+        seed_streams(sequence, self._streams()[:-1], member)
         self.worlds.seed(member, sequence)
         self.episodes.seed(member, self._streams())
 
     def _streams(self) -> list[StreamArray]:
         """Every random stream that an episode begins with; what wears or drifts has its own from the world's number."""
-        return [*(role.stream for role in self.roles), self.worlds.table.arrays.stream]
+        # By kind of role: a seed means the same, whatever the order of the agents.
+        roles = (self.manager, *self.bench_roles)
+        return [*(role.stream for role in roles), self.worlds.table.arrays.stream]
 
     def reset(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
         """Begin new episodes.

@@ -19,7 +19,7 @@ complete lines can be read. The record of a finished episode is `FILE`.
 - `hidden.vessels` has the changed vessels by position: `[temperature in K, mol of each of the header's materials]`, or
   null for a removed vessel.
 - `hidden.stock` and `hidden.waste` are [mol of each material] if changed.
-- `hidden.state` is a hash of the complete simulator state, with every field of each running experiment.
+- `hidden.state` is a hash of all vessels, bottles and waste, and of the arrays of every role.
 
 The header's `hidden.world` has the number of the world and its values.
 

@@ -80,7 +80,6 @@ class Replay:
         labs.seed(0, header.seed or 0)
         labs.reset(labs.members, header.options.get("goal"), world)
         if header.seed is None:  # the random streams continued from an earlier episode: use the recorded ones
-            streams = [labs.state.stream, *(experiments.stream for experiments in labs.experiments)]
             if list(header.streams) != labs.agents:
                 raise ValueError(f"streams: keys must be {', '.join(labs.agents)}, given {short(list(header.streams))}")
             if len(header.goals) != labs.scenario.orders:
@@ -88,8 +87,8 @@ class Replay:
             goal = header.options.get("goal")
             if goal is not None and set(header.goals) != {goal}:
                 raise ValueError(f"goals: must be {goal}, as requested in options, given {short(header.goals)}")
-            for agent, stream in zip(labs.agents, streams, strict=True):
-                stream[0, 0] = header.streams[agent]
+            for role in labs.roles:
+                role.stream[0, 0] = header.streams[role.name]
             labs.state.goal[0] = [labs.goal_index(name) for name in header.goals]
 
     def play(self, turn: Mapping[str, Any]) -> list[Play]:

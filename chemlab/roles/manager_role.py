@@ -21,9 +21,7 @@ from .manager_view import manager_channels, manager_observe, report_channels
 if TYPE_CHECKING:
     from ..lab.engine import Laboratories
 
-__all__ = ["MANAGER_AGENT", "Manager", "ManagerRole"]
-
-MANAGER_AGENT = "manager_0"
+__all__ = ["Manager", "ManagerRole"]
 
 
 class Manager:

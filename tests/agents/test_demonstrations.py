@@ -171,7 +171,9 @@ def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
                     plays.append(Play(number, seen[0], None if mask is None else mask[0], action))
                     actions[agent] = action
                 else:
-                    actions[agent] = env.action_space(agent).sample() if mask is None else labs.roles[number].resting_action
+                    actions[agent] = (
+                        env.action_space(agent).sample() if mask is None else labs.roles[number].resting_action
+                    )
             env.step(actions)
             recorder.turn(plays)
     found = read_record(tmp_path / "rounds.jsonl")

@@ -16,8 +16,10 @@ from chemlab.envs.aec import env as laboratory_env
 from chemlab.envs.aec import raw_env
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
+from chemlab.record.recorder import Witness
 from chemlab.roles.bench import channel_slices
 
+FILTER, END = range(2)
 ENTRY = """
 [benches.fil]
 kind = "filtration_bench:FiltrationBench"
@@ -59,6 +61,34 @@ def test_it_passes_the_interface_tests(scenario: Path) -> None:
         env.action_space(agent).seed(i)
     api_test(env, num_cycles=300)
     seed_test(lambda: laboratory_env(scenario), num_cycles=100)
+
+
+def test_its_own_arrays_are_part_of_the_state_and_of_its_hash(scenario: Path) -> None:
+    scenario.write_text(scenario.read_text().replace("filtration_bench:Filtration", "clogging_bench:Clogging"))
+    env = raw_env(scenario)
+    env.reset(seed=0, options={"goal": "dodecane"})
+    labs, witness = env.laboratories, Witness(env.laboratories, 0)
+    clogged = labs.experiments[3].clogged
+    at = channel_slices(env.state_channels)["fil_0_clogged"]
+    assert not {"fil_0_scratch", "fil_0_supply", "fil_0_jacket"} & {channel.name for channel in env.state_channels}
+    assert env.state()[at].tolist() == [0.5]
+    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0, "Na": 2.0})
+    for action in (labs.actions.encode("start", "fil_0", 0, "dodecane"), labs.actions.encode("wait"), FILTER, END):
+        env.step(action)
+    # The experiment is over, and the filter stays as it is.
+    assert not labs.busy[3, 0]
+    assert clogged.tolist() == [1.0]
+    assert env.state()[at].tolist() == [0.75]
+    before = witness._state()
+    clogged[0] = 2.0
+    assert env.state()[at] == np.float32(0.5 + np.arctan(2.0) / np.pi)
+    assert witness._state() != before
+    clogged[0] = 1.0
+    labs.experiments[3].scratch[0] = 7.0
+    assert witness._state() == before
+    env.reset()
+    assert clogged.tolist() == [0.0]
+    assert env.state()[at].tolist() == [0.5]
 
 
 def test_a_manager_routes_a_vessel_through_it(scenario: Path) -> None:

@@ -1,0 +1,89 @@
+"""Roles: everything about an agent is asked of its role, and its index has no meaning."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import numpy as np
+import pytest
+
+from chemlab.config.scenario import Scenario
+from chemlab.envs.aec import raw_env
+from chemlab.envs.batch import BatchedLaboratory
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.bench_role import BenchRole
+from chemlab.roles.manager_role import ManagerRole
+
+
+def played(name: str, seed: int) -> list[tuple[Any, ...]]:
+    """Everything that random agents meet in an episode, by name."""
+    env, rng, found = raw_env(name), np.random.default_rng(seed), []
+    env.reset(seed=seed)
+    for agent in env.agent_iter():
+        observation, reward, over, _, info = env.last()
+        known = {key: np.asarray(value).tolist() for key, value in info.items()}
+        found.append((agent, observation.tolist(), reward, over, known, sorted(env.rewards.items())))
+        if over:
+            env.step(None)
+            continue
+        mask, space = info.get("action_mask"), env.action_space(agent)
+        legal = () if mask is None else np.flatnonzero(mask)
+        env.step(rng.random(space.shape) if mask is None else int(rng.choice(legal)))
+    return found
+
+
+@pytest.mark.parametrize("name", ["wurtz_dodecane", "failing"])
+def test_an_episode_does_not_depend_on_the_order_of_the_agents(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = played(name, 5)
+    assert len({turn[0] for turn in usual}) > 2
+    agents = Scenario.agents
+    monkeypatch.setattr(Scenario, "agents", lambda self: agents(self)[::-1])
+    assert Laboratories(name).agents[-1] == "manager_0"
+    other = played(name, 5)
+    running = [turn for turn in usual if not turn[3]]
+    assert other[: len(running)] == running
+    # Where the episode is over, agents are taken in the order of PettingZoo's list.
+    assert sorted(other[len(running) :], key=str) == sorted(usual[len(running) :], key=str)
+
+
+def test_a_batch_pays_each_role_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    def sums() -> dict[str, list[float]]:
+        batch = BatchedLaboratory(3, "wurtz_dodecane")
+        _, infos = batch.reset(seed=2)
+        found, rng = {agent: np.zeros(3) for agent in batch.possible_agents}, np.random.default_rng(0)
+        for _ in range(80):
+            drawn = {}
+            for agent in sorted(batch.possible_agents):
+                mask, shape = infos[agent].get("action_mask"), batch.action_space(agent).shape or ()
+                rows = () if mask is None else mask
+                drawn[agent] = (
+                    rng.random((3, *shape))
+                    if mask is None
+                    else np.array([rng.choice(np.flatnonzero(row)) for row in rows])
+                )
+            _, rewards, _, _, infos = batch.step(drawn)
+            for agent, own in rewards.items():
+                found[agent] += own
+        return {agent: own.tolist() for agent, own in sorted(found.items())}
+
+    usual, agents = sums(), Scenario.agents
+    assert all(np.any(own) for own in usual.values())
+    monkeypatch.setattr(Scenario, "agents", lambda self: [*agents(self)[2:], *agents(self)[:2]])
+    assert sums() == usual
+
+
+def test_roles_are_those_of_the_agents_and_of_copies() -> None:
+    labs = Laboratories("wurtz_two_lines", 2)
+    for some in (labs, copy.deepcopy(labs), pickle.loads(pickle.dumps(labs))):
+        assert [role.name for role in some.roles] == some.agents
+        assert [role.index for role in some.roles] == list(range(len(some.agents)))
+        assert [type(role) for role in some.roles] == [ManagerRole] + [BenchRole] * len(some.benches)
+        assert all(role.labs is some for role in some.roles)
+        some.reset(some.members)
+        start = some.actions.encode("start", "rxn_0", 0, "dodecane")
+        some.act(some.manager.index, some.members, np.full(2, start))
+        assert some.bench_roles[0].experiments.busy.all()
+        assert some.experiments[0] is some.bench_roles[0].experiments
+        assert some.bench_roles[0].goal(1) == "dodecane"
