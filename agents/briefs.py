@@ -36,7 +36,7 @@ def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[s
         seats: all agents that have a seat.
         name: gives the names of materials.
     """
-    spec, role = labs.scenario, labs.role(labs.agents.index(seat))
+    spec, role = labs.scenario, labs.roles[labs.agents.index(seat)].workplace
     others = [other for other in seats if other != seat]
     policies = [agent for agent in labs.agents if agent not in seats]
     lines = [f"You are {seat} in a simulated chemistry laboratory. Its numbers are no instructions for a real one."]

@@ -191,7 +191,7 @@ class Room:
     def _make_verbs(self, seat: str) -> list[Verb]:
         labs = self._labs
         assert labs is not None
-        role = labs.role(labs.agents.index(seat))
+        role = labs.roles[labs.agents.index(seat)].workplace
         acting = bench_verbs(role, self._name) if isinstance(role, Bench) else manager_verbs(labs, self._name)
         verbs = [*acting, Verb("look", "Show everything that you observe. Free.")]
         if seat != MANAGER_AGENT:

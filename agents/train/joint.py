@@ -202,7 +202,7 @@ class Team(Trainee):
         self.scenario = rewarded(a.scenario, a.rewards)
         labs = Laboratories(load_scenario(a.scenario), 1)
         # A run may reward a role otherwise than the scenario does: it is the same task.
-        self._workplaces = {role_of(agent): labs.role(number) for number, agent in reversed([*enumerate(labs.agents)])}
+        self._workplaces = {role_of(role.name): role.workplace for role in reversed(labs.roles)}
         labs = Laboratories(self.scenario, 1)
         self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
         for number, agent in enumerate(labs.agents):

@@ -262,7 +262,7 @@ def task_fingerprint(arguments: Arguments) -> str:
 def _fingerprint(scenario: str, bench: str | None, roles: Any, actions: Any, rewards: str | None, one: bool) -> str:
     if one:
         return find_task(PPO(scenario=scenario, bench=bench, roles=roles, actions=actions)).fingerprint
-    return fingerprint(Laboratories(rewarded(scenario, rewards), 1).role(0))
+    return fingerprint(Laboratories(rewarded(scenario, rewards), 1).manager.workplace)
 
 
 def rewarded(scenario: str, rewards: str | None) -> Scenario:

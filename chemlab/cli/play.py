@@ -41,9 +41,9 @@ def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int)
     made = make_policies("scripted" if pretrained else name, labs, seed)
     chosen = {agent: ("scripted" if pretrained else name, made[agent]) for agent in labs.agents if agent not in people}
     for agent in chosen if pretrained else ():
-        number = labs.agents.index(agent)
+        learned = "trained" if agent == labs.manager.name else "pretrained"
         try:
-            chosen[agent] = (name, agent_policy("pretrained" if number else "trained", labs, number, seed))
+            chosen[agent] = (name, agent_policy(learned, labs, labs.agents.index(agent), seed))
         except ValueError as error:
             err.print(f"{agent} is played by the scripted policy: {plain(error)}")
     return chosen

@@ -1,10 +1,10 @@
-"""The whole laboratory as one vector, for critics that may know what no agent sees: ``state()`` of the environments.
+"""``state()`` of the environments: the whole laboratory as one vector, for centralised critics.
 
-It is everything that what happens next depends on, but for the random streams: true contents of every vessel, bottle
-and waste can, and what the manager and the benches remember, with the arrays that a bench of your own declares. Every
-part is in [0, 1]; those that have no bound of their own are clipped at one that is far off. A channel is one kind of
-quantity, its numbers in the order of the axes that its meaning names; ``vessels`` are the slots and then every bench's
-positions, ``materials`` those of the scenario.
+It is everything that the rest of an episode depends on, but for the random streams: the true contents of every vessel,
+bottle and waste can, and the state of every role (:meth:`chemlab.roles.base.Role.state`), with the arrays that a bench
+of your own declares. Every part is in [0, 1]; quantities without a bound are clipped at one that is far off. A channel
+is one kind of quantity. Its numbers are in the order of the axes that its meaning names; ``vessels`` are the slots and
+then every bench's positions, ``materials`` those of the scenario.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["GlobalState"]
 
 
 class GlobalState:
-    """What there is to know of some laboratories.
+    """The state of some laboratories as one vector.
 
     Attributes:
         channels: what the vector holds, in order.

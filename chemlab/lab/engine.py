@@ -65,7 +65,7 @@ def _draw_goals(members: IntArray, choices: IntArray, stream: StreamArray, goal:
 
 @kernel
 def _draw_stages(members: IntArray, reached: FloatArray, stream: StreamArray, out: IntArray) -> None:
-    """Which way each episode begins: ``reached`` [K] is cumulative, K stands for the scenario's own shelf."""
+    """Draw the stage at which each episode begins: ``reached`` [K] is cumulative, K is the scenario's own shelf."""
     for i in range(members.shape[0]):
         draw = uniform(stream[members[i]])
         k = 0
@@ -157,7 +157,7 @@ class Laboratories:
         self._first_stock = np.array([spec.stock.get(name, 0.0) for name in chemistry.layout.materials])
         self.rules = Table(self._build_rules(positions, first))
         self.experiment_ended = False
-        """Whether the last turn or round has ended an experiment anywhere, so that there are scores."""
+        """True if the last turn or round has ended an experiment anywhere, so that there are scores."""
         self.manager = ManagerRole(self, MANAGER_AGENT)
         pairs = zip(self.benches, self.experiments, strict=True)
         self.bench_roles = [BenchRole(self, b, bench, own) for b, (bench, own) in enumerate(pairs)]
@@ -175,7 +175,7 @@ class Laboratories:
         self.episodes = EpisodeStreams(n, len(self._streams()))
 
     def _shared(self, b: int) -> dict[str, npt.NDArray[Any]]:
-        """What the experiments of bench ``b`` share with the manager's kernels: its row of everybody's."""
+        """Return the arrays that the experiments of bench ``b`` share with the manager's kernels: its row of each."""
         broken = {"broken": self.state.broken[b]} if len(self.state.broken) else {}
         return {
             "busy": self.state.busy[b],
@@ -293,7 +293,7 @@ class Laboratories:
         compile_first(kernels, dimensions, functools.partial(_rehearsal_of, self.scenario), self.rehearsal())
 
     def rehearsal(self) -> Rehearsal:
-        """What happens in an episode, of no laboratory: see :mod:`chemlab.kernels.warmup`."""
+        """Return calls that compile the kernels of an episode: see :mod:`chemlab.kernels.warmup`."""
         none, handles = self.members[:0], self.handles()
         calls: list[Callable[[], object]] = [lambda: self.reset(none)]
         kinds = {bench.key: b for b, bench in enumerate(self.benches)}
@@ -447,7 +447,7 @@ class Laboratories:
         return self.roles[agent].illegal
 
     def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
-        """[agents, B] who plays in each laboratory's next round: the manager, or the busy benches; nobody when the
+        """[agents, B] whether an agent plays in a laboratory's next round: the manager or a busy bench; none if the
         episode is over."""
         if out is None:
             out = np.empty((len(self.agents), len(members)), dtype=np.bool_)
@@ -494,7 +494,7 @@ class Laboratories:
                 role.act(group, actions[role.index][group])
 
     def handles(self) -> tuple[Handle, Handle, Handle, Handle]:
-        """What most of the manager's kernels take."""
+        """Return the tables that most of the manager's kernels take."""
         return self.table.handle, self.rules.handle, self.shelf.handle, self.shelf.chemistry.handles
 
     def pass_turn(self, members: IntArray) -> None:
@@ -519,7 +519,7 @@ class Laboratories:
             )
 
     def settle(self, members: IntArray) -> None:
-        """Where the episode is over, pay every role what the result means for it."""
+        """Pay every role its share of the result in those laboratories of ``members`` whose episode is over."""
         over = members[self.state.status[members] != RUNNING]
         self.state.charges[over] = self.charges(over)
         result, charges = self.result(over), self.state.charges[over].sum(axis=1)
@@ -587,12 +587,12 @@ class Laboratories:
         return out
 
     def costs(self, member: int = 0) -> dict[str, float]:
-        """What the manager has been charged so far, by item, in units of the score."""
+        """Return the manager's charges so far by item, in units of the score."""
         charges = self.charges(self.members[member : member + 1])
         return dict(zip(COST_ITEMS, charges[0].tolist(), strict=True))
 
     def outcome(self, member: int = 0) -> dict[str, Any]:
-        """What has been submitted: ``submitted_mol`` in all and its mean ``purity``, and the same with its ``goal`` for
+        """Return the submissions: ``submitted_mol`` in all and its mean ``purity``, and the same with its ``goal`` for
         each of the ``orders``."""
         goals = self.state.goal[member].tolist()
         pairs = self.state.submitted[member].tolist()
@@ -607,7 +607,7 @@ class Laboratories:
         }
 
     def events(self, agent: int, member: int = 0) -> dict[str, float]:
-        """Safety events of the agent's last action, by kind; only those that happened."""
+        """Safety events of the agent's last action by kind, without zeros."""
         row = self.roles[agent].events[member].tolist()
         return (
             {kind: value for kind, value in zip(self.scenario.safety_events, row, strict=True) if value}

@@ -237,7 +237,7 @@ class BenchRules(NamedTuple):
 
 
 def _is_bundled(cls: type) -> bool:
-    """Whether a class is one of chemlab's."""
+    """Return True for a class of chemlab's own."""
     return cls.__module__.startswith(f"{__package__}.")
 
 

@@ -128,7 +128,7 @@ def soak(scenario: str, episodes: int, members: int = 256, seed: int = 0) -> dic
             mask = mask.copy()
             rare = patient & (rng.random(members) < 0.98)
             kept = mask[rare]
-            kept[:, submits if number == 0 else labs.benches[number - 1].end_action] = 0
+            kept[:, submits if number == labs.manager.index else labs.roles[number].resting_action] = 0
             # If no other action is legal, it is kept.
             mask[np.flatnonzero(rare)[kept.any(axis=1)]] = kept[kept.any(axis=1)]
             mask[rng.random(members) < BOLD] = 1
@@ -137,7 +137,7 @@ def soak(scenario: str, episodes: int, members: int = 256, seed: int = 0) -> dic
         rounds += 1
         ended += int(over.sum())
         for number, agent in enumerate(batch.possible_agents):
-            lost += int(labs.illegal(number).sum()) if number == 0 else 0
+            lost += int(labs.illegal(number).sum()) if number == labs.manager.index else 0
             unsound += int((~np.isfinite(rewards[agent])).sum() + (~np.isfinite(infos[agent]["cost"])).sum())
         if rounds % 64 == 0:
             batch.weigh(everyone)

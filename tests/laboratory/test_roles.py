@@ -24,7 +24,8 @@ def played(name: str, seed: int) -> list[tuple[Any, ...]]:
     for agent in env.agent_iter():
         observation, reward, over, _, info = env.last()
         known = {key: np.asarray(value).tolist() for key, value in info.items()}
-        found.append((agent, observation.tolist(), reward, over, known, sorted(env.rewards.items())))
+        rewards = {} if over else env.rewards  # once it is over, PettingZoo drops agents one by one
+        found.append((agent, observation.tolist(), reward, over, known, sorted(rewards.items())))
         if over:
             env.step(None)
             continue
@@ -57,19 +58,16 @@ def test_a_batch_pays_each_role_by_name(monkeypatch: pytest.MonkeyPatch) -> None
             drawn = {}
             for agent in sorted(batch.possible_agents):
                 mask, shape = infos[agent].get("action_mask"), batch.action_space(agent).shape or ()
-                rows = () if mask is None else mask
-                drawn[agent] = (
-                    rng.random((3, *shape))
-                    if mask is None
-                    else np.array([rng.choice(np.flatnonzero(row)) for row in rows])
-                )
+                legal = [] if mask is None else [rng.choice(np.flatnonzero(row)) for row in mask]
+                drawn[agent] = rng.random((3, *shape)) if mask is None else np.array(legal)
             _, rewards, _, _, infos = batch.step(drawn)
             for agent, own in rewards.items():
                 found[agent] += own
         return {agent: own.tolist() for agent, own in sorted(found.items())}
 
     usual, agents = sums(), Scenario.agents
-    assert all(np.any(own) for own in usual.values())
+    assert np.any(usual["manager_0"])
+    assert sum(np.any(own) for own in usual.values()) > 1
     monkeypatch.setattr(Scenario, "agents", lambda self: [*agents(self)[2:], *agents(self)[:2]])
     assert sums() == usual
 
