@@ -199,8 +199,8 @@ class RoleText:
     """
 
     def __init__(self, laboratories: Laboratories, agent: int, name: Callable[[str], str] | None = None) -> None:
-        self._labs, self._agent = laboratories, agent
-        self._role = laboratories.role(agent)
+        self._labs, self._manages = laboratories, agent == laboratories.manager.index
+        self._role = laboratories.roles[agent].workplace
         self._slices = channel_slices(self._role.channels)
         self._shades = Shades(laboratories.scenario)
         self._name = name or str
@@ -216,7 +216,7 @@ class RoleText:
 
     def acted(self, action: Any) -> None:
         """Take note of an action of the role that was carried out."""
-        if self._agent > 0:
+        if not self._manages:
             return
         kind, *arguments = self._labs.actions.decode(int(action))
         if kind == "start":
@@ -232,8 +232,7 @@ class RoleText:
         known += [order for order, _ in order_channels(scenario)] + list(scenario.instruments)
         subjects: dict[str, list[tuple[str, Channel]]] = {}
         for channel in self._role.channels:
-            mine = self._agent == 0
-            fitting = [k for k in known if mine and (channel.name == k or channel.name.startswith(f"{k}_"))]
+            fitting = [k for k in known if self._manages and (channel.name == k or channel.name.startswith(f"{k}_"))]
             subject = max(fitting, key=len, default="")
             label = channel.name[len(subject) :].strip("_") if subject else channel.name
             subjects.setdefault(subject, []).append((label.replace("_", " "), channel))
@@ -243,7 +242,7 @@ class RoleText:
         """(factor and name of every value, unit) of channels that are shares of something the scenario states."""
         labs, scenario = self._labs, self._labs.scenario
         limits, scales = scenario.limits, {}
-        if self._agent == 0:
+        if self._manages:
             scales["stock"] = ([*scenario.stock.values()], [*map(self._name, scenario.stock)], "mol")
             scales["budget"] = ([limits.budget], [""], "for measuring")
             scales["actions"] = ([float(limits.manager_actions)], [""], "actions")
@@ -291,7 +290,7 @@ class RoleText:
         ]
         if short:
             together = [self._words(label, channel, values[channel.name], label) for label, channel in short]
-            lines.append(("left: " if self._agent == 0 else "") + ", ".join(together))
+            lines.append(("left: " if self._manages else "") + ", ".join(together))
         return lines
 
     def _about(self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> str:
