@@ -61,7 +61,7 @@ def variants(labs: Laboratories, channel: Channel) -> list[npt.NDArray[Any]]:
 def test_observations_that_differ_in_a_channel_differ_in_text(name: str) -> None:
     labs = Laboratories(load_scenario(name))
     for agent in range(len(labs.agents)):
-        channels = tuple(labs.role(agent).channels)
+        channels = tuple(labs.roles[agent].channels)
         view, base, slices = RoleText(labs, agent), live(labs, channels), channel_slices(channels)
         for channel in channels:
             texts = {}
