@@ -649,7 +649,7 @@ def test_other_versions_are_told_apart(honest: Path, tmp_path: Path) -> None:
     lines[0]["format"]["version"] = 1
     result = verify_record(store(tmp_path / "a.jsonl", lines))
     assert result.status == "other"
-    assert "format 1, made by chemlab 9.9; this version reads format 4" in result.message
+    assert "format 1, made by chemlab 9.9; this version reads format 5" in result.message
 
 
 def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

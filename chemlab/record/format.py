@@ -37,7 +37,7 @@ __all__ = [
     "to_text",
 ]
 
-FORMAT = {"name": "chemlab-episode", "version": 4}
+FORMAT = {"name": "chemlab-episode", "version": 5}
 """Format entry of every record's first line.
 
 The version is increased when readers have to change, or when the same episode would give another record.
