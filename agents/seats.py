@@ -439,7 +439,7 @@ class Room:
         last = self._noted.get(agent)
         if last is not None and not whole:
             at = 0
-            for channel in labs.role(labs.agents.index(agent)).channels:
+            for channel in labs.roles[labs.agents.index(agent)].channels:
                 own = slice(at, at + channel.size)
                 at += channel.size
                 if channel.unit == "absorption" and np.abs(observation[own] - last[own]).max() <= _UNNOTICED:

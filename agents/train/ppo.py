@@ -308,7 +308,7 @@ class PPOTeam:
             count = labs.action_counts[number]
             if role not in self.learners:
                 whole = full.observation_sizes[number]
-                columns = _columns(full.role(number).channels, labs.role(number).channels)
+                columns = _columns(full.roles[number].channels, labs.roles[number].channels)
                 size = count or int(space.shape[0])  # type: ignore[index]
                 network = _Network(len(columns), state, size, bool(count), settings.net_arch)
                 if role == MANAGER_ROLE and settings.balanced:
