@@ -580,7 +580,7 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         done = runner.invoke(app, words)
         assert isinstance(done.exception, SystemExit), (words, done.exception)
         assert done.exit_code == 2
-        assert "is read by this command" in done.output.replace("\n", ""), (words, done.output)
+        assert "is an input of this command" in done.output.replace("\n", ""), (words, done.output)
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 

@@ -188,16 +188,16 @@ def test_no_file_is_given_twice(tmp_path: Path) -> None:
     spelled = tmp_path / "below" / ".." / "a.toml"
     check_apart([file, other], [tmp_path / "c.toml"])
     for twice in (file, spelled):
-        with pytest.raises(ValueError, match=r"a\.toml: is given twice"):
+        with pytest.raises(ValueError, match=r"a\.toml: is given for two outputs"):
             check_apart([file, twice])
-        with pytest.raises(ValueError, match=r"a\.toml: is read by this command"):
+        with pytest.raises(ValueError, match=r"a\.toml: is an input of this command"):
             check_apart([file], [other, twice])
     file.write_text("x")
     other.symlink_to(file)
     hard = tmp_path / "hard.toml"
     os.link(file, hard)
     for link in (other, hard):
-        with pytest.raises(ValueError, match="is read by this command"):
+        with pytest.raises(ValueError, match="is an input of this command"):
             check_apart([link], [file])
 
 

@@ -385,7 +385,7 @@ def test_a_result_never_replaces_another_or_what_is_read(tmp_path: Path) -> None
     done = run(
         "data", "material", "benzyl chloride", "-o", materials, "--pairs", tmp_path / "x" / ".." / "m.toml", fails=True
     )
-    assert "is given twice" in " ".join(done.output.split())
+    assert "is given for two outputs" in " ".join(done.output.split())
     assert not list(tmp_path.iterdir())
     values.write_text("")
     run("data", "material", "benzyl chloride", "-o", materials)
@@ -399,7 +399,7 @@ def test_a_result_never_replaces_another_or_what_is_read(tmp_path: Path) -> None
         ["new", "lab", "--reactions", "wurtz_real", "-o", materials, "--materials", materials],
     ):
         done = run(*words, "--force", fails=True)
-        assert "is read by this command" in " ".join(done.output.split()), words
+        assert "is an input of this command" in " ".join(done.output.split()), words
     assert (values.read_text(), materials.read_text()) == ("", before)
 
 

@@ -112,8 +112,8 @@ def test_a_later_file_replaces_what_an_earlier_one_says(file: Path, tmp_path: Pa
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     [
-        ('of = ["c", "b"]', 'of = ["b", "a"]', ["'a' with 'b' stands here twice"]),
-        ('of = ["c", "b"]', 'of = ["c", "c"]', ["pairs.1", "of two materials"]),
+        ('of = ["c", "b"]', 'of = ["b", "a"]', ["'a' with 'b' is listed twice"]),
+        ('of = ["c", "b"]', 'of = ["c", "c"]', ["pairs.1", "two different materials"]),
         ("c = [0.5, 0.25]", "c = [0.5]", ["pairs.1.c"]),
         ("alpha = 0.2", "alpha = 0.0", ["pairs.1.alpha", "0.01"]),
         ("b = [30.0, 40.0]", "b = [90000.0, 40.0]", ["pairs.1", "tau is beyond 100 at 250.0 K"]),

@@ -234,7 +234,7 @@ def test_a_picture_stands_beside_its_record(scripted: Path, tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
-        (["timeline", "{record}", "-o", "x.gif"], "known: png"),
+        (["timeline", "{record}", "-o", "x.gif"], "choose from png"),
         (["moles", "{record}", "--only", "Au"], "Au is not in this record"),
         (["moles", "none.jsonl"], "No such file"),
         (["curves", "{folder}"], "no training run"),

@@ -244,7 +244,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("[[shelf.vessel]]\ncapacity_l = 1.0\ncontents = { diethyl_ether = 4.0 }\n", "", ["shelf", "at least one"]),
         ('summary = "One', 'physics = "magic"\nsummary = "One', ["physics", "unknown backend", "paper", "'magic'"]),
         ('title = "A tiny laboratory"', f'title = "{"x" * 301}"', ["title", "at most 300"]),
-        ('title = "A tiny laboratory"', r'title = "A \u001b[2J"', ["title", "none of them control"]),
+        ('title = "A tiny laboratory"', r'title = "A \u001b[2J"', ["title", "without control characters"]),
         ('summary = "One', f'summary = "{"x" * 4001}', ["summary", "4000 characters"]),
         ('name = "tiny"', f'name = "{"x" * 101}"', ["name", "at most 100"]),
         ("dodecane = 0.5", "dodecane = 1e5", ["theoretical_maximum_mol.dodecane", "less than or equal to 10000"]),
@@ -260,7 +260,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
             "slots = 64\n" + "\n".join(f"[benches.{c}]\nkind = 'distillation'\ncount = 16" for c in "abcdefghijklm"),
             ["benches x slots x goals", "at most 20000"],
         ),
-        ("water = 10.0", "water = 1" + "0" * 30, ["stock.water", "whole number", "9007199254740992"]),
+        ("water = 10.0", "water = 1" + "0" * 30, ["stock.water", "an integer", "9007199254740992"]),
         ("magnitudes = [10, 20]", "magnitudes = " + "[" * 20 + "]" * 20, ["magnitudes", "more than 12 levels"]),
         ("magnitudes = [10, 20]", "magnitudes = " + "[" * 5000, ["more than 12 levels"]),
         ("water = 10.0", "water" + ".a" * 20 + " = 1", ["dotted key of more than 12 parts"]),
@@ -355,7 +355,7 @@ def test_a_material_of_ones_own_may_not_take_a_shipped_name(tmp_path: Path) -> N
     shipped = Path(chemlab.__file__).parent / "data" / "materials" / "gases.toml"
     (tmp_path / "mine.toml").write_text(shipped.read_text())
     file.write_text(changed('reactions = "wurtz"', 'reactions = "wurtz"\nmaterial_files = ["mine.toml"]'))
-    with pytest.raises(DataError, match="already a shipped material") as caught:
+    with pytest.raises(DataError, match="already a bundled material") as caught:
         load_scenario(file)
     assert str(file) in str(caught.value)
     assert "material_files" in str(caught.value)
@@ -806,7 +806,7 @@ def test_pair_files_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
     [
         ("wurtz_dodecan", r"base: unknown 'wurtz_dodecan'; shipped: .*wurtz_dodecane"),
         ("nowhere.toml", r"base: unknown 'nowhere.toml'"),
-        ("circle.toml", r"has this scenario as its own base"),
+        ("circle.toml", r"inherits from this scenario"),
     ],
 )
 def test_a_base_that_is_none(base: str, message: str, tmp_path: Path) -> None:
@@ -848,7 +848,7 @@ def test_a_base_of_a_base_is_taken_out_of(tmp_path: Path) -> None:
     ("text", "parts"),
     [
         ('remove = ["benches.cook"]', ["remove", "'benches.cook'", "'wurtz_dodecane'", "rxn, ext, dit"]),
-        ('remove = ["name.first"]', ["remove", "'name.first'", "no table"]),
+        ('remove = ["name.first"]', ["remove", "'name.first'", "not a table"]),
         ('remove = ["instruments", "instruments.balance"]', ["remove", "'instruments.balance' is not in the base"]),
         ('remove = "instruments"', ["remove", "list of keys", "'instruments'"]),
         ("remove = [3]", ["remove", "must be keys", "3"]),
@@ -876,7 +876,7 @@ def test_the_advice_about_an_empty_table_works(tmp_path: Path) -> None:
 
 def test_only_a_file_with_a_base_can_take_keys_out(tmp_path: Path) -> None:
     (tmp_path / "tiny.toml").write_text('remove = ["instruments"]\n' + BASE)
-    with pytest.raises(DataError, match="remove: takes keys out of a base, and this scenario has none"):
+    with pytest.raises(DataError, match="remove: requires a base, and this scenario has none"):
         load_scenario(tmp_path / "tiny.toml")
 
 

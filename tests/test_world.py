@@ -175,7 +175,7 @@ def test_a_world_is_its_number() -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"z": 1.0}, "'z' is not drawn; known: x, y"),
+        ({"z": 1.0}, "'z' is not drawn; choose from x, y"),
         ({"x": "b"}, "x: must be a finite number"),
         ({"x": 9.0}, "x: must be from 0 to 1, given 9"),
         ({"y": "b"}, "y: must be a table of slot_0, slot_1"),
@@ -218,13 +218,16 @@ def file(**draw: Any) -> dict[str, Any]:
     ("draw", "message"),
     [
         ({"what": "titre", "of": ["slot_0"], "material": "1-chlorohexane"}, "x: inert: must be given for a titre"),
-        ({"what": "amount", "of": ["slot_0"]}, "x: material: must be given for amount"),
-        ({"what": "amount", "of": ["slot_1"], "material": "Na"}, "x.of: unknown vessel 'slot_1'; known: slot_0, rxn"),
+        ({"what": "amount", "of": ["slot_0"]}, "x: material: required for amount"),
+        (
+            {"what": "amount", "of": ["slot_1"], "material": "Na"},
+            "x.of: unknown vessel 'slot_1'; choose from slot_0, rxn",
+        ),
         ({"what": "amount", "of": ["slot_0"], "material": "Na"}, "x.material: 'Na' is not in slot_0"),
-        ({"what": "amount", "of": ["stock"], "material": "Na"}, "x.what: how full a bottle is can be seen"),
+        ({"what": "amount", "of": ["stock"], "material": "Na"}, "x.what: a bottle's amount is observed"),
         (
             {"what": "titre", "of": ["stock"], "material": "dodecane", "inert": "water"},
-            "x.material: there is no bottle of 'dodecane' in stock; known: 1-chlorohexane",
+            "x.material: there is no bottle of 'dodecane' in stock; choose from 1-chlorohexane",
         ),
         (
             {
@@ -248,7 +251,7 @@ def file(**draw: Any) -> dict[str, Any]:
         ),
         (
             {"what": "identity", "of": ["slot_0"], "material": "1-chlorohexane"},
-            "x: distribution: an identity is a choice or a permutation of materials",
+            "x: distribution: must be a choice or a permutation of materials",
         ),
         (
             {
@@ -261,16 +264,16 @@ def file(**draw: Any) -> dict[str, Any]:
         ),
         (
             {"what": "colour"},
-            "x.what: 'colour' is nothing that may be drawn; known: identity, amount, titre, ",
+            "x.what: 'colour' cannot be drawn; choose from identity, amount, titre, ",
         ),
-        ({"what": "boiling_point", "of": ["Na"]}, "x.what: 'boiling_point' is nothing that may be drawn"),
+        ({"what": "boiling_point", "of": ["Na"]}, "x.what: 'boiling_point' cannot be drawn"),
         ({"what": "pre_exponential", "of": ["A -> B"]}, "x.of: must be some of 2 1-chlorohexane"),
         ({"what": "pre_exponential"}, "x.of: must be some of 2 1-chlorohexane .* given nothing"),
         ({"what": "polarity", "of": ["gold"]}, "x.of: must be some of 1-chlorohexane"),
         ({"what": "ambient_pressure", "of": ["Na"]}, "x.of: must be left out; given Na"),
         (
             {"what": "pre_exponential", "of": [WURTZ], "distribution": {"kind": "normal", "mean": 1.0, "sd": 1.0}},
-            "x: pre_exponential could come to -inf, and must stay above 0; give low",
+            "x: pre_exponential must stay above 0, and could become -inf; give low",
         ),
         (
             {"what": "ambient_pressure", "test": [[0.5, 0.99]]},

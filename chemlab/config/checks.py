@@ -14,11 +14,11 @@ from .scenario import OrderTerms, Scenario, StartSpec, VesselSpec
 __all__ = ["check_charges", "check_draws", "check_materials", "check_vessels", "mentioned_materials"]
 
 _NEUTRAL = 1e-9
-"""Charge of contents over that of all their ions, up to which it is rounding."""
+"""Relative charge of contents up to which it counts as rounding."""
 
 
 def mentioned_materials(spec: Scenario) -> list[tuple[str, str]]:
-    """(key, material) for every material that a scenario file has anywhere, in order; a price alone has none."""
+    """Return (key, material) of every material that a scenario file names, in order, except those with a price only."""
     found = [("stock", name) for name in spec.stock]
     for i, vessel in enumerate(spec.shelf.vessel):
         found += [(f"shelf.vessel.{i}.contents", name) for name in vessel.contents]
@@ -34,7 +34,7 @@ def mentioned_materials(spec: Scenario) -> list[tuple[str, str]]:
 
 
 def check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
-    """Refuse contents that do not fit their vessel."""
+    """Check that contents fit their vessels."""
 
     def litres(name: str, mol: float) -> float:
         return mol * known[name].molar_mass_g_mol / known[name].density_kg_l / 1000.0
@@ -56,14 +56,14 @@ def check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> 
 
 
 def check_charges(spec: Scenario, known: Mapping[str, Material], family: ReactionFamily, where: str) -> None:
-    """Refuse ions without the counter-ions that balance their charge."""
+    """Check that ions have counter-ions that balance their charge."""
 
     def alone(key: str, name: str) -> None:
         if not known[name].charge:
             return
         salts = [salt.solid for salt in family.salt if name in (salt.cation, salt.anion)]
         hint = f"name a salt of it ({', '.join(salts)})" if salts else "name a salt of it, with its [[salt]] entry"
-        raise DataError(f"{where}: {key}: {name!r} is an ion, of which there is none alone; {hint} instead")
+        raise DataError(f"{where}: {key}: {name!r} is an ion, which cannot occur alone; {hint} instead")
 
     for name in spec.stock:
         alone("stock", name)
@@ -74,7 +74,7 @@ def check_charges(spec: Scenario, known: Mapping[str, Material], family: Reactio
         charge = sum(mol * known[name].charge for name, mol in vessel.contents.items())
         if abs(charge) > _NEUTRAL * sum(mol * abs(known[name].charge) for name, mol in vessel.contents.items()):
             raise DataError(
-                f"{where}: {key}.contents: have a charge of {charge:+.4g} mol, and must have none; give the ions that "
+                f"{where}: {key}.contents: must be neutral; the charge is {charge:+.4g} mol; add the ions that"
                 "balance it, or salts"
             )
         if isinstance(vessel, StartSpec) and vessel.goal_mol:
@@ -99,7 +99,7 @@ def check_charges(spec: Scenario, known: Mapping[str, Material], family: Reactio
 
 
 def check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
-    """Refuse draws of vessels that are not there, or of contents that do not fit."""
+    """Check that drawn vessels exist and drawn contents fit."""
     starts: dict[str, VesselSpec | StartSpec] = {f"slot_{s}": vessel for s, vessel in enumerate(spec.shelf.vessel)}
     starts |= {key: bench.start for key, bench in spec.benches.items()}
     for key, draw in spec.world.draws.items():
@@ -115,30 +115,30 @@ def check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> No
                 _check_bottle(spec, draw, here)
                 continue
             if name not in starts:
-                raise DataError(f"{here}.of: unknown vessel {name!r}; known: {', '.join([*starts, BOTTLE])}")
+                raise DataError(f"{here}.of: unknown vessel {name!r}; choose from {', '.join([*starts, BOTTLE])}")
             contents = starts[name].contents
             if draw.material not in contents:
                 raise DataError(
-                    f"{here}.material: {draw.material!r} is not in {name}: {', '.join(contents) or 'nothing'} is"
+                    f"{here}.material: {draw.material!r} is not in {name}, which has {', '.join(contents) or 'no'} only"
                 )
             _check_limits(draw, starts[name], known, f"{here}: {name}")
 
 
 def _check_bottle(spec: Scenario, draw: Draw, where: str) -> None:
-    """Refuse draws of bottles that are not there, or that several draws are of."""
+    """Check that drawn bottles exist and belong to one draw each."""
     if draw.material not in spec.stock:
         bottles = ", ".join(spec.stock) or "none"
-        raise DataError(f"{where}.material: there is no bottle of {draw.material!r} in stock; known: {bottles}")
+        raise DataError(f"{where}.material: there is no bottle of {draw.material!r} in stock; choose from {bottles}")
     if draw.what == "amount":
-        raise DataError(f"{where}.what: how full a bottle is can be seen; draw its identity or titre")
+        raise DataError(f"{where}.what: a bottle's amount is observed and cannot be hidden; draw its identity or titre")
     others = [other for other in spec.world.draws.values() if BOTTLE in other.of and other.material == draw.material]
     if len(others) > 1:
-        raise DataError(f"{where}: the bottle of {draw.material!r} is drawn twice; leave one out")
+        raise DataError(f"{where}: the bottle of {draw.material!r} is drawn twice; remove one")
     _check_titre(draw, where)
 
 
 def _check_devices(spec: Scenario, draw: Draw, where: str) -> None:
-    """Refuse draws of the condition of benches or instruments that have none."""
+    """Check that drawn conditions belong to benches or instruments that have them."""
     if draw.what in ("gain", "life"):
         table, example = "wear", "{ gain = 1.0 }"
         known = {
@@ -152,28 +152,28 @@ def _check_devices(spec: Scenario, draw: Draw, where: str) -> None:
         lacking = {name for name in known if spec.instruments[name].drift is None}
     for name in draw.of:
         if name not in known:
-            raise DataError(f"{where}.of: {name!r} has no {draw.what}; what may have: {', '.join(known)}")
+            raise DataError(f"{where}.of: {name!r} has no {draw.what}; choose from {', '.join(known)}")
         if name in lacking:
             kind = "benches" if table == "wear" else "instruments"
             raise DataError(f"{where}.of: {name!r} has no {table}; give {kind}.{known[name]} one: {table} = {example}")
     low, _ = draw_limits(draw)
     if table == "drift" and draw.change == "factor":
-        raise DataError(f"{where}.change: must be offset or value for {draw.what}, which is nothing to begin with")
+        raise DataError(f"{where}.change: must be offset or value for {draw.what}, whose declared value is 0")
     if table == "wear" and not (draw.change != "offset" and low > 0.0):
         raise DataError(f"{where}: {draw.what} must stay above 0; use factor or value, and give low")
 
 
 def _check_terms(spec: Scenario, draw: Draw, where: str) -> None:
-    """Refuse draws of orders that are not there, or of terms that no order may have."""
+    """Check that drawn orders and terms exist."""
     terms = {f"order_{o}": order for o, order in enumerate(spec.demand.order)}
     for name in draw.of:
         if name not in terms:
             raise DataError(
-                f"{where}.of: unknown order {name!r}; known: {', '.join(terms) or 'none: give demand.order'}"
+                f"{where}.of: unknown order {name!r}; choose from {', '.join(terms) or 'none: give demand.order'}"
             )
         given = getattr(terms[name], draw.what)
         if given is None and draw.change != "value":
-            raise DataError(f"{where}.change: {name} has no {draw.what} to change; give it one, or change = 'value'")
+            raise DataError(f"{where}.change: {name} has no {draw.what} to change; add one, or use change = 'value'")
         for number in changed_limits(draw, 0.0 if given is None else given):
             validated(OrderTerms, {draw.what: number}, f"{where}: {name}")
 
@@ -204,6 +204,6 @@ def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str,
 def check_materials(named: list[tuple[str, str]], known: Mapping[str, Material], where: str) -> None:
     for key, name in named:
         if name not in known:
-            raise DataError(f"{where}: {key}: unknown material {name!r}; known: {', '.join(sorted(known))}")
+            raise DataError(f"{where}: {key}: unknown material {name!r}; choose from {', '.join(sorted(known))}")
         if known[name].role == "gas":
             raise DataError(f"{where}: {key}: {name!r} is a gas; bottles and vessels hold liquids and solids")

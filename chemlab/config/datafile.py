@@ -1,6 +1,6 @@
-"""Reading data files that others wrote, within bounds; :mod:`chemlab.config.datamodel` checks them against models.
+"""Reading of untrusted data files within bounds; :mod:`chemlab.config.datamodel` validates them against models.
 
-Whatever is wrong with a file is a :class:`DataError` that names file, key, value and bound.
+Every fault of a file raises a :class:`DataError` that names file, key, value and bound.
 """
 
 from __future__ import annotations
@@ -37,39 +37,39 @@ _DEPTH = 12
 _ENTRIES = 10_000
 _TEXT = 4000
 _KEY = 100
-_INTEGER = 2**53  # beyond it a number in a file is no longer the number that is computed with
+_INTEGER = 2**53  # larger integers are not exact as floats
 _SHOWN = 100
 _LONGEST_PATH = 1000
 
 _DOTTED = re.compile(
     rf"""(?<![\w.-])(?:(?:[A-Za-z0-9_-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{_DEPTH}}}""",
 )
-"""A dotted key deeper than files may be: the parser's time grows with the square of its length."""
+"""A dotted key deeper than files may be, rejected early because the parser's time is quadratic in its length."""
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
-"""What moves a terminal's cursor, and halves of characters that no file can hold."""
+"""Terminal control characters, and surrogates, which no file can encode."""
 
 
 def toml_key(key: str) -> str:
-    """Write a key as TOML wants it, in quotes where it has other characters than letters, digits, _ and -."""
-    # TOML has JSON's escapes, and one more character to escape.
+    """Format a key for TOML, quoted if it has characters other than letters, digits, _ and -."""
+    # TOML has JSON's escapes, and requires DEL to be escaped.
     return key if _BARE.fullmatch(key) else json.dumps(key, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
 class DataError(ValueError):
-    """A data file (material, reaction, scenario) is wrong; the message names file, key, value and bound."""
+    """A data file (material, reaction, scenario) is invalid; the message names file, key, value and bound."""
 
 
 def read_text(path: Path, limit: int = _FILE_BYTES) -> str:
-    """A file of at most ``limit`` bytes as text.
+    """Read a text file of at most ``limit`` bytes.
 
     Raises:
-        DataError: the file is missing, too large, or no text; the message names it.
+        DataError: the file is missing, too large, or not text; the message names it.
     """
     if "\0" in str(path):
-        raise DataError(f"{str(path)!r}: a path has no null character")
+        raise DataError(f"{str(path)!r}: a path must not contain a null character")
     try:
         content = read_bytes(path, limit)
     except FileNotFoundError as error:
@@ -112,10 +112,10 @@ def read_json(path: Path, limit: int = _FILE_BYTES) -> Any:
 
 
 def parse_json(text: str, where: str) -> Any:
-    """What a JSON text says; errors as :func:`read_json`.
+    """Parse a JSON text.
 
     Raises:
-        DataError: it is malformed, or nested too deeply; the message begins with ``where``.
+        DataError: the text is malformed or nested too deeply; the message begins with ``where``.
     """
     try:
         return bounded(json.loads(text), where)
@@ -128,10 +128,10 @@ def parse_json(text: str, where: str) -> Any:
 
 
 def dotted_key(text: object, where: str) -> list[str]:
-    """The parts of a key as TOML writes it: ``costs.stock_per_mol.'Na+'``.
+    """Return the parts of a dotted TOML key: ``costs.stock_per_mol.'Na+'``.
 
     Raises:
-        DataError: the text is no such key.
+        DataError: the text is not a dotted key.
     """
     parts: list[str] = []
     try:
@@ -149,13 +149,13 @@ def dotted_key(text: object, where: str) -> list[str]:
 
 
 def bounded(content: Any, where: str) -> Any:
-    """``content``, once every table, list, text and number in it is known to be of a reasonable size.
+    """Return ``content`` after checking the size of every table, list, text and number in it.
 
     Raises:
-        DataError: something is nested too deeply, too long, too large or no number, or a text has control characters.
+        DataError: a value is nested too deeply, too long, too large or not finite, or a text has control characters.
     """
 
-    # Where something stands is a chain of keys, so that nothing has to be copied for what is right.
+    # The location is a chain of keys, so that valid content needs no copies.
     def wrong(problem: str, at: Any) -> DataError:
         keys: list[str] = []
         while at is not None:
@@ -169,7 +169,7 @@ def bounded(content: Any, where: str) -> Any:
         if isinstance(value, str):
             if len(value) > _TEXT or _CONTROL.search(value):
                 given = shown(value)
-                raise wrong(f"a text must be {_TEXT} characters at most, none of them control, given {given}", at)
+                raise wrong(f"a text must be {_TEXT} characters at most without control characters, given {given}", at)
             continue
         if isinstance(value, float):
             if not math.isfinite(value):
@@ -178,9 +178,9 @@ def bounded(content: Any, where: str) -> Any:
         if isinstance(value, int):
             if abs(value) > _INTEGER:
                 bits = value.bit_length()
-                raise wrong(f"a whole number must be within {_INTEGER}, given one of {bits} bits", at)
+                raise wrong(f"an integer must be within {_INTEGER}, given one of {bits} bits", at)
             continue
-        if isinstance(value, (dict, Mapping)):  # in this order: looking up an abstract class takes long
+        if isinstance(value, (dict, Mapping)):  # in this order, because checks against an abstract class are slow
             for key in value:
                 if not isinstance(key, str) or not 0 < len(key) <= _KEY or not key.isprintable():
                     raise wrong(f"a key must be 1 to {_KEY} printable characters, given {shown(key)}", at)
@@ -198,7 +198,7 @@ def bounded(content: Any, where: str) -> Any:
 
 
 def shown(value: Any) -> str:
-    """A value as a message shows it, of bounded length."""
+    """Format a value for a message, with bounded length."""
     try:
         text = repr(value)
     except (RecursionError, ValueError):

@@ -1,6 +1,6 @@
-"""Models of data, and values checked against them: what is wrong is a :class:`~chemlab.config.datafile.DataError`.
+"""Validation of values against models; violations raise :class:`~chemlab.config.datafile.DataError`.
 
-Apart from :mod:`chemlab.config.datafile`, because importing pydantic takes as long as all else that ``chemlab
+Separate from :mod:`chemlab.config.datafile`, because importing pydantic takes as long as everything else that ``chemlab
 --help`` needs.
 """
 
@@ -44,7 +44,7 @@ def validated(kind: type, values: Any, where: str) -> Any:
     """Build ``kind``, a model or a dataclass, from ``values``.
 
     Raises:
-        DataError: that cannot be; the message names ``where`` and the key.
+        DataError: a value is invalid; the message names ``where`` and the key.
     """
     try:
         return _reader(kind).validate_python(dict(values) if isinstance(values, Mapping) else values)
@@ -53,5 +53,5 @@ def validated(kind: type, values: Any, where: str) -> Any:
 
 
 def written(model: BaseModel, without: Set[str] = frozenset()) -> dict[str, Any]:
-    """Return a model's fields as JSON values, but for those at their defaults and those named in ``without``."""
+    """Return a model's fields as JSON values, without those at their defaults and those named in ``without``."""
     return model.model_dump(mode="json", exclude_defaults=True, exclude=set(without))

@@ -1,11 +1,11 @@
-"""Models of hidden parameters: what is drawn for an episode, from which distribution, and shared by what.
+"""Models of hidden parameters: declarations of draws and their distributions.
 
-A scenario declares them under ``[world.draws]``; agents know the declaration (the prior) and not the draw.
-:mod:`chemlab.lab.sampling` draws from them, :mod:`chemlab.lab.hidden` puts what is drawn into a laboratory.
+A scenario declares them under ``[world.draws]``; agents know the declaration (the prior), but not the draw.
+:mod:`chemlab.lab.sampling` samples them, and :mod:`chemlab.lab.hidden` applies them to laboratories.
 
-A world is its *number*, 64 bits, from which all of its draws follow. The number's last two bits say its split, so no
-number is in two of them. Every laboratory has a stream of numbers of its own that no other stream depends on: with or
-without a world, all else that is drawn is the same.
+A world is identified by a 64-bit *number* that determines all of its draws. The number's last two bits are its split,
+so the splits are disjoint. Every laboratory has a separate random stream for worlds: with or without hidden parameters,
+all other random numbers are the same.
 """
 
 from __future__ import annotations
@@ -54,25 +54,25 @@ Name = Annotated[str, Bound(min_length=1, max_length=500)]
 Option = float | Name
 
 SPLITS = ("train", "validation", "test")
-"""Splits by name; ``private:SALT`` is one more for everyone who knows the salt."""
+"""Splits by name; ``private:SALT`` is another one, which requires the salt."""
 
 _PRIVATE = "private"
 
 VESSEL_QUANTITIES = ("identity", "amount", "titre")
-"""What may be drawn of the contents of a vessel."""
+"""Quantities of a vessel's contents that may be drawn."""
 
 BOTTLE = "stock"
-"""Of the targets of an identity or a titre, the bottle of the material."""
+"""Name of the bottle of the material among the targets of an identity or a titre."""
 
 DEVICE_QUANTITIES = ("gain", "life", "bias", "trend")
-"""What may be drawn of benches that wear (gain, life) and of instruments that drift (bias, trend)."""
+"""Quantities that may be drawn for degrading benches (gain, life) and drifting instruments (bias, trend)."""
 
 ORDER_QUANTITIES = ("arrives", "within", "price", "amount_at_least_mol", "purity_at_least")
-"""What may be drawn of the terms of an order."""
+"""Order terms that may be drawn."""
 
 
 class Uniform(BaseModel):
-    """Every number from ``low`` to ``high`` as likely."""
+    """Uniform distribution from ``low`` to ``high``."""
 
     model_config = _FROZEN
 
@@ -91,9 +91,9 @@ class _Bounded(BaseModel):
     model_config = _FROZEN
 
     low: Number | None = None
-    """What would be below is this."""
+    """Lower bound; smaller values are clipped."""
     high: Number | None = None
-    """What would be above is this."""
+    """Upper bound; larger values are clipped."""
 
     @model_validator(mode="after")
     def _ordered(self) -> _Bounded:
@@ -103,7 +103,7 @@ class _Bounded(BaseModel):
 
 
 class Normal(_Bounded):
-    """Normal with ``mean`` and standard deviation ``sd``."""
+    """Normal distribution with ``mean`` and standard deviation ``sd``."""
 
     kind: Literal["normal"]
     mean: Number
@@ -111,7 +111,7 @@ class Normal(_Bounded):
 
 
 class Lognormal(_Bounded):
-    """``median`` times e to the power of a normal number with standard deviation ``sigma``."""
+    """Lognormal distribution: ``median`` times the exponential of a normal number with standard deviation ``sigma``."""
 
     kind: Literal["lognormal"]
     median: float = Bound(gt=0.0, le=1e9)
@@ -119,24 +119,24 @@ class Lognormal(_Bounded):
 
 
 class Choice(BaseModel):
-    """One of ``options`` (numbers or materials), each target's for itself."""
+    """One of ``options`` (numbers or materials), independently for each target."""
 
     model_config = _FROZEN
 
     kind: Literal["choice"]
     options: tuple[Option, ...] = Bound(min_length=1, max_length=64)
     weights: tuple[Annotated[float, Bound(gt=0.0, le=1e6)], ...] = ()
-    """How likely each is, relative to the others; empty: all alike."""
+    """Relative probabilities of the options; empty: equal."""
 
     @model_validator(mode="after")
     def _fits(self) -> Choice:
         if self.weights and len(self.weights) != len(self.options):
-            raise ValueError(f"weights: one for each of {len(self.options)} options, given {len(self.weights)}")
+            raise ValueError(f"weights: must be one for each of {len(self.options)} options, given {len(self.weights)}")
         return self
 
 
 class Permutation(BaseModel):
-    """Each target has another one of ``options``, every order as likely."""
+    """Random permutation: each target has a different one of ``options``, all orders equally likely."""
 
     model_config = _FROZEN
 
@@ -153,44 +153,51 @@ class Draw(BaseModel):
     model_config = _FROZEN
 
     what: Name
-    """``identity`` (which material a vessel really holds where the file says ``material``, litre for litre), ``amount``
-    (how much of ``material`` it holds) or ``titre`` (which share of ``material`` is that; the rest is ``inert``, litre
-    for litre) of the vessels ``of``, the first and the last of bottles, too; ``gain`` or ``life`` of benches that wear,
-    ``bias`` or ``trend`` of instruments that drift, as an episode begins; ``arrives``, ``within``, ``price``,
-    ``amount_at_least_mol`` or ``purity_at_least`` of the orders ``of``; or a parameter of the chemistry, as
-    ``pre_exponential`` and ``activation_energy`` of the reactions ``of``, ``polarity`` of the materials ``of``,
-    ``ambient_temperature``."""
+    """Quantity that is drawn.
+
+    Of the vessels ``of`` (and, for the first and the last, of bottles): ``identity`` (the true material in place of
+    ``material``, litre for litre), ``amount`` (of ``material``) or ``titre`` (share of ``material`` that is genuine;
+    the rest is ``inert``, litre for litre). Of degrading benches: ``gain`` or ``life``, and of drifting instruments:
+    ``bias`` or ``trend``, at the start of an episode. Of the orders ``of``: ``arrives``, ``within``, ``price``,
+    ``amount_at_least_mol`` or ``purity_at_least``. Otherwise a parameter of the chemistry, such as ``pre_exponential``
+    or ``activation_energy`` of the reactions ``of``, ``polarity`` of the materials ``of``, or ``ambient_temperature``.
+    """
     of: tuple[Name, ...] = Bound(default=(), max_length=_MOST_TARGETS)
-    """Whose: slots of the shelf (``slot_0``), benches whose own starting vessel is meant (``rxn``) and ``stock``, the
-    bottle of ``material``; benches of a laboratory (``rxn_0``; ``rxn``: on its own), instruments, orders (``order_0``),
-    reactions as equations (``A + D -> F``), materials; nothing for a number that is not anybody's."""
+    """Targets of the draw; empty for a single number without target.
+
+    They are slots of the shelf (``slot_0``), benches for their own initial vessel (``rxn``), ``stock`` for the bottle
+    of ``material``, benches of a laboratory (``rxn_0``; ``rxn`` for a single bench), instruments, orders (``order_0``),
+    reactions as equations (``A + D -> F``), or materials.
+    """
     material: Name | None = None
-    """Of vessels and bottles: the material that the file says is in them."""
+    """Declared material of the vessels and bottles."""
     inert: Name | None = None
-    """Of a titre: what the rest is."""
+    """Remainder of a titre."""
     distribution: Distribution
-    """What it is drawn from: ``kind`` is uniform, normal, lognormal, choice or permutation."""
+    """Distribution; ``kind`` is uniform, normal, lognormal, choice or permutation."""
     change: Literal["factor", "offset", "value"] = "factor"
-    """Whether the number multiplies what the files say, is added to it, or stands in its place."""
+    """Operation on the declared value: multiply, add, or replace."""
     shared: Literal["target", "episode"] = "target"
-    """Whether each of ``of`` has a number of its own, or all of them one in an episode."""
+    """``target``: each target has its own number; ``episode``: all targets share one."""
     group: Name | None = None
-    """Draws of a group rise and fall together."""
+    """Draws of a group are correlated."""
     correlation: float = Bound(default=1.0, ge=0.0, le=1.0)
-    """Of normal scores: the square of what a number has in common with its group."""
+    """Share of the group's common score in the variance of the normal score."""
     told: tuple[Name, ...] = Bound(default=(), max_length=16)
-    """Benches, by key, whose agents see what has been drawn; nobody else does."""
+    """Benches, by key, whose agents observe the drawn values; no other agent does."""
     test: tuple[tuple[Number, Number] | Name, ...] = Bound(default=(), max_length=16)
-    """Regions [low, high] of the number (options by name) that training and validation never draw from; a world of the
-    test split may be anywhere."""
+    """Regions [low, high] of the number (options by name) that training and validation never draw from.
+
+    Worlds of the test split may be anywhere.
+    """
 
     @model_validator(mode="after")
     def _sound(self) -> Draw:
         vessel = self.what in VESSEL_QUANTITIES
         if vessel and self.material is None:
-            raise ValueError(f"material: must be given for {self.what}: what the file says is in the vessels")
+            raise ValueError(f"material: required for {self.what}: the declared material in the vessels")
         if (self.what == "titre") != (self.inert is not None):
-            raise ValueError("inert: must be given for a titre (what the rest is), and for nothing else")
+            raise ValueError("inert: required for a titre (its remainder), and not allowed otherwise")
         if not vessel and self.material is not None:
             raise ValueError(f"material: only for {', '.join(VESSEL_QUANTITIES)}; put materials under of")
         if vessel and not self.of:
@@ -200,7 +207,7 @@ class Draw(BaseModel):
         if self.what in ORDER_QUANTITIES and not self.of:
             raise ValueError("of: name at least one order, as order_0")
         if len(set(self.of)) != len(self.of):
-            raise ValueError("of: somebody is named twice")
+            raise ValueError("of: a target is named twice")
         self._check_options()
         self._check_regions()
         return self
@@ -209,7 +216,7 @@ class Draw(BaseModel):
         options = getattr(self.distribution, "options", ())
         named = [isinstance(option, str) for option in options]
         if self.what == "identity" and not (named and all(named)):
-            raise ValueError("distribution: an identity is a choice or a permutation of materials")
+            raise ValueError("distribution: must be a choice or a permutation of materials for an identity")
         if self.what != "identity" and any(named):
             raise ValueError(f"distribution.options: must be numbers for {self.what}; materials are for identity")
         if isinstance(self.distribution, Permutation):
@@ -234,36 +241,36 @@ class Draw(BaseModel):
 
     @property
     def variables(self) -> int:
-        """How many numbers are drawn."""
+        """Number of drawn numbers."""
         return 1 if self.shared == "episode" else max(len(self.of), 1)
 
     @property
     def materials(self) -> list[str]:
-        """Every material it names but those under ``of``."""
+        """All materials that it names, except under ``of``."""
         options = [option for option in getattr(self.distribution, "options", ()) if isinstance(option, str)]
         return [name for name in (self.material, self.inert, *options) if name is not None]
 
 
 class WorldSpec(BaseModel):
-    """What is drawn for an episode and not told."""
+    """Hidden parameters of a scenario."""
 
     model_config = _FROZEN
 
     draws: dict[Annotated[str, Bound(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)], Draw] = Bound(
         default={}, max_length=_MOST_DRAWS
     )
-    """Declared draws by name, in the order in which they are drawn and applied."""
+    """Declared draws by name, in the order of drawing and application."""
 
 
 @dataclass(frozen=True)
 class Split:
-    """A set of worlds that no other split has any of.
+    """A set of worlds, disjoint from the other splits.
 
     Attributes:
-        name: as it was given.
+        name: name of the split.
         number: 0 to 3, the last two bits of its worlds' numbers.
         test: whether it may have worlds of test regions.
-        key: what its streams of numbers are seeded with besides an episode's seed.
+        key: seed of its random streams, in addition to an episode's seed.
     """
 
     name: str
@@ -273,10 +280,10 @@ class Split:
 
     @classmethod
     def of(cls, name: str) -> Split:
-        """A split by its name.
+        """Return a split by name.
 
         Raises:
-            ValueError: there is none of this name.
+            ValueError: the name is unknown.
         """
         if name in SPLITS:
             return cls(name, SPLITS.index(name), name == "test", (0x776F726C, SPLITS.index(name)))
@@ -287,11 +294,11 @@ class Split:
         return cls(name, len(SPLITS), True, (0x776F726C, len(SPLITS), *(int(word) for word in words)))
 
     def sequence(self, seed: np.random.SeedSequence) -> np.random.SeedSequence:
-        """The seeds of worlds that belong to an episode's seeds; disturbs no other stream of them."""
+        """Return the seed sequence of the worlds of an episode seed, independent of the episode's other streams."""
         return np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, *self.key))
 
     def world(self, seed: int) -> int:
-        """Number of the split's world that a seed names."""
+        """Return the number of the split's world with a seed."""
         bits = int(self.sequence(np.random.SeedSequence(seed)).generate_state(1, np.uint64)[0])
         return bits & ~3 | self.number
 
@@ -301,13 +308,13 @@ UNIFORM, NORMAL, LOGNORMAL, CHOICE, PERMUTATION = range(5)
 
 
 def draw_limits(draw: Draw) -> tuple[float, float]:
-    """Lowest and highest number that a draw can come to; of materials, nothing is said."""
+    """Return the lowest and highest possible number of a draw; meaningless for materials."""
     numbers = [option for option in options_of(draw) if not isinstance(option, str)]
     return (min(numbers), max(numbers)) if numbers else numbers_of(draw)[3:]
 
 
 def changed_limits(draw: Draw, given: float) -> tuple[float, float]:
-    """Lowest and highest that a draw can make of a number that the files give (0 at least, or else a value)."""
+    """Return the lowest and highest possible result of a draw for a declared number (at least 0), or its own limits."""
     low, high = draw_limits(draw)
     return {"factor": (low * given, high * given), "offset": (low + given, high + given)}.get(draw.change, (low, high))
 
@@ -319,7 +326,7 @@ def options_of(draw: Draw) -> tuple[Option, ...]:
 
 
 def numbers_of(draw: Draw) -> tuple[float, float, float, float, float]:
-    """Kind, a, b, low and high of a draw's numbers."""
+    """Return kind, a, b, low and high of a draw's numbers."""
     drawn = draw.distribution
     if isinstance(drawn, Uniform):
         return UNIFORM, drawn.low, drawn.high, drawn.low, drawn.high

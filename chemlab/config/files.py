@@ -1,4 +1,4 @@
-"""Reading files within bounds; writing them so that a crash loses nothing, and leaves nothing behind for good."""
+"""Bounded reading of files, and atomic writing that leaves no partial files after a crash."""
 
 from __future__ import annotations
 
@@ -34,32 +34,31 @@ __all__ = [
 ]
 
 _DRAFT = ".draft-"
-"""What names of drafts begin with, so that those left by a killed process can be told from anything of the user's."""
+"""Prefix of the names of drafts, by which drafts of killed processes are recognized."""
 _ABANDONED_S = 60.0
-"""A draft that nobody has written to for so long has no writer any more."""
+"""Age in seconds without writes after which a draft counts as abandoned."""
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 """Errors of file systems without locks."""
 _LOCKED_BYTE = 2**30
-"""Position of the byte that stands for a whole file, where a system locks bytes."""
+"""Position of the byte that represents a whole file on systems that lock bytes."""
 
 
 def open_regular(path: Path, limit: int) -> BinaryIO:
     """Open a regular file of at most ``limit`` bytes for reading.
 
-    Pipes, devices and folders, and links to them, are refused without waiting for anybody: reading them might never
-    end.
+    Pipes, devices and folders, and links to them, are rejected without blocking, because reading them might never end.
 
     Raises:
-        OSError: it is no such file, or cannot be opened; the error names it.
+        OSError: it is not such a file, or cannot be opened; the error names it.
     """
     name = os.fspath(path)
-    if not stat.S_ISREG(os.stat(name).st_mode):  # opening some devices has effects already
+    if not stat.S_ISREG(os.stat(name).st_mode):  # opening some devices has side effects
         raise OSError(errno.EINVAL, "is not a regular file", name)
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
     handle = os.open(name, flags)
     try:
         found = os.fstat(handle)
-        if not stat.S_ISREG(found.st_mode):  # somebody has replaced it in between
+        if not stat.S_ISREG(found.st_mode):  # replaced in between
             raise OSError(errno.EINVAL, "is not a regular file", name)
         if found.st_size > limit:
             raise OSError(errno.EFBIG, f"is larger than {limit} bytes", name)
@@ -70,27 +69,27 @@ def open_regular(path: Path, limit: int) -> BinaryIO:
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """The content of a regular file of at most ``limit`` bytes; errors as :func:`open_regular`."""
+    """Read a regular file of at most ``limit`` bytes; errors as for :func:`open_regular`."""
     with open_regular(path, limit) as file:
         content = file.read(limit + 1)
-    if len(content) > limit:  # it has grown, or is one of those that the system says no size of
+    if len(content) > limit:  # the file has grown, or the system reports no size
         raise OSError(errno.EFBIG, f"is larger than {limit} bytes", os.fspath(path))
     return content
 
 
 @contextmanager
 def draft_of(path: Path) -> Iterator[Path]:
-    """A draft to write to, which replaces ``path`` when the block ends: readers see the old file or the whole new one.
+    """Yield a draft that replaces ``path`` when the block ends, so that readers see the old or the complete new file.
 
-    The draft lies in the same folder and has no suffix, so that nobody takes it for a result. It reaches the disk
-    before it takes the name, and so does the name before this returns. Where the block fails nothing has changed.
+    The draft is in the same folder and has no suffix, so that it is not taken for a result. It is flushed to disk
+    before it is renamed, and the folder is flushed before this returns. If the block fails, nothing changes.
 
     Raises:
         OSError: it cannot be written; the error names ``path``.
     """
     draft = path.parent / f"{_DRAFT}{os.getpid()}-{secrets.token_hex(4)}"
     try:
-        if path.exists() and not path.is_file():  # a device is not to be replaced by a file
+        if path.exists() and not path.is_file():  # a device must not be replaced by a file
             raise OSError(errno.EINVAL, "not a regular file", str(path))
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path.parent)
@@ -99,7 +98,7 @@ def draft_of(path: Path) -> Iterator[Path]:
         draft.replace(path)
         sync_folder(path.parent)
     except OSError as error:
-        # Of the draft the user has never heard.
+        # The user does not know the draft.
         at = path if error.filename in (None, str(draft)) else error.filename
         raise OSError(error.errno, error.strerror or str(error), str(at)) from error
     finally:
@@ -108,20 +107,20 @@ def draft_of(path: Path) -> Iterator[Path]:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write ``content`` to ``path`` whole or not at all (see :func:`draft_of`)."""
+    """Write ``content`` to ``path`` atomically (see :func:`draft_of`)."""
     with draft_of(path) as draft:
         draft.write_bytes(content)
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write ``text`` to ``path`` as UTF-8, whole or not at all (see :func:`draft_of`)."""
+    """Write ``text`` to ``path`` as UTF-8 atomically (see :func:`draft_of`)."""
     write_bytes(path, text.encode())
 
 
 def write_texts(texts: Mapping[Path, str]) -> None:
-    """Write several files that belong together: all of them, or none where one has no room (see :func:`draft_of`).
+    """Write several related files: all, or none if there is no space (see :func:`draft_of`).
 
-    Every text is on the disk before the first file takes its name; the first in ``texts`` takes its name last.
+    Every text is flushed to disk before the first file is renamed; the first in ``texts`` is renamed last.
     """
     with ExitStack() as drafts:
         for path, text in texts.items():
@@ -131,39 +130,39 @@ def write_texts(texts: Mapping[Path, str]) -> None:
 
 
 def sync_file(path: Path) -> None:
-    """Wait until a file's content is on the disk."""
+    """Flush a file's content to disk."""
     with path.open("rb+") as handle:
         os.fsync(handle.fileno())
 
 
 def sync_folder(folder: Path) -> None:
-    """Wait until a folder's names are on the disk, where the system lets one ask for that."""
+    """Flush a folder's entries to disk if the system supports it."""
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)
     try:
-        with contextlib.suppress(OSError):  # some network file systems refuse it for folders
+        with contextlib.suppress(OSError):  # some network file systems do not support it for folders
             os.fsync(handle)
     finally:
         os.close(handle)
 
 
 def _sweep(folder: Path) -> None:
-    """Remove drafts that killed processes have left in a folder."""
+    """Remove drafts of killed processes from a folder."""
     now = time.time()
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.startswith(_DRAFT):
-                with contextlib.suppress(OSError):  # somebody else has swept it
+                with contextlib.suppress(OSError):  # another process has removed it
                     if entry.is_file(follow_symlinks=False) and now - entry.stat().st_mtime > _ABANDONED_S:
                         os.unlink(entry.path)
 
 
 def check_folder(path: Path) -> None:
-    """Make a folder if it is not there, and see that files can be written to it: before there is anything to lose.
+    """Create a folder if necessary and check that it is writable, before any results exist.
 
     Raises:
-        ValueError: they cannot.
+        ValueError: it is not writable.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -174,11 +173,11 @@ def check_folder(path: Path) -> None:
 
 
 def check_target(path: Path) -> None:
-    """See that a file can be written, and make its folder: before there is anything to lose.
+    """Check that a file can be written and create its folder, before any results exist.
 
     Raises:
-        ValueError: it cannot.
-        OSError: no file can be called so.
+        ValueError: it cannot be written.
+        OSError: the name is not possible.
     """
     if path.exists() and not path.is_file():
         raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'not a regular file'}; give a file's name")
@@ -186,38 +185,38 @@ def check_target(path: Path) -> None:
 
 
 def check_apart(outputs: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
-    """See that a command writes no file twice, and none that it reads.
+    """Check that a command's outputs are distinct and differ from its inputs.
 
     Raises:
-        ValueError: it would; the message names the file.
+        ValueError: they do not; the message names the file.
     """
     written: list[Path] = []
     for path in outputs:
         if any(_same_file(path, other) for other in written):
-            raise ValueError(f"{path}: is given twice, as the file of two results; give each a file of its own")
+            raise ValueError(f"{path}: is given for two outputs; give each its own file")
         written.append(path)
     for path in inputs:
         if any(_same_file(path, other) for other in written):
-            raise ValueError(f"{path}: is read by this command and would be replaced by its result; give another name")
+            raise ValueError(f"{path}: is an input of this command and would be overwritten; give another name")
 
 
 def _same_file(one: Path, other: Path) -> bool:
-    """Whether two paths lead to the same file, by links or another spelling, too."""
-    with contextlib.suppress(OSError):  # one of them is not there yet
+    """Return True if two paths refer to the same file, also through links or different spellings."""
+    with contextlib.suppress(OSError):  # one of them does not exist yet
         return one.samefile(other)
     return os.path.realpath(one) == os.path.realpath(other)
 
 
 def locked(descriptor: int) -> bool:
-    """Take the system's lock on an open file, which ends when that is closed; False where somebody else has it.
+    """Lock an open file until it is closed; return False if another process has locked it.
 
-    Some network file systems have no locks: there every process gets it.
+    On network file systems without locks, every process succeeds.
     """
     try:
         if sys.platform == "win32":
             import msvcrt
 
-            # Others cannot read a byte that is locked there: it is one that no file has.
+            # On such systems a locked byte cannot be read: use one beyond the end of any file.
             position = os.lseek(descriptor, 0, os.SEEK_CUR)
             os.lseek(descriptor, _LOCKED_BYTE, os.SEEK_SET)
             try:
@@ -235,7 +234,7 @@ def locked(descriptor: int) -> bool:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Have errors of the system that name no file name ``path``."""
+    """Add ``path`` to system errors that name no file."""
     try:
         yield
     except OSError as error:
@@ -245,23 +244,24 @@ def naming(path: Path) -> Iterator[None]:
 
 
 def check_marks(path: Path, mark: str) -> tuple[str, int, int]:
-    """A Markdown file's text, and where what stands between ``<!-- mark: begin -->`` and ``<!-- mark: end -->`` begins
-    and ends in it.
+    """Return a Markdown file's text, and the start and end of the part between its marks.
+
+    The marks are ``<!-- mark: begin -->`` and ``<!-- mark: end -->``.
 
     Raises:
-        ValueError: the file is not there, or does not have both marks in this order.
+        ValueError: the file does not exist, or does not have both marks in this order.
     """
     begin, end = f"<!-- {mark}: begin -->", f"<!-- {mark}: end -->"
     if not path.is_file():
-        raise ValueError(f"{path}: no such file; it needs the lines {begin} and {end} around what is to be replaced")
+        raise ValueError(f"{path}: no such file; it needs the lines {begin} and {end} around the part to be replaced")
     text = path.read_text(encoding="utf-8")
     start, stop = text.find(begin), text.find(end)
     if start < 0 or stop < start:
-        raise ValueError(f"{path}: needs the lines {begin} and {end} around what is to be replaced")
+        raise ValueError(f"{path}: needs the lines {begin} and {end} around the part to be replaced")
     return text, start + len(begin), stop
 
 
 def replace_between(path: Path, mark: str, lines: list[str]) -> None:
-    """Replace what stands between a file's marks, see :func:`check_marks`."""
+    """Replace the part between a file's marks, see :func:`check_marks`."""
     text, start, stop = check_marks(path, mark)
     write_text(path, text[:start] + "\n" + "\n".join(lines) + "\n" + text[stop:])

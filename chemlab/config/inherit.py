@@ -1,6 +1,6 @@
-"""What a scenario file need not say: what its ``base`` says, and what its kinds of benches have anyway.
+"""Inheritance of scenario files: keys from ``base`` and defaults of the bench kinds.
 
-All of this works on parsed files, before they are checked against the models of :mod:`chemlab.config.scenario`.
+It works on parsed files before they are validated by the models of :mod:`chemlab.config.scenario`.
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ _LONGEST_CHAIN = 16
 
 
 def scenario_folder() -> Path:
-    """Folder of the scenario files that come with chemlab."""
+    """Return the folder of the bundled scenario files."""
     try:
         folder = Path(str(importlib.resources.files("chemlab.scenarios")))
         if folder.is_dir() and any(folder.glob("*.toml")):
             return folder
     except ModuleNotFoundError:
-        pass  # a checkout that is on sys.path but not installed: the files lie beside the package
+        pass  # a checkout on sys.path that is not installed: the files are beside the package
     return Path(__file__).resolve().parents[2] / "scenarios"
 
 
 def scenario_names() -> list[str]:
-    """Names of the scenarios that come with chemlab and that its benchmark is made of."""
+    """Return the names of the bundled benchmark scenarios."""
     return sorted(path.stem for path in scenario_folder().glob("*.toml"))
 
 
 def synthesis_names() -> list[str]:
-    """Names of the syntheses that come with chemlab: scenarios after publications, beside the benchmark."""
+    """Return the names of the bundled syntheses: scenarios that reproduce publications."""
     return sorted(path.stem for path in (scenario_folder() / "syntheses").glob("*.toml"))
 
 
 def shipped_file(name: object) -> Path | None:
-    """The file of a scenario or synthesis that comes with chemlab; None for any other name."""
+    """Return the file of a bundled scenario or synthesis; None for any other name."""
     if name in scenario_names():
         return scenario_folder() / f"{name}.toml"
     return scenario_folder() / "syntheses" / f"{name}.toml" if name in synthesis_names() else None
@@ -56,26 +56,26 @@ def _shipped_benches() -> dict[str, dict[str, Any]]:
 
 
 def bench_defaults(kind: object) -> Mapping[str, Any]:
-    """What a bench of this kind has where a scenario does not say otherwise, from ``data/benches``; nothing for a kind
-    that has no file there."""
+    """Return the defaults of a bench kind from ``data/benches``; empty for a kind without a file there."""
     return _shipped_benches().get(kind, {}) if isinstance(kind, str) else {}
 
 
 def completed(values: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
-    """A scenario file's content with all that it does not say itself.
+    """Resolve the inheritance of a scenario file.
 
     Args:
         values: the parsed file.
         where: the file, for error messages.
-        folder: where its relative paths start.
+        folder: folder to which its relative paths refer.
 
     Returns:
-        The base's tables with the file's own merged into them key by key, less what the file removes; then, for each
-        bench, the keys of its kind that are given nowhere. A bench's key is taken whole, from one or the other.
+        The base's tables with the file's own merged into them key by key, without the keys that the file removes.
+            Missing
+        keys of each bench are then filled from its kind. A bench's key is taken whole, from one or the other.
 
     Raises:
-        DataError: the base is unknown or has this file as its own base; what is to be removed is not there; an empty
-            table that changes nothing.
+        DataError: the base is unknown or inherits from this file; a key to be removed does not exist; an empty table
+            has no effect.
     """
     content = _inherited(values, where, folder, ())
     benches = content.get("benches")
@@ -95,20 +95,20 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
     own = dict(values)
     if "base" not in own:
         if "remove" in own:
-            raise DataError(f"{where}: remove: takes keys out of a base, and this scenario has none")
+            raise DataError(f"{where}: remove: requires a base, and this scenario has none")
         return own
     base, remove = own.pop("base"), own.pop("remove", [])
     path = shipped_file(base) or folder / str(base)
     if path.suffix != ".toml" or not os.path.isfile(path):
         shipped = ", ".join([*scenario_names(), *synthesis_names()])
-        raise DataError(f"{where}: base: unknown {base!r:.200}; shipped: {shipped}; or the path of a .toml file")
+        raise DataError(f"{where}: base: unknown {base!r:.200}; choose from {shipped}, or give a .toml file")
     if str(path.resolve()) in above:
-        raise DataError(f"{where}: base: {base!r} has this scenario as its own base")
+        raise DataError(f"{where}: base: {base!r} inherits from this scenario")
     if len(above) >= _LONGEST_CHAIN:
-        raise DataError(f"{where}: base: more than {_LONGEST_CHAIN} bases, one of the other")
+        raise DataError(f"{where}: base: more than {_LONGEST_CHAIN} nested bases")
     under = _inherited(read_toml(path), str(path), path.parent, (*above, str(path.resolve())))
     for key in ("material_files", "pair_files", "reactions"):
-        # Paths are relative to the file that has them.
+        # Paths are relative to the file that contains them.
         if key not in own and key in under:
             under[key] = _absolute(under[key], path.parent)
     under = _parts_from(under, folder, path.parent)
@@ -126,11 +126,11 @@ def _absolute(files: Any, folder: Path) -> Any:
 
 
 _PARTS = ("kind", "observe", "reward")
-"""Keys that name parts, wherever they stand."""
+"""Keys whose values name parts, anywhere in the file."""
 
 
 def _parts_from(value: Any, folder: Path, base: Path) -> Any:
-    """A base's tables with the files of its parts (``file.py:NAME``) as they are called from another folder."""
+    """Rewrite the parts (``file.py:NAME``) of a base's tables relative to another folder."""
     if isinstance(value, list):
         return [_parts_from(item, folder, base) for item in value]
     if not isinstance(value, Mapping):
@@ -155,10 +155,10 @@ def _part_from(name: Any, folder: Path, base: Path) -> Any:
 
 
 def _without(table: Mapping[str, Any], key: list[str], entry: str, where: str, base: str) -> dict[str, Any]:
-    """``table`` without ``key``, which must be there."""
+    """Return ``table`` without ``key``, which must exist."""
     first, rest = key[0], key[1:]
     if first not in table or (rest and not isinstance(table[first], Mapping)):
-        there = ", ".join(table) if first not in table else f"{first}, which is no table"
+        there = ", ".join(table) if first not in table else f"{first}, which is not a table"
         raise DataError(f"{where}: {entry!r} is not in the base {base!r}: {there:.1000} is there")
     kept = dict(table)
     if rest:
@@ -176,7 +176,7 @@ def _merged(under: Mapping[str, Any], own: Mapping[str, Any], where: str, path: 
             if below and not value:
                 name = ".".join(part if re.fullmatch(r"[\w-]+", part, re.ASCII) else f"'{part}'" for part in here)
                 raise DataError(
-                    f"{where}: {name}: an empty table leaves the base's as it is; leave it out, or take the base's out "
+                    f"{where}: {name}: an empty table has no effect; omit it, or remove the base's"
                     f'with remove = ["{name}"]'
                 )
             value = _merged(below, value, where, here)

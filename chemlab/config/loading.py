@@ -44,8 +44,10 @@ _MOST_MATERIALS = 256
 
 
 def _reachable(family: ReactionFamily, present: list[str], ionizes: bool) -> tuple[list[str], ReactionFamily]:
-    """Close ``present`` under the family's reactions; drop what can never happen here. Where water ``ionizes``, its
-    ions are there for reactions that name one of them."""
+    """Close ``present`` under the family's reactions; drop what can never occur.
+
+    If water ``ionizes``, its ions are available to reactions that name one of them.
+    """
     order = list(dict.fromkeys(present))
     of_water = (PROTON, HYDROXIDE) if any({PROTON, HYDROXIDE} & s.materials() for s in family.reaction) else ()
     while True:
@@ -82,7 +84,7 @@ def _reachable(family: ReactionFamily, present: list[str], ionizes: bool) -> tup
 
 
 def _can_run(step: Reaction | Violent, known: set[str]) -> bool:
-    """Whether what a reaction needs is there, in one direction or the other."""
+    """Return True if the reactants and catalysts of a reaction are available in one direction or the other."""
     if isinstance(step, Violent):
         return set(step.reactants) <= known
     backward = step.equilibrium_constant is not None and set(step.products) <= known
@@ -121,7 +123,7 @@ def _loaded(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
     if path.suffix != ".toml":
         raise DataError(
             f"scenario: unknown name {str(scenario)!r:.200}; "
-            f"shipped: {', '.join([*scenario_names(), *synthesis_names()])}; or give a path to a .toml file"
+            f"choose from {', '.join([*scenario_names(), *synthesis_names()])}, or give a path to a .toml file"
         )
     return _resolve(read_toml(path), str(path), path.parent)
 
@@ -136,10 +138,11 @@ def _resolve(values: Mapping[str, Any], where: str, folder: Path) -> Scenario:
     known = dict(shipped_materials())
     for name, material in load_materials([folder / file for file in spec.material_files]).items():
         if name in known:
-            raise DataError(f"{where}: material_files: {name!r} is already a shipped material; rename yours")
+            raise DataError(f"{where}: material_files: {name!r} is already a bundled material; rename yours")
         known[name] = material
     family = load_reactions(spec.reactions, known, folder, where)
-    # A dump keeps prices, but not the materials of bottles that are not there: what is restored cannot be asked this.
+    # A dump keeps prices, but not the materials of missing bottles, so this check is not possible for a restored
+    # scenario.
     check_materials([("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol], known, where)
     pairs = load_pairs(folder / file for file in spec.pair_files)
     return _equipped(spec, known, family, pairs, where)
@@ -152,10 +155,10 @@ def _equipped(
     pairs: Mapping[frozenset[str], Pair],
     where: str,
 ) -> Scenario:
-    """``spec`` with the materials and reactions that can occur in it, all checked but for the family itself.
+    """Return ``spec`` with the materials and reactions that can occur, all validated except the family itself.
 
     Raises:
-        DataError: an unknown material, contents that do not fit, a gas in a bottle, too many materials.
+        DataError: a material is unknown, contents do not fit, a gas is in a bottle, or there are too many materials.
     """
     named = mentioned_materials(spec)
     check_materials(named, known, where)
@@ -167,14 +170,14 @@ def _equipped(
     if spec.physics == "real" and WATER in order:
         order, kept = _reachable(dissolved_reactions(family), names, ionizes)
     if len(order) > _MOST_MATERIALS:
-        raise DataError(f"{where}: {len(order)} materials can occur here; at most {_MOST_MATERIALS}")
+        raise DataError(f"{where}: {len(order)} materials can occur; must be at most {_MOST_MATERIALS}")
     if "air" not in known:
-        raise DataError(f"{where}: material 'air' is missing; every vessel has some")
+        raise DataError(f"{where}: material 'air' is missing, which every vessel contains")
     for goal, wanted in spec.specifications.items():
         never = [name for name in wanted.purity_among if name not in order]
         if never:
             raise DataError(
-                f"{where}: specifications.{goal}.purity_among: {never[0]!r} cannot occur here; can: {', '.join(order)}"
+                f"{where}: specifications.{goal}.purity_among: {never[0]!r} cannot occur; known: {', '.join(order)}"
             )
     present = {name: known[name] for name in [*order, *(["air"] if "air" not in order else [])]}
     if spec.physics == "paper":
@@ -192,10 +195,10 @@ def _equipped(
 def _of_paper(
     present: Mapping[str, Material], family: ReactionFamily, where: str
 ) -> tuple[dict[str, Material], ReactionFamily]:
-    """Return materials and reactions without the data that only physics ``real`` reads.
+    """Return materials and reactions without the data of the backend ``real``.
 
     Raises:
-        DataError: a material has no polarity, which that tier's solvents are told apart by.
+        DataError: a material has no polarity, which the backend ``paper`` needs.
     """
     for name, material in present.items():
         if material.polarity is None:
@@ -209,7 +212,7 @@ def _of_paper(
 
 
 def dump_scenario(scenario: Scenario) -> dict[str, Any]:
-    """Return the scenario as plain data, with the materials and reactions it uses; defaults are left out."""
+    """Return the scenario as plain data, with its materials and reactions; defaults are omitted."""
     return {
         "scenario": written(scenario),
         "materials": {name: written(material) for name, material in scenario.materials.items()},
@@ -219,8 +222,10 @@ def dump_scenario(scenario: Scenario) -> dict[str, Any]:
 
 
 def plain_scenario(scenario: Scenario) -> str | dict[str, Any]:
-    """Return what :func:`load_scenario` takes for a loaded scenario: its name or its file, as long as these give the
-    same scenario, else a :func:`dump_scenario`."""
+    """Return an argument of :func:`load_scenario` for a loaded scenario.
+
+    It is the scenario's name or file as long as these give the same scenario, else a :func:`dump_scenario`.
+    """
     content = dump_scenario(scenario)
     for known in (scenario.name, scenario.origin):
         with contextlib.suppress(DataError):
@@ -230,10 +235,10 @@ def plain_scenario(scenario: Scenario) -> str | dict[str, Any]:
 
 
 def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:
-    """The scenario of a :func:`dump_scenario`, for errors said to come from ``where``; checked as a file is.
+    """Restore the scenario of a :func:`dump_scenario`, with the checks of a file; errors name ``where``.
 
     Raises:
-        DataError: the data is not what ``dump_scenario`` makes, or is of a scenario that would be refused as a file.
+        DataError: the data is not a dump, or its scenario is invalid.
     """
     tables: list[dict[str, Any]] = []
     for key in ("scenario", "materials", "reactions"):

@@ -1,7 +1,7 @@
-"""Materials: cited properties as data, and the arrays that kernels read.
+"""Materials: cited properties as data, with validation.
 
-A material is one table in a TOML file of ``chemlab/data/materials`` (or of a user's own folder);
-adding one needs no code. Quantities: mol, g/mol, kg/L, J/mol/K, K, J/mol.
+A material is one table in a TOML file of ``chemlab/data/materials`` (or of a user's folder); adding one needs no code.
+Quantities: mol, g/mol, kg/L, J/mol/K, K, J/mol.
 """
 
 from __future__ import annotations
@@ -48,12 +48,14 @@ _CITED = (
 )
 _FILES = 100
 LOCK = "lock"
-"""The table of a data file that says by what it was made: a command, and versions."""
+"""Table of a data file with its origin: the command and versions that made it."""
 _ATMOSPHERE_KPA = 101.325
 _GAS_CONSTANT = 8.31446261815324
 COLDEST_K, HOTTEST_K = 50.0, 5000.0
-"""Physical range of temperatures: files set none beyond it, and no vessel leaves it. Rates, vapour pressures and
-activity coefficients are finite in it."""
+"""Physical range of temperatures.
+
+Files cannot exceed it, and no vessel leaves it. Rates, vapour pressures and activity coefficients are finite in it.
+"""
 
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 """A name or a formula."""
@@ -83,7 +85,7 @@ class VaporPressure(BaseModel):
     coefficients: tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...] = Field(min_length=3, max_length=5)
     low_k: float = Field(ge=1.0, le=5000.0)
     high_k: float = Field(ge=1.0, le=5000.0)
-    """Where the formula holds, from ``low_k`` to ``high_k``."""
+    """Upper end of the formula's range, which begins at ``low_k``."""
 
     @model_validator(mode="after")
     def _sound(self) -> VaporPressure:
@@ -91,7 +93,7 @@ class VaporPressure(BaseModel):
         if len(self.coefficients) != number:
             raise ValueError(f"coefficients: {self.form} has {number}, given {len(self.coefficients)}")
         if self.low_k + 0.5 > self.high_k:
-            raise ValueError(f"high_k = {self.high_k} must be above low_k = {self.low_k} by 0.5 at least")
+            raise ValueError(f"high_k = {self.high_k} must exceed low_k = {self.low_k} by at least 0.5")
         if self.form == "antoine" and self.low_k + self.coefficients[2] <= 0.0:
             raise ValueError(f"low_k = {self.low_k} is beyond the pole of the Antoine equation")
         with np.errstate(all="ignore"):
@@ -101,7 +103,7 @@ class VaporPressure(BaseModel):
         return self
 
     def _log(self, temperature: FloatArray) -> FloatArray:
-        """ln(p / Pa) by the formula."""
+        """Return ln(p / Pa) from the formula."""
         if self.form == "antoine":
             a, b, c = self.coefficients
             return np.asarray(math.log(10.0) * (a - b / (temperature + c)))
@@ -109,14 +111,14 @@ class VaporPressure(BaseModel):
         return np.asarray(a + b / temperature + c * np.log(temperature) + d * temperature**e)
 
     def pascal(self, temperature_k: FloatArray | float) -> FloatArray:
-        """Vapour pressure.
+        """Return the vapour pressure.
 
         Args:
-            temperature_k: K, of any shape. Below ``low_k`` and above ``high_k`` ln p goes on as the straight line over
-                1 / T that it is at that end (Clausius-Clapeyron with the heat of vaporization it has there).
+            temperature_k: K, of any shape. Below ``low_k`` and above ``high_k``, ln p is extrapolated linearly in 1 / T
+                (Clausius-Clapeyron with the heat of vaporization at that end).
 
         Returns:
-            Pa, in the shape given.
+            Pa, in the given shape.
         """
         temperature = np.asarray(temperature_k, dtype=np.float64)
         inside = np.clip(temperature, self.low_k, self.high_k)
@@ -127,47 +129,52 @@ class VaporPressure(BaseModel):
 
 
 class Dimerization(BaseModel):
-    """Dimers in a vapour, 2 A = A2: their pressure is K times the square of the monomers' pressure, in atmospheres,
-    with ln K = (entropy - enthalpy / T) / R."""
+    """Dimers in a vapour, 2 A = A2.
+
+    Their pressure is K times the square of the monomers' pressure, in atmospheres, with ln K = (entropy - enthalpy / T)
+    / R.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     enthalpy_j_mol: float = Field(ge=-2e5, le=-1e3)
-    """Of a mol of dimers."""
+    """Enthalpy of dimerization per mol of dimers."""
     entropy_j_mol_k: float = Field(ge=-500.0, le=0.0)
 
     def log_root_constant(self) -> tuple[float, float]:
-        """a and b (K) of ln sqrt(K) = a + b / T, with K in 1/kPa."""
+        """Return a and b (K) of ln sqrt(K) = a + b / T, with K in 1/kPa."""
         a = 0.5 * (self.entropy_j_mol_k / _GAS_CONSTANT - math.log(_ATMOSPHERE_KPA))
         return a, -0.5 * self.enthalpy_j_mol / _GAS_CONSTANT
 
     def monomer(self, temperature_k: FloatArray, pressure_kpa: FloatArray) -> FloatArray:
-        """Pressure of the monomers (kPa) in a pure vapour of ``pressure_kpa``."""
+        """Return the pressure of the monomers in kPa in a pure vapour of ``pressure_kpa``."""
         a, b = self.log_root_constant()
         constant = np.exp(2.0 * (a + b / temperature_k))
         return np.asarray(2.0 * pressure_kpa / (1.0 + np.sqrt(1.0 + 4.0 * constant * pressure_kpa)))
 
 
 class RealProperties(BaseModel):
-    """What the laws of the tier ``real`` need to know of a material besides; every number has a ``source``."""
+    """Properties of a material for the physics backend ``real``; every number has a ``source``."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     vapor_pressure: VaporPressure | None = None
-    """Of the liquid, also where the pure material is a solid; without one it never evaporates. The heat of vaporization
-    is the material's own at its boiling point."""
+    """Vapour pressure of the liquid, also for materials that are solid when pure; None: non-volatile.
+
+    The heat of vaporization at the boiling point is that of the material.
+    """
     critical_temperature_k: float | None = Field(default=None, ge=1.0, le=10_000.0)
-    """Carries the heat of vaporization to other temperatures (Watson 1943)."""
+    """Critical temperature, for the temperature dependence of the heat of vaporization (Watson 1943)."""
     formation_enthalpy_j_mol: float = Field(ge=-1e7, le=1e7)
-    """At 298.15 K and 1 bar, from the elements."""
+    """Enthalpy of formation from the elements at 298.15 K and 1 bar."""
     formation_state: Literal["l", "s", "g", "aq"]
-    """What that is the enthalpy of: the liquid, solid, gas, or the ion in water at infinite dilution (with H+ at 0)."""
+    """State of the formation enthalpy: liquid, solid, gas, or the ion in water at infinite dilution (with H+ at 0)."""
     fusion_enthalpy_j_mol: float | None = Field(default=None, ge=1.0, le=1e6)
-    """At the material's melting point; without one it does not crystallize."""
+    """Heat of fusion at the melting point; None: the material does not crystallize."""
     dimerization: Dimerization | None = None
-    """Of the vapour of carboxylic acids; the vapour pressure is that of monomers and dimers together."""
+    """Dimers in the vapour of carboxylic acids; the vapour pressure is that of monomers and dimers together."""
     source: dict[Text, str] = Field(max_length=50)
-    """Where each number is from, by its key."""
+    """Source of each number, by key."""
 
     @model_validator(mode="after")
     def _cited(self) -> RealProperties:
@@ -177,23 +184,21 @@ class RealProperties(BaseModel):
         if missing:
             raise ValueError(f"source must cite {', '.join(missing)}")
         if self.vapor_pressure is not None and self.critical_temperature_k is None:
-            raise ValueError("critical_temperature_k is needed: what evaporates takes its heat of vaporization along")
+            raise ValueError("critical_temperature_k is required with vapor_pressure, for the heat of vaporization")
         if self.dimerization is not None and self.vapor_pressure is None:
-            raise ValueError(
-                "dimerization: what never evaporates has no dimers in its vapour; give vapor_pressure, too"
-            )
+            raise ValueError("dimerization: requires vapor_pressure")
         return self
 
 
 _BOILING_ERROR = 0.1
-"""How far, relatively, a vapour pressure may be from 101.325 kPa at the boiling point: 3 K; more is a mistake."""
+"""Allowed relative deviation of a vapour pressure from 101.325 kPa at the boiling point, equivalent to 3 K."""
 
 
 class Material(BaseModel):
-    """One material's properties at 298.15 K and 101.325 kPa; every number has a ``source``.
+    """Properties of one material at 298.15 K and 101.325 kPa; every number has a ``source``.
 
-    Ions carry the density, heat capacity and boiling point that make dissolving their parent salt leave
-    volume and heat content unchanged.
+    Density, heat capacity and boiling point of ions are chosen so that dissolution of their salt conserves volume and
+    heat content.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -209,23 +214,26 @@ class Material(BaseModel):
     density_kg_l: float = Field(ge=1e-5, le=25.0)
     heat_capacity_j_mol_k: float = Field(ge=1.0, le=2000.0)
     melting_point_k: float | None = Field(default=None, ge=0.1, le=5000.0)
-    """No law of the paper's physics reads it, so a material may do without; if given, it is cited and below the boiling
-    point (but for gases, which may sublime)."""
+    """Melting point, below the boiling point except for gases, which may sublime.
+
+    It is optional, because the backend ``paper`` does not use it; if given, it needs a source.
+    """
     boiling_point_k: float = Field(ge=1.0, le=7000.0)
-    """Of what can be liquid in a vessel at least :data:`COLDEST_K`: boiling contents have it."""
+    """Boiling point, at least :data:`COLDEST_K` for materials that can be liquid in a vessel."""
     vaporization_enthalpy_j_mol: float = Field(ge=1.0, le=1e6)
     polarity: float | None = Field(default=None, ge=0.0, le=2.0)
-    """Reichardt's normalized solvent polarity E_T^N; above 1 for ions. Only the tier ``paper`` reads it, and refuses a
-    material without."""
+    """Reichardt's normalized solvent polarity E_T^N; above 1 for ions. Only the backend ``paper`` uses it, and
+    requires it.
+    """
     role: Role
     color: str = Field(pattern=r"^#[0-9a-fA-F]{6}$")
     shade: float = Field(ge=0.0, le=1.0)
-    """Grey value the layer camera shows for this material."""
+    """Grey value of the material in the layer camera."""
     absorption: tuple[AbsorptionPeak, ...] = Field(default=(), max_length=50)
     source: dict[Text, str] = Field(max_length=50)
-    """Where each number is from, by its key."""
+    """Source of each number, by key."""
     real: RealProperties | None = None
-    """Needed in scenarios of the tier ``real``, and unknown to those of the tier ``paper``."""
+    """Properties for the backend ``real``, which requires them; the backend ``paper`` ignores them."""
 
     @model_validator(mode="after")
     def _physical(self) -> Material:
@@ -234,11 +242,11 @@ class Material(BaseModel):
             raise ValueError(f"boiling_point_k = {self.boiling_point_k} must be above melting_point_k = {melting}")
         if self.role in ("solvent", "solute") and not self.boiling_point_k >= COLDEST_K:
             raise ValueError(
-                f"boiling_point_k = {self.boiling_point_k} must be at least {COLDEST_K:g} K, the coldest that a vessel "
-                f"can be, for role {self.role!r}; give what boils below it the role 'gas'"
+                f"boiling_point_k = {self.boiling_point_k} must be at least {COLDEST_K:g} K, the coldest of "
+                f"vessels, for role {self.role!r}; use the role 'gas' for lower boiling points"
             )
         if (self.role == "ion") != (self.charge != 0):
-            raise ValueError(f"role {self.role!r} does not fit charge {self.charge}: ions, and only ions, are charged")
+            raise ValueError(f"role {self.role!r} does not fit charge {self.charge}: only ions must be charged")
         optional = [key for key in ("melting_point_k", "polarity") if getattr(self, key) is not None]
         missing = [key for key in (*_CITED, *optional) if not self.source.get(key)]
         if missing:
@@ -248,7 +256,7 @@ class Material(BaseModel):
         return self
 
     def _check_real(self, real: RealProperties) -> None:
-        """Refuse properties of the tier ``real`` that contradict the others."""
+        """Check that properties of the backend ``real`` are consistent with the others."""
         if (real.formation_state == "aq") != (self.role == "ion"):
             raise ValueError(f"real.formation_state = {real.formation_state!r} does not fit role {self.role!r}")
         if real.fusion_enthalpy_j_mol is not None and self.melting_point_k is None:
@@ -271,12 +279,12 @@ def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
     """Read material files into ``{id: Material}``.
 
     Args:
-        paths: TOML files, one table a material; a folder stands for the ``*.toml`` files in it. A table ``lock`` says
-            what made the file, and is no material.
+        paths: TOML files with one table per material; a folder represents its ``*.toml`` files. A table ``lock`` states
+            the origin of the file and is not a material.
 
     Raises:
-        DataError: a file is missing or malformed, a key is unknown, a value is out of bounds, or two
-            files define the same material.
+        DataError: a file is missing or malformed, a key is unknown, a value is out of bounds, or two files define the
+            same material.
     """
     materials: dict[str, Material] = {}
     origin: dict[str, Path] = {}
@@ -290,7 +298,7 @@ def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
                     validated(dict[str, str], values, f"{path}: {LOCK}")
                     continue
                 if not isinstance(values, dict):
-                    raise DataError(f"{path}: {key}: a material is a table [{toml_key(key)}], given {values!r:.100}")
+                    raise DataError(f"{path}: {key}: must be a table [{toml_key(key)}], given {values!r:.100}")
                 if key in materials:
                     raise DataError(f"{path}: {key}: already defined in {origin[key]}; rename one of them")
                 materials[key] = validated(Material, values, f"{path}: {key}")
@@ -300,12 +308,12 @@ def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
 
 @functools.lru_cache(maxsize=1)
 def shipped_materials() -> dict[str, Material]:
-    """The materials that come with chemlab, by id."""
+    """Return the bundled materials by id."""
     return load_materials([Path(__file__).parent.parent / "data" / "materials"])
 
 
 def atoms_of(counts: Mapping[str, float], materials: Mapping[str, Material]) -> dict[str, float]:
-    """Element totals (plus the net charge under ``"charge"``) of ``{material: amount}``."""
+    """Return element totals (and the net charge under ``"charge"``) of ``{material: amount}``."""
     totals: dict[str, float] = {"charge": 0.0}
     for key, amount in counts.items():
         for element, number in materials[key].composition.items():

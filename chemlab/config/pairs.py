@@ -1,6 +1,6 @@
 """Activity coefficients of liquid mixtures: binary NRTL parameters as data.
 
-A pair file has a ``[lock]`` table (what made it) and ``pairs``, a row for each pair of materials. Renon and Prausnitz,
+A pair file has a ``[lock]`` table (its origin) and ``pairs``, a row for each pair of materials. Renon and Prausnitz,
 AIChE J. 14 (1968) 135: with tau_ij = a_ij + b_ij / T + c_ij ln(T / 300 K) and G_ij = exp(-alpha_ij tau_ij),
 
     ln gamma_i = sum_j x_j tau_ji G_ji / sum_k x_k G_ki
@@ -37,14 +37,14 @@ __all__ = [
 ]
 
 REFERENCE_K = 300.0
-"""Where ln(T / 300 K) is 0."""
+"""Temperature at which ln(T / 300 K) is 0."""
 _SHOWN = 3
 STRONGEST = 100.0
-"""Largest absolute value of tau: of a file's at the ends of its range, and what kernels extrapolate it to."""
+"""Largest absolute value of tau, in a file at the ends of its range, and in the extrapolation by kernels."""
 
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 Both = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
-"""Numbers of tau_12 and tau_21."""
+"""Values of tau_12 and tau_21."""
 
 
 class Pair(BaseModel):
@@ -60,15 +60,15 @@ class Pair(BaseModel):
     alpha: float = Field(ge=0.01, le=1.0)
     low_k: float = Field(ge=100.0, le=2000.0)
     high_k: float = Field(ge=100.0, le=2000.0)
-    """Temperatures the parameters were made for."""
+    """Upper end of the temperature range of the parameters."""
     error: float = Field(ge=0.0, le=10.0)
-    """Largest error of ln gamma against the source, where the two mix and at infinite dilution."""
+    """Largest error of ln gamma relative to the source, in miscible mixtures and at infinite dilution."""
     source: str = Field(min_length=1)
 
     @model_validator(mode="after")
     def _sound(self) -> Pair:
         if self.of[0] == self.of[1]:
-            raise ValueError(f"of: a pair is of two materials, given {list(self.of)}")
+            raise ValueError(f"of: must be two different materials, given {list(self.of)}")
         if self.low_k >= self.high_k:
             raise ValueError(f"high_k = {self.high_k} must be above low_k = {self.low_k}")
         for temperature in (self.low_k, self.high_k):
@@ -77,7 +77,7 @@ class Pair(BaseModel):
         return self
 
     def tau(self, temperature_k: float) -> tuple[float, float]:
-        """tau_12 and tau_21 at a temperature in K."""
+        """Return tau_12 and tau_21 at a temperature in K."""
         rest = math.log(temperature_k / REFERENCE_K)
         first, second = (a + b / temperature_k + c * rest for a, b, c in zip(self.a, self.b, self.c, strict=True))
         return first, second
@@ -89,7 +89,7 @@ class PairFile(BaseModel):
     model_config = _FROZEN
 
     lock: dict[Text, str] = Field(max_length=50)
-    """What made the file: command and versions."""
+    """Origin of the file: command and versions."""
     pairs: tuple[Pair, ...] = Field(max_length=10_000)
 
 
@@ -102,13 +102,14 @@ class PairTable(NamedTuple):
     alpha: FloatArray
 
     def tau(self, temperature_k: float) -> FloatArray:
-        """[M, M] tau at a temperature in K."""
+        """Return [M, M] tau at a temperature in K."""
         return self.a + self.b / temperature_k + self.c * math.log(temperature_k / REFERENCE_K)
 
 
 def load_pairs(paths: Iterable[Path]) -> dict[frozenset[str], Pair]:
-    """Read pair files into ``{{material, other}: Pair}``; what a later file says of a pair replaces what an earlier one
-    does, so that measured parameters can stand in for the shipped ones.
+    """Read pair files into ``{{material, other}: Pair}``.
+
+    A later file replaces pairs of an earlier one, so that measured parameters can replace the bundled ones.
 
     Raises:
         DataError: a file is missing or malformed, a value is out of bounds, or a file has a pair twice.
@@ -120,26 +121,26 @@ def load_pairs(paths: Iterable[Path]) -> dict[frozenset[str], Pair]:
         if len(found) < len(file.pairs):
             ((names, _),) = Counter(frozenset(pair.of) for pair in file.pairs).most_common(1)
             first, second = sorted(names)
-            raise DataError(f"{path}: pairs: {first!r} with {second!r} stands here twice; remove one of them")
+            raise DataError(f"{path}: pairs: {first!r} with {second!r} is listed twice; remove one of them")
         pairs |= found
     return pairs
 
 
 @functools.lru_cache(maxsize=1)
 def shipped_pairs() -> dict[frozenset[str], Pair]:
-    """The pairs that come with chemlab."""
+    """Return the bundled pairs."""
     return load_pairs(sorted((Path(__file__).parent.parent / "data" / "pairs").glob("*.toml")))
 
 
 def pair_table(names: Sequence[str], pairs: Mapping[frozenset[str], Pair]) -> PairTable:
-    """Parameters of every two of some materials.
+    """Return the parameters of every pair among some materials.
 
     Args:
         names: the M materials, in the order of the arrays' rows and columns.
         pairs: from :func:`load_pairs`.
 
     Raises:
-        DataError: a pair is missing; the message names it and says what makes it.
+        DataError: a pair is missing; the message names it and the command that makes it.
     """
     missing = [two for two in itertools.combinations(names, 2) if frozenset(two) not in pairs]
     if missing:
@@ -162,10 +163,10 @@ def pair_table(names: Sequence[str], pairs: Mapping[frozenset[str], Pair]) -> Pa
 
 
 def log_activity_coefficients(mole_fractions: FloatArray, tau: FloatArray, alpha: FloatArray) -> FloatArray:
-    """ln of the NRTL activity coefficients.
+    """Return ln of the NRTL activity coefficients.
 
     Args:
-        mole_fractions: [..., M] of mixtures.
+        mole_fractions: [..., M] mole fractions of mixtures.
         tau: [..., M, M].
         alpha: [..., M, M] or a number.
 

@@ -1,9 +1,9 @@
-"""Parts that a scenario names: chemlab's own in short, anybody's by where they are written.
+"""Parts that a scenario names: built-in ones by short name, user-defined ones by file or module.
 
-``kind = "balance"`` is one of chemlab's; ``kind = "my_parts.py:REFRACTOMETER"`` is a name in a file beside the
-scenario's own, ``kind = "package.module:NAME"`` one in a package that Python can import.
+``kind = "balance"`` is a built-in part. ``kind = "my_parts.py:REFRACTOMETER"`` is a name in a file beside the scenario,
+and ``kind = "package.module:NAME"`` a name in an importable package.
 
-The module of a file is called after where the file is, so another process that is sent a part of it finds it again.
+The module name of a file contains the file's path, so that another process that receives a pickled part can import it.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ __path__: list[str] = []
 
 
 class PartError(RuntimeError):
-    """A part of somebody's own does not do what a part of its kind does."""
+    """A user-defined part violates the interface of its kind."""
 
 
 class Part:
-    """What a scenario may name. Where it was loaded by its name, it is also pickled by it."""
+    """Base class of objects that a scenario may name. An object loaded by name is pickled by name."""
 
     def __reduce_ex__(self, protocol: Any) -> Any:
         where = vars(self).get("_where")
@@ -65,7 +65,7 @@ sys.meta_path.append(_Files())
 
 
 def _from_file(path: Path) -> ModuleType:
-    """The module of a file, the same one each time."""
+    """Return the module of a file, importing it at most once."""
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}")
     word = re.sub(r"\W", "_", path.stem)
@@ -77,11 +77,11 @@ _strangers: ContextVar[bool | None] = ContextVar("strangers", default=None)
 
 @contextlib.contextmanager
 def strangers_code(allowed: bool) -> Iterator[None]:
-    """Whether files may make Python run code that is not chemlab's while the block runs: parts that a scenario names,
-    and pickles without this user's seal (:mod:`chemlab.agents.seals`); where not, that is a DataError.
+    """Allow or forbid untrusted code inside the block: parts named by a scenario, and unsigned pickles.
 
-    Where nobody says so, a scenario that a Python program loads may name parts, as the program itself imports what it
-    likes, and an unsealed pickle is refused. The ``chemlab`` command says so each time, by ``--trust``.
+    Forbidden code raises DataError. Outside of any block, a scenario loaded by a Python program may name parts, because
+    the program itself can import anything, and an unsigned pickle (:mod:`chemlab.agents.seals`) is rejected. The
+    ``chemlab`` command always sets it, by ``--trust``.
     """
     token = _strangers.set(allowed)
     try:
@@ -91,12 +91,12 @@ def strangers_code(allowed: bool) -> Iterator[None]:
 
 
 def trust() -> bool | None:
-    """What :func:`strangers_code` was told; None outside of it."""
+    """Return the value of the enclosing :func:`strangers_code`; None outside of it."""
     return _strangers.get()
 
 
 def may_run(otherwise: bool) -> bool:
-    """What :func:`strangers_code` was told, or ``otherwise`` outside of it."""
+    """Return the value of the enclosing :func:`strangers_code`, or ``otherwise`` outside of it."""
     told = trust()
     return otherwise if told is None else told
 
@@ -109,24 +109,25 @@ def load_part(
     base: type | None = None,
     of: Any = None,
 ) -> Any:
-    """What a scenario names.
+    """Load a part that a scenario names.
 
     Args:
-        name: a short name of ``known``, ``file.py:NAME`` (from the scenario's folder) or ``package.module:NAME``.
-        scenario: whose file names it.
-        key: under which key, for error messages.
+        name: a short name of ``known``, ``file.py:NAME`` (relative to the scenario's folder) or
+            ``package.module:NAME``.
+        scenario: the scenario that names it.
+        key: the key that names it, for error messages.
         known: ``package.module:NAME`` by short name.
-        base: class it must be derived from.
-        of: class it must be an instance of.
+        base: required base class.
+        of: required class of the instance.
 
     Raises:
-        DataError: it cannot be loaded, or is something else.
+        DataError: it cannot be loaded, or is of another type.
     """
     known = known or {}
     if name not in known and not may_run(otherwise=True):
         raise DataError(
-            f"{scenario.origin}: {key}: needs {name!r:.500}, which is code that is imported only if you say that you "
-            "trust it: --trust"
+            f"{scenario.origin}: {key}: needs the untrusted code {name!r:.500}, which is imported only if you "
+            "allow it: --trust"
         )
     where, colon, wanted = known.get(name, name).rpartition(":")
     try:
@@ -144,7 +145,7 @@ def load_part(
             raise TypeError(f"{wanted} must be a subclass of {base.__module__}.{base.__name__}, and is {part!r:.200}")
         if of is not None and not isinstance(part, of):
             raise TypeError(f"{wanted} must be a {of.__module__}.{of.__name__}, and is {part!r:.200}")
-    except Exception as error:  # whatever the file does when it is run
+    except Exception as error:  # arbitrary errors of the imported file
         short = f"known: {', '.join(known)}; or name one" if known else "name it"
         kind = (
             "" if isinstance(error, (ValueError, TypeError, AttributeError, OSError)) else f"{type(error).__name__}: "
@@ -160,10 +161,10 @@ def load_part(
 
 @contextlib.contextmanager
 def blamed(name: str) -> Iterator[None]:
-    """Say of any error inside whose it is: an error of a part must not be taken for one of its user's input.
+    """Attribute any error inside the block to the part, so that it is not taken for an input error of the user.
 
     Raises:
-        PartError: names the part and what was wrong.
+        PartError: names the part and the error.
     """
     try:
         yield
@@ -176,16 +177,16 @@ def blamed(name: str) -> Iterator[None]:
 def checked_numbers(
     values: Any, shape: tuple[int, ...], name: str, low: float = -math.inf, high: float = math.inf
 ) -> FloatArray:
-    """What a part has returned, as an array.
+    """Validate numbers returned by a part and return them as an array.
 
     Args:
-        values: what it returned.
-        shape: what that must have.
-        name: of the part and its function, for error messages.
-        low, high: bounds; what is past them by rounding is put there.
+        values: the returned values.
+        shape: required shape.
+        name: name of the part and its function, for error messages.
+        low, high: bounds; values beyond them by rounding are clipped.
 
     Raises:
-        PartError: another shape, a number that is not finite or out of bounds.
+        PartError: the shape is wrong, or a number is not finite or out of bounds.
     """
     import numpy as np
 
@@ -198,8 +199,6 @@ def checked_numbers(
     wrong = ~(np.isfinite(given) & (given >= low - 1e-6) & (given <= high + 1e-6))
     if wrong.any():
         at = np.argwhere(wrong)[0].tolist()
-        bounds = (
-            "finite" if low == -math.inf else f"from {low:g} to {high:g}: scale it, and cut off what is past its range"
-        )
+        bounds = "finite" if low == -math.inf else f"from {low:g} to {high:g}: scale it and clip it to this range"
         raise PartError(f"{name}: must be {bounds}; given {given[tuple(at)]:g} at {at}")
     return given if low == -math.inf else np.clip(given, low, high)

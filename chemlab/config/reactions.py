@@ -1,9 +1,8 @@
 """Reaction networks as data: stoichiometry, orders and Arrhenius constants, checked for balance.
 
-A reaction family is one TOML file of ``chemlab/data/reactions`` (or a path of the user's): ``[[reaction]]``
-entries integrated by the kinetics kernel, ``[[salt]]`` entries taken to their dissolution equilibrium,
-``[[violent]]`` entries that run to completion at once and may be safety events, and ``[[acid]]`` entries that are at
-their equilibrium with water at any time.
+A reaction family is one TOML file of ``chemlab/data/reactions`` (or a path of the user's). It has ``[[reaction]]``
+entries integrated by the kinetics kernel, ``[[salt]]`` entries at dissolution equilibrium, ``[[violent]]`` entries that
+run to completion at once and may be safety events, and ``[[acid]]`` entries in permanent equilibrium with water.
 """
 
 from __future__ import annotations
@@ -40,7 +39,7 @@ __all__ = [
 ]
 
 PROTON, HYDROXIDE, WATER = "H+", "OH-", "water"
-"""Materials by which acids and bases react with each other, and in which they do."""
+"""Materials of the ionization of water, through which acids and bases react."""
 
 _BALANCE_TOLERANCE = 1e-9
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -51,15 +50,17 @@ Coefficients = Annotated[
 ]
 """Stoichiometric coefficients of one side, by material."""
 Orders = Annotated[dict[Text, Annotated[float, Field(ge=0.01, le=20.0)]], Field(max_length=20)]
-"""Orders by reactant; together at most 20."""
+"""Orders by reactant; their sum is at most 20."""
 _HIGHEST_ORDER = 20.0
-"""Of a whole rate law. Observed ones stay below 5; the kernel multiplies as many concentrations at every step."""
+"""Maximum total order. Observed orders are below 5; the kernel multiplies this many concentrations in every step."""
 _SMALLEST_CONSTANT = 1e-50
 _SOLUBLE = 0.01
-"""mol/kg of water, above which a salt reacts as its ions there."""
+"""Solubility in mol/kg of water above which a salt reacts as its ions."""
 _KEPT_APART = 1.0
-"""L/mol of water, by which the reaction of an undissolved salt is slowed down: it goes on where there is no water, and
-adds 2 % to that of its ions in a saturated solution."""
+"""Inhibition in L/mol by water of the reaction of an undissolved salt.
+
+The reaction proceeds without water, and adds 2 % to that of the ions in a saturated solution.
+"""
 Inhibition = Annotated[dict[Text, Annotated[float, Field(gt=0.0, le=1e12)]], Field(max_length=20)]
 """Inhibition constants in L/mol, by material."""
 Enthalpy = Annotated[float, Field(ge=-1e7, le=1e7)]
@@ -67,7 +68,7 @@ Enthalpy = Annotated[float, Field(ge=-1e7, le=1e7)]
 
 
 class _Balanced(BaseModel):
-    """What every kind of reaction has."""
+    """Common fields of all kinds of reactions."""
 
     model_config = _FROZEN
 
@@ -77,31 +78,37 @@ class _Balanced(BaseModel):
 
 
 _REAL_ONLY = ("catalysts", "inhibitors", "equilibrium_constant", "enthalpy_j_mol")
-"""Fields of a reaction for which only physics ``real`` has laws."""
+"""Fields of a reaction that only the backend ``real`` supports."""
 
 
 class Reaction(_Balanced):
     """One elementary step: rate = A exp(-Ea / RT) * prod(concentration ** order), in mol/L per time unit.
 
-    What catalyses and inhibits it, and the reverse reaction, are known to the tier ``real`` only.
+    Catalysts, inhibitors and the reverse reaction are supported by the backend ``real`` only.
     """
 
     orders: Orders = {}
-    """Order in each reactant, above 0 since a used-up reactant must stop its reaction; empty means the reactant's own
-    coefficient (mass action)."""
+    """Order in each reactant, above 0 because a consumed reactant must stop its reaction.
+
+    Empty means the reactant's own coefficient (mass action).
+    """
     pre_exponential: float = Field(gt=0.0, le=1e30)
     """A, in (L/mol)^(order - 1) per time unit."""
     activation_energy_j_mol: float = Field(ge=0.0, le=500_000.0)
     catalysts: Orders = {}
-    """Order in each material that is not used up; without it the reaction does not run, in neither direction."""
+    """Order in each catalyst; without the catalyst, the reaction runs in neither direction."""
     inhibitors: Inhibition = {}
-    """K in L/mol by material: the rate is divided by 1 + sum of K times its concentration."""
+    """K in L/mol by inhibitor: the rate is divided by 1 + sum of K times its concentration."""
     equilibrium_constant: float | None = Field(default=None, gt=0.0, le=1e50)
-    """At 298.15 K, of concentrations in mol/L; makes the reaction reversible (k_back = k / K) and asks for mass action.
-    Between 1e-50 and 1e50."""
+    """Equilibrium constant at 298.15 K in terms of mol/L, between 1e-50 and 1e50.
+
+    It makes the reaction reversible (k_back = k / K) and requires mass action.
+    """
     enthalpy_j_mol: Enthalpy | None = None
-    """Heat of reaction at 298.15 K, which K follows with temperature (van 't Hoff); without it that of the materials'
-    formation enthalpies, with which it must agree."""
+    """Heat of reaction at 298.15 K, which determines the temperature dependence of K (van 't Hoff).
+
+    By default it follows from the materials' formation enthalpies, with which it must agree.
+    """
 
     @model_validator(mode="after")
     def _sound(self) -> Reaction:
@@ -122,12 +129,12 @@ class Reaction(_Balanced):
             if self.equilibrium_constant < _SMALLEST_CONSTANT:
                 raise ValueError(
                     f"equilibrium_constant: at least {_SMALLEST_CONSTANT:g}, given {self.equilibrium_constant:g}; "
-                    "what does not go forward is better left out"
+                    "omit reactions that do not run forward"
                 )
             if orders != self.reactants:
                 raise ValueError(
-                    "equilibrium_constant: only mass action leads to it: leave out orders, or write the reverse "
-                    "reaction as one of its own"
+                    "equilibrium_constant: requires mass action: omit orders, or write the reverse "
+                    "reaction as a separate one"
                 )
             backward = sum(self.products.values())
         total = max(forward, backward) + sum(self.catalysts.values())
@@ -136,13 +143,15 @@ class Reaction(_Balanced):
         return self.model_copy(update={"orders": orders})
 
     def materials(self) -> set[str]:
-        """Every material this reaction changes or depends on."""
+        """Return every material that this reaction changes or depends on."""
         return {*self.reactants, *self.products, *self.catalysts, *self.inhibitors}
 
     @property
     def words(self) -> str:
-        """By what messages call it: it has no name, and its place is another where reactions that cannot run are left
-        out."""
+        """Description of the reaction for messages.
+
+        A reaction has no name, and its index changes when reactions that cannot run are removed.
+        """
         return f"{' + '.join(self.reactants)} -> {' + '.join(self.products)}"
 
 
@@ -151,17 +160,16 @@ Point = tuple[Annotated[float, Field(ge=150.0, le=1000.0)], Annotated[float, Fie
 
 
 class Solubility(BaseModel):
-    """How much of a salt a kilogram of solvent takes up; a mixture takes up what its solvents do, by their mass."""
+    """Solubility of a salt per kilogram of solvent; a mixture dissolves as its solvents do, by mass."""
 
     model_config = _FROZEN
 
     solvents: dict[Text, Annotated[tuple[Point, ...], Field(min_length=1, max_length=50)]] = Field(
         min_length=1, max_length=50
     )
-    """Points (K, mol/kg) by solvent, temperatures rising; between two of them it is a straight line, beyond the first
-    and the last constant."""
+    """Points (K, mol/kg) by solvent with increasing temperatures; linear between points, constant beyond the ends."""
     elsewhere_mol_kg: float = Field(default=0.0, ge=0.0, le=100.0)
-    """In any other solvent, at all temperatures."""
+    """Solubility in any other solvent, at all temperatures."""
     source: str = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -172,15 +180,18 @@ class Solubility(BaseModel):
         return self
 
     def mol_per_kg(self, solvent: str, temperature_k: FloatArray | float) -> FloatArray:
-        """Solubility in one solvent in mol/kg, in the shape of ``temperature_k``."""
+        """Return the solubility in one solvent in mol/kg, in the shape of ``temperature_k``."""
         temperature = np.asarray(temperature_k, dtype=np.float64)
         points = np.array(self.solvents.get(solvent, ((298.15, self.elsewhere_mol_kg),)))
         return np.asarray(np.interp(temperature, points[:, 0], points[:, 1]))
 
 
 class Salt(BaseModel):
-    """A salt that dissolves as ``solid <-> cation + anion`` (one of each): in the tier ``paper`` in every solvent,
-    K = 1 mol/mol, in the tier ``real`` up to its solubility."""
+    """A salt that dissolves as ``solid <-> cation + anion`` (one of each).
+
+    In the backend ``paper`` it dissolves in every solvent with K = 1 mol/mol, in the backend ``real`` up to its
+    solubility.
+    """
 
     model_config = _FROZEN
 
@@ -189,19 +200,21 @@ class Salt(BaseModel):
     anion: Text
     source: str = Field(min_length=1)
     solubility: Solubility | None = None
-    """Needed in scenarios of the tier ``real``, and unknown to those of the tier ``paper``."""
+    """Required by the backend ``real``; the backend ``paper`` ignores it."""
 
 
 class Violent(_Balanced):
-    """A reaction that goes to completion the moment its reactants meet."""
+    """A reaction that goes to completion as soon as its reactants meet."""
 
     event: Text | None = None
-    """Safety event that it counts as, by the mol of its first reactant; without one, a solid element that reacts with
-    water counts as ``metal_in_water_mol``, and others as none."""
+    """Safety event that it counts as, by the mol of its first reactant.
+
+    By default, a solid element that reacts with water counts as ``metal_in_water_mol``, and other reactions as none.
+    """
 
 
 class Acid(BaseModel):
-    """An acid with its bases, at equilibrium with water at any time; the tier ``real`` alone knows it.
+    """An acid with its bases, in permanent equilibrium with water; only in the backend ``real``.
 
     Strong acids and bases need no entry: they are ions from the start, one of them ``H+`` or ``OH-``.
     """
@@ -209,12 +222,14 @@ class Acid(BaseModel):
     model_config = _FROZEN
 
     species: tuple[Text, ...] = Field(min_length=2, max_length=8)
-    """From the most acidic one on; each has a proton less than the one before it."""
+    """Species from the most acidic one on; each has one proton less than the previous one."""
     pka: tuple[Annotated[float, Field(ge=-20.0, le=40.0)], ...] = Field(min_length=1, max_length=7)
-    """Of each step, at 298.15 K and infinite dilution."""
+    """pKa of each step, at 298.15 K and infinite dilution."""
     enthalpy_j_mol: tuple[Enthalpy, ...] = Field(default=(), max_length=7)
-    """Of each step, which its pKa follows with temperature (van 't Hoff); without it that of the materials' formation
-    enthalpies."""
+    """Heat of each step, which determines the temperature dependence of its pKa (van 't Hoff).
+
+    By default it follows from the materials' formation enthalpies.
+    """
     source: str = Field(min_length=1)
 
     @model_validator(mode="after")
@@ -240,10 +255,10 @@ class ReactionFamily(BaseModel):
     violent: tuple[Violent, ...] = Field(default=(), max_length=50)
     acid: tuple[Acid, ...] = Field(default=(), max_length=50)
     lock: dict[Text, str] = Field(default={}, max_length=50)
-    """What made the file, if it was made: a command, and versions."""
+    """Origin of a generated file: command and versions."""
 
     def materials(self) -> set[str]:
-        """Every material this family names."""
+        """Return every material that this family names."""
         found = {name for salt in self.salt for name in (salt.solid, salt.cation, salt.anion)}
         for step in self.violent:
             found |= set(step.reactants) | set(step.products)
@@ -254,18 +269,19 @@ class ReactionFamily(BaseModel):
         return found
 
     def towards(self, goal: str) -> set[str]:
-        """The goal, and every material that the reactions on the way to it begin with, or do not run without."""
+        """Return the goal, and all reactants and catalysts of the reactions on the route to it."""
         steps = itertools.chain.from_iterable(self.ways(goal).values())
         return {goal}.union(*({*step.reactants, *step.catalysts} for step in steps))
 
     def ways(self, goal: str) -> dict[str, list[Reaction]]:
-        """The reactions on the way to a goal by the material that each is there to make, in the family's order.
+        """Return the reactions on the route to a goal, by the material that each makes, in the family's order.
 
-        None begins with what it leads to: that aspirin gives salicylic acid back is no way to aspirin.
+        Reactions that start from their own product's derivatives are excluded: the hydrolysis of aspirin to salicylic
+        acid is not a route to aspirin.
         """
         found: dict[str, list[Reaction]] = {}
         wanted = [goal]
-        for name in wanted:  # which grows
+        for name in wanted:  # which grows in the loop
             if name in found:
                 continue
             made = [s for s in self.reaction if name in s.products and name not in _behind(s.reactants, found)]
@@ -275,7 +291,7 @@ class ReactionFamily(BaseModel):
 
 
 def _behind(names: Iterable[str], ways: Mapping[str, list[Reaction]]) -> set[str]:
-    """Some materials, and all that they are made of by some ways."""
+    """Return materials together with all materials that they are made of."""
     seen: set[str] = set()
     wanted = list(names)
     while wanted:
@@ -287,7 +303,7 @@ def _behind(names: Iterable[str], ways: Mapping[str, list[Reaction]]) -> set[str
 
 
 def equation(step: Reaction | Violent) -> str:
-    """A reaction as text: ``A + 2 B -> C``."""
+    """Format a reaction as text: ``A + 2 B -> C``."""
     sides = [
         " + ".join(f"{'' if number == 1 else f'{number:g} '}{name}" for name, number in side.items())
         for side in (step.reactants, step.products)
@@ -296,11 +312,11 @@ def equation(step: Reaction | Violent) -> str:
 
 
 def dissolved_reactions(family: ReactionFamily) -> ReactionFamily:
-    """Write reactions of soluble salts as those of their ions, where there is water (tier ``real``).
+    """Write reactions of soluble salts as those of their ions in water (backend ``real``).
 
-    A reaction that begins with such a salt, or does not run without it, is followed by the same one of its ions; that
-    of the solid is for where there is no water. Ions on both sides take no part. An ion has the order of its salt, two
-    that are used up have half of it each.
+    A reaction with such a salt as reactant or catalyst is followed by the same reaction of its ions; the reaction of
+    the solid is for contents without water. Spectator ions are removed. An ion has the order of its salt; two consumed
+    ions have half of it each.
     """
     salts = {
         salt.solid: salt
@@ -323,7 +339,7 @@ def dissolved_reactions(family: ReactionFamily) -> ReactionFamily:
 
 
 def _parted(side: Mapping[str, float], salts: Mapping[str, Salt]) -> dict[str, float]:
-    """Numbers by material, with the ions of salts instead of them."""
+    """Replace salts by their ions in a mapping of numbers by material."""
     total: dict[str, float] = {}
     for name, number in side.items():
         for part in (salts[name].cation, salts[name].anion) if name in salts else (name,):
@@ -332,7 +348,7 @@ def _parted(side: Mapping[str, float], salts: Mapping[str, Salt]) -> dict[str, f
 
 
 def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction:
-    """A reaction of dissolved salts."""
+    """Return a reaction of dissolved salts."""
     before, after = _parted(step.reactants, salts), _parted(step.products, salts)
     taking_part = {*step.reactants, *step.products} & set(salts)
     for ion in {ion for name in taking_part for ion in (salts[name].cation, salts[name].anion)}:
@@ -369,23 +385,23 @@ def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction:
 
 
 def shipped_reactions_folder() -> Path:
-    """Folder of the reaction families that come with chemlab."""
+    """Return the folder of the bundled reaction families."""
     return Path(__file__).parent.parent / "data" / "reactions"
 
 
 def load_reactions(
     name: str, materials: Mapping[str, Material], folder: Path | None = None, where: str = ""
 ) -> ReactionFamily:
-    """Load a family by shipped name or by path and check it against the materials.
+    """Load a family by bundled name or by path, and check it against the materials.
 
     Args:
-        name: a shipped family's name, or a path to a TOML file (relative to ``folder``).
+        name: a bundled family's name, or a path to a TOML file (relative to ``folder``).
         materials: known materials by id.
-        folder: where a relative path starts (the scenario's folder).
-        where: what asks for the family, for the error message.
+        folder: folder to which a relative path refers (the scenario's folder).
+        where: origin of the request, for the error message.
 
     Raises:
-        DataError: unknown family or material, or a reaction that does not conserve atoms and charge.
+        DataError: a family or material is unknown, or a reaction does not conserve atoms and charge.
     """
     shipped = {path.stem: path for path in sorted(shipped_reactions_folder().glob("*.toml"))}
     if name in shipped:
@@ -395,7 +411,7 @@ def load_reactions(
     else:
         asked = f"{where}: reactions" if where else "reactions"
         raise DataError(
-            f"{asked}: unknown family {name!r}; shipped: {', '.join(shipped)}; or give a path to a .toml file"
+            f"{asked}: unknown family {name!r}; choose from {', '.join(shipped)}, or give a path to a .toml file"
         )
     family: ReactionFamily = validated(ReactionFamily, read_toml(path), str(path))
     check_reactions(family, materials, str(path))
@@ -416,7 +432,7 @@ def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], w
     """
     unknown = sorted(family.materials() - set(materials))
     if unknown:
-        raise DataError(f"{where}: unknown material {unknown[0]!r}; known: {', '.join(sorted(materials))}")
+        raise DataError(f"{where}: unknown material {unknown[0]!r}; choose from {', '.join(sorted(materials))}")
     steps = [(f"reaction.{i}", r.reactants, r.products) for i, r in enumerate(family.reaction)]
     steps += [(f"violent.{i}", v.reactants, v.products) for i, v in enumerate(family.violent)]
     steps += [(f"salt.{i}", {s.solid: 1.0}, {s.cation: 1.0, s.anion: 1.0}) for i, s in enumerate(family.salt)]

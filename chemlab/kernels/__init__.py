@@ -1,1 +1,1 @@
-"""Compiled code: decorators of kernels, declared arrays, random streams."""
+"""Compilation: kernel decorators, schemas of arrays, random streams."""

@@ -1,14 +1,14 @@
-"""Arrays and their tables: what every layer hands to kernels. Nothing here knows of chemistry.
+"""Schemas and pointer tables of arrays, through which every layer passes its arrays to kernels.
 
-A layer declares its arrays once, as a ``NamedTuple`` whose annotations say shape, type and first value::
+A layer declares its arrays once as a schema, a ``NamedTuple`` whose annotations state shape, type and initial value::
 
     class ManagerState(NamedTuple):
         ticks: Annotated[IntArray, Field("N")]
         age: Annotated[IntArray, Field("N S I", first=-1)]
 
-From that follow allocation, reset, snapshots and pickles (:class:`chemlab.kernels.tables.Table`) and what kernels see
-(:func:`chemlab.kernels.jit.opened`). A table is handed to a kernel as its ``handle``, one small array of addresses:
-handing over twenty arrays one by one takes longer than most of what kernels do with them.
+Allocation, reset, snapshots and pickling (:class:`chemlab.kernels.tables.Table`) and the kernels' view
+(:func:`chemlab.kernels.jit.opened`) follow from it. A kernel receives a table as its ``handle``, a pointer table: one
+small array of addresses. Passing twenty arrays one by one takes longer than most kernels run.
 """
 
 from __future__ import annotations
@@ -41,25 +41,24 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
 StreamArray = npt.NDArray[np.uint64]
-"""A random stream for each row: see :mod:`chemlab.kernels.rng`."""
+"""A random stream per row: see :mod:`chemlab.kernels.rng`."""
 ObservationArray = npt.NDArray[np.float32]
 MaskArray = npt.NDArray[np.int8]
 Handle = Any
-"""What a kernel takes in place of a table: its array of addresses; without compiling, the arrays themselves."""
+"""Pointer table that a kernel receives in place of a table; without compilation, the arrays themselves."""
 
 SLOT = 5
-"""Numbers that an array takes in a handle: its address, then up to four lengths."""
+"""Entries of an array in a pointer table: its address, then up to four lengths."""
 
 
 @dataclass(frozen=True)
 class Field:
-    """Shape and beginning of a declared array.
+    """Shape and initial value of a declared array.
 
     Attributes:
-        dims: names of its axes, by spaces; a table is made for a length of each. "" is a single number.
-        first: what every entry is at first, and again when :meth:`chemlab.kernels.tables.Table.reset` says so; None:
-        not reset.
-        kept: whether it is part of what goes on from step to step, and so of snapshots.
+        dims: names of its axes, separated by spaces; a table is allocated for a length of each. "" is a single number.
+        first: initial value of every entry, restored by :meth:`chemlab.kernels.tables.Table.reset`; None: not reset.
+        kept: whether it is part of the state between steps, and so of snapshots.
     """
 
     dims: str
@@ -69,29 +68,29 @@ class Field:
 
 @dataclass(frozen=True)
 class Declared:
-    """A field of a declaration, resolved."""
+    """A resolved field of a schema."""
 
     name: str
     dtype: np.dtype[Any]
     axes: tuple[str, ...]
     field: Field
     number: bool
-    """Whether kernels see it as a number and not as an array."""
+    """True if kernels see it as a number instead of an array."""
 
 
 def _scalar(array: Any) -> Any:
-    """The type of the numbers in an array, by its annotation."""
-    # Of NumPy's alias for arrays that is an argument of its own from Python 3.12 on, before that one of the dtype's.
+    """Return the scalar type of an array from its annotation."""
+    # From Python 3.12 on, it is an argument of NumPy's alias for arrays; before, of the dtype.
     last = typing.get_args(array)[-1]
     return (typing.get_args(last) or (last,))[0]
 
 
 @functools.cache
 def declared(declaration: Any) -> tuple[Declared, ...]:
-    """The fields of a declaration, in order.
+    """Return the fields of a schema in order.
 
     Raises:
-        TypeError: a field without ``Field``, or of a type that no kernel takes.
+        TypeError: a field has no ``Field``, or a type that kernels do not support.
     """
     found = []
     for name, hint in typing.get_type_hints(declaration, include_extras=True).items():
@@ -106,7 +105,7 @@ def declared(declaration: Any) -> tuple[Declared, ...]:
 
 
 def addresses(arrays: Sequence[npt.NDArray[Any]]) -> IntArray:
-    """The handle of some arrays: :data:`SLOT` numbers each. They must stay where they are while it is used.
+    """Return the pointer table of some arrays: :data:`SLOT` numbers each. The arrays must not move while it is used.
 
     Raises:
         ValueError: an array is not contiguous, or has more than four axes.
@@ -115,16 +114,18 @@ def addresses(arrays: Sequence[npt.NDArray[Any]]) -> IntArray:
     for array in arrays:
         if not array.flags.c_contiguous or array.ndim >= SLOT:
             raise ValueError(
-                f"kernels take contiguous arrays of at most {SLOT - 1} axes, given strides {array.strides}"
+                f"kernels require contiguous arrays of at most {SLOT - 1} axes, given strides {array.strides}"
             )
-        # Several times as fast as ``array.ctypes``, and a laboratory has hundreds of arrays.
+        # Several times faster than ``array.ctypes``; a laboratory has hundreds of arrays.
         numbers += [array.__array_interface__["data"][0], *array.shape, *[0] * (SLOT - 1 - array.ndim)]
     return np.array(numbers, dtype=np.int64)
 
 
 @functools.cache
 def merged(*declarations: type) -> Any:
-    """A declaration of all fields of several, in order: kernels open it whole, or as the first of them."""
+    """Return a schema with the fields of several schemas in order: kernels open it as a whole, or as the first of
+    them.
+    """
     if len(declarations) == 1:
         return declarations[0]
     hints: dict[str, Any] = {}
@@ -134,7 +135,7 @@ def merged(*declarations: type) -> Any:
     make: Any = typing.NamedTuple
     made = make(name, list(hints.items()))
     made.MERGED = declarations
-    made.__reduce__ = _parts  # the class is made at run time, so copies and pickles name what it is made of
+    made.__reduce__ = _parts  # the class is created at run time, so copies and pickles refer to its parts
     return made
 
 

@@ -1,4 +1,4 @@
-"""Random streams: SplitMix64, one counter a laboratory, so that members of a batch draw independently of each other."""
+"""Random streams: SplitMix64 with one counter per laboratory, so that members of a batch are independent."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _UNIT = 1.0 / 9007199254740992.0
 
 @helper
 def _bits(counter: np.uint64) -> np.uint64:
-    """The 64 bits of a SplitMix64 stream at a count."""
+    """Return the 64 bits of a SplitMix64 stream at a count."""
     z = counter
     z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -30,20 +30,20 @@ def _bits(counter: np.uint64) -> np.uint64:
 
 @helper
 def random_bits(state: StreamArray) -> np.uint64:
-    """Next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
+    """Return the next 64 bits of a SplitMix64 stream whose counter is ``state[0]`` (advanced in place)."""
     state[0] += _STEP
     return _bits(state[0])
 
 
 @helper
 def uniform(state: StreamArray) -> float:
-    """Next number in [0, 1) of the stream."""
+    """Return the next number in [0, 1) of the stream."""
     return (random_bits(state) >> np.uint64(11)) * _UNIT
 
 
 @helper
 def uniforms(state: StreamArray, out: FloatArray) -> None:
-    """As many next numbers in [0, 1) of the stream as ``out`` has room for; none waits for the one before."""
+    """Fill ``out`` with the next numbers in [0, 1) of the stream, computed independently of each other."""
     counter = state[0]
     for i in range(out.shape[0]):
         out[i] = (_bits(counter + np.uint64(i + 1) * _STEP) >> np.uint64(11)) * _UNIT
@@ -52,7 +52,7 @@ def uniforms(state: StreamArray, out: FloatArray) -> None:
 
 @kernel
 def normal(stream: StreamArray) -> float:
-    """Next standard normal number (Box-Muller) of the stream; takes two uniform ones."""
+    """Return the next standard normal number (Box-Muller) of the stream, from two uniform ones."""
     radius = math.sqrt(-2.0 * math.log(1.0 - uniform(stream)))
     return radius * math.cos(2.0 * math.pi * uniform(stream))
 
@@ -61,11 +61,11 @@ def checked_seed(seed: Any, name: str = "seed") -> int | None:
     """Return a seed as a Python integer, or None.
 
     Args:
-        seed: as a user gave it.
-        name: of the argument, for the error message.
+        seed: the user's seed.
+        name: name of the argument, for the error message.
 
     Raises:
-        ValueError: it is neither an integer of at least 0 nor None.
+        ValueError: it is neither a non-negative integer nor None.
     """
     if seed is None:
         return None

@@ -1,4 +1,4 @@
-"""Tables: the arrays of a declaration, allocated, reset, copied and handed to kernels together."""
+"""Tables: the arrays of a schema, allocated, reset, copied and passed to kernels together."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class _Bytes(NamedTuple):
 
 @kernel
 def _reset_rows(members: IntArray, arrays: IntArray, first: npt.NDArray[np.uint8]) -> None:
-    """Copy the bytes of ``first``, a row of each array one after the other, into the arrays' rows of ``members``."""
+    """Copy the bytes of ``first``, a concatenated row of every array, into the arrays' rows of ``members``."""
     at = 0
     for k in range(arrays.shape[0] // SLOT):
         rows = opened(_Bytes, arrays[k * SLOT : (k + 1) * SLOT]).rows
-        # Without a sum or a look-up in the inner loop, which compilers then take many bytes at a time.
+        # Without a sum or look-up in the inner loop, so that compilers can vectorize it.
         values = first[at : at + rows.shape[1]]
         for i in range(members.shape[0]):
             row = rows[members[i]]
@@ -36,11 +36,11 @@ def _reset_rows(members: IntArray, arrays: IntArray, first: npt.NDArray[np.uint8
 
 
 class Table(Generic[T]):
-    """The arrays of one declaration, allocated together; each is also an attribute of the table.
+    """The arrays of one schema, allocated together; each is also an attribute of the table.
 
     Attributes:
-        arrays: an instance of the declaration.
-        handle: what kernels take in its place.
+        arrays: an instance of the schema.
+        handle: the pointer table for kernels.
     """
 
     def __init__(self, arrays: T) -> None:
@@ -62,7 +62,7 @@ class Table(Generic[T]):
 
     @classmethod
     def empty(cls, declaration: type[T], **lengths: int) -> Table[T]:
-        """Every array at its first value, for the lengths of the axes by name."""
+        """Allocate a table with initial values, for given lengths of the axes."""
         made = [
             np.full([lengths[axis] for axis in field.axes], field.field.first or 0, dtype=field.dtype)
             for field in declared(cast(Any, declaration))
@@ -75,7 +75,7 @@ class Table(Generic[T]):
         return getattr(self.arrays, name)
 
     def reset(self, members: IntArray) -> None:
-        """Give every entry of ``members`` (along the first axis) its first value, where the declaration has one."""
+        """Reset every entry of ``members`` (along the first axis) that has an initial value."""
         if COMPILED:
             _reset_rows(members, self._resettable, self._first)
             return
@@ -84,8 +84,7 @@ class Table(Generic[T]):
                 array[members] = field.field.first
 
     def changing(self) -> list[npt.NDArray[Any]]:
-        """Every array that goes on from step to step, for snapshots: with the laboratories' axis first where it has
-        one (views)."""
+        """Return views of every array of the state between steps, with the laboratories' axis first if there is one."""
         return [
             np.moveaxis(array, field.axes.index("N"), 0) if "N" in field.axes else array
             for field, array in zip(self._fields, self._own, strict=True)
@@ -101,29 +100,29 @@ class Table(Generic[T]):
         ]
 
     def copy(self) -> Table[T]:
-        """The same with arrays of its own."""
+        """Return a copy with its own arrays."""
         values: tuple[Any, ...] = self.arrays  # type: ignore[assignment]
         return Table(type(self.arrays)(*(np.array(v) if isinstance(v, np.ndarray) else v for v in values)))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Table, (self.arrays,)  # addresses are another process's
+        return Table, (self.arrays,)  # addresses are invalid in another process
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Table[T]:
         return self.copy()
 
 
 def put_back(arrays: Sequence[npt.NDArray[Any]], saved: Sequence[npt.NDArray[Any]]) -> None:
-    """Copy what was saved of some arrays into them.
+    """Copy saved values into arrays.
 
     Raises:
-        ValueError: it is of others: not as many, or of other shapes or kinds of numbers; nothing changes.
+        ValueError: the number, shapes or types of the arrays differ; nothing changes.
     """
     own, other = ([(np.shape(one), np.asarray(one).dtype) for one in some] for some in (arrays, saved))
     if own != other:
         at = next((i for i, (a, b) in enumerate(zip(own, other, strict=False)) if a != b), min(len(own), len(other)))
         raise ValueError(
-            f"state: is of another environment, or changed: of {len(other)} arrays, here {len(own)}, number {at} "
-            f"differs: {[*other, 'missing'][at]}, here {[*own, 'missing'][at]}; take get_state() of one made equally"
+            f"state: does not fit this environment: it has {len(other)} arrays instead of {len(own)}, and number {at} "
+            f"differs: {[*other, 'missing'][at]}, here {[*own, 'missing'][at]}; use a state of an identical environment"
         )
     for array, values in zip(arrays, saved, strict=True):
         array[...] = values

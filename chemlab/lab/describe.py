@@ -1,7 +1,7 @@
-"""What there is in a laboratory, as tables: observations, actions, prices, limits, rewards.
+"""Tables that describe a laboratory: observations, actions, prices, limits, rewards.
 
-They come from the channels and action tables that build the spaces, and from the scenario. The documentation's pages
-and ``chemlab describe`` show the same ones. Names of things stand in `backticks`, as in Markdown.
+They are made from the channels and action tables that build the spaces, and from the scenario. The documentation and
+``chemlab describe`` show the same tables. Names are in `backticks`, as in Markdown.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class FactTable:
-    """A table: names of columns, rows of cells, the columns that hold numbers, and what to say before it."""
+    """A table: column heads, rows of cells, the columns that hold numbers, and an introductory sentence."""
 
     head: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -67,7 +67,7 @@ def _codes(texts: Iterable[object]) -> str:
 
 
 def _number(value: float) -> str:
-    """A number without an exponent."""
+    """Format a number without an exponent."""
     return f"{value:.10f}".rstrip("0").rstrip(".")
 
 
@@ -76,7 +76,7 @@ def _span(start: int, size: int) -> str:
 
 
 def amount_words(amounts: Mapping[str, float]) -> str:
-    """Amounts of materials (mol) in words."""
+    """Format amounts of materials (mol)."""
     return ", ".join(f"{amount:g} mol `{name}`" for name, amount in amounts.items()) or "nothing"
 
 
@@ -89,7 +89,7 @@ def space_words(space: Any) -> str:
 
 
 def channel_table(channels: Sequence[Channel]) -> FactTable:
-    """A row for each channel; the channels of a shelf's slots, which are the same for every slot, once."""
+    """Return a row for each channel; channels that are the same for every slot of the shelf are listed once."""
     first = [channel for channel in channels if channel.name.startswith("slot_0_")]
     slots = len({channel.name.split("_")[1] for channel in channels if channel.name.startswith("slot_")})
     width = sum(channel.size for channel in first)
@@ -109,13 +109,13 @@ def channel_table(channels: Sequence[Channel]) -> FactTable:
 
 
 def action_list(meanings: Sequence[str], discrete: bool) -> FactTable:
-    """A row for each discrete action, or for each number of a continuous one."""
+    """Return a row for each discrete action, or for each number of a continuous one."""
     head = ("action", "what it does") if discrete else ("number", "0 to 1 stands for")
     return _facts(head, enumerate(meanings), (0,))
 
 
 def action_table(meanings: Sequence[str], discrete: bool) -> FactTable:
-    """A row for each number of a continuous action, or for each process of a table of discrete ones."""
+    """Return a row for each number of a continuous action, or for each process of a table of discrete ones."""
     if not discrete:
         return action_list(meanings, discrete)
     rows, at = [], 0
@@ -128,7 +128,7 @@ def action_table(meanings: Sequence[str], discrete: bool) -> FactTable:
 
 
 def manager_action_table(labs: Laboratories) -> FactTable:
-    """The manager's actions by kind, with the first and the last of each."""
+    """Return the manager's actions by kind, with the first and the last of each."""
     rows, at = [], 0
     for kind, group in groupby(range(len(labs.actions)), key=lambda action: labs.actions.decode(action)[0]):
         numbers = list(group)
@@ -139,7 +139,7 @@ def manager_action_table(labs: Laboratories) -> FactTable:
 
 
 def agent_table(labs: Laboratories) -> FactTable:
-    """Every agent's spaces."""
+    """Return every agent's spaces."""
     rows = [
         (_code(agent), f"Box({labs.observation_sizes[n]})", space_words(labs.action_space(n)))
         for n, agent in enumerate(labs.agents)
@@ -151,7 +151,7 @@ def agent_table(labs: Laboratories) -> FactTable:
 
 
 def goal_words(spec: Scenario) -> list[str]:
-    """What is wanted, in sentences."""
+    """Describe the orders and goals in sentences."""
     orders = "one order" if spec.orders == 1 else f"{spec.orders} orders"
     several = "one of " if len(spec.lab_goals) > 1 else ""
     return [
@@ -168,13 +168,13 @@ def goal_words(spec: Scenario) -> list[str]:
 
 
 def vessel_table(spec: Scenario) -> FactTable:
-    """The vessels that an episode begins with."""
+    """Return the vessels at the start of an episode."""
     rows = [(f"slot {i}", f"{v.capacity_l:g} L", amount_words(v.contents)) for i, v in enumerate(spec.shelf.vessel)]
     return _facts(("place", "capacity", "contents"), rows)
 
 
 def world_table(spec: Scenario) -> FactTable:
-    """The hidden parameters that are drawn for an episode, and whether a number is a factor or a value."""
+    """Return the hidden parameters of an episode, and whether a number is a factor, an offset or a value."""
     rows = []
     for name, draw in spec.world.draws.items():
         numbers = draw.distribution.model_dump(exclude_none=True)
@@ -194,19 +194,19 @@ def world_table(spec: Scenario) -> FactTable:
 
 
 def _is_change(draw: Draw) -> bool:
-    """Whether a draw changes a stated number; identities and shares are what they are."""
+    """Return True if a draw changes a declared number; identities and shares are values."""
     return draw.what not in ("identity", "titre")
 
 
 def stock_table(spec: Scenario) -> FactTable:
-    """The bottles and their prices."""
+    """Return the bottles and their prices."""
     prices = spec.costs.stock_per_mol
     rows = [(_code(name), f"{mol:g}", _number(prices.get(name, 0.0))) for name, mol in spec.stock.items()]
     return _facts(("bottle", "mol", "price a mol"), rows, (1, 2))
 
 
 def _accuracy(spec: InstrumentSpec) -> str:
-    """Noise, and what else a reading has, where it has it."""
+    """Describe noise and other errors of a reading."""
     words = [f"{spec.noise:g}"]
     if (spec.gain, spec.bias) != (1.0, 0.0):
         words.append(f"{spec.gain:g} x {spec.bias:+g}")
@@ -223,7 +223,7 @@ def _accuracy(spec: InstrumentSpec) -> str:
 
 
 def instrument_table(labs: Laboratories) -> FactTable:
-    """The instruments of the characterization bench."""
+    """Return the instruments of the characterization bench."""
     rows = [
         (_code(name), kind.summary, f"{i.price:g}", f"{i.sample_fraction:g}", _accuracy(i))
         for (name, i), kind in zip(labs.scenario.instruments.items(), labs.instruments.kinds, strict=True)
@@ -232,7 +232,7 @@ def instrument_table(labs: Laboratories) -> FactTable:
 
 
 def bench_table(labs: Laboratories) -> FactTable:
-    """Each kind of bench: how many, how long, and what an experiment's agent is paid."""
+    """Return each kind of bench: number, step limit, and score of an experiment."""
     rows = [
         (_code(bench.key), bench.spec.kind, bench.spec.count, bench.spec.step_limit, bench.score_meaning)
         for bench in {bench.key: bench for bench in labs.benches}.values()
@@ -241,7 +241,7 @@ def bench_table(labs: Laboratories) -> FactTable:
 
 
 def wear_words(spec: Scenario) -> list[str]:
-    """How benches wear, in sentences."""
+    """Describe the degradation of benches in sentences."""
     found = []
     for key, bench in spec.benches.items():
         if bench.wear is not None:
@@ -257,7 +257,7 @@ def wear_words(spec: Scenario) -> list[str]:
 
 
 def limit_words(spec: Scenario) -> str:
-    """Limits of an episode, and what time, waste and lost turns cost."""
+    """Describe the limits of an episode, and the prices of time, waste and invalid actions."""
     limits, costs = spec.limits, spec.costs
     return (
         f"At most {limits.manager_actions} manager actions and {limits.ticks} ticks; at most {limits.budget:g} may be "
@@ -267,7 +267,7 @@ def limit_words(spec: Scenario) -> str:
 
 
 def safety_words(spec: Scenario) -> str:
-    """What safety events weigh and cost."""
+    """Describe the weights and the price of safety events."""
     weights = ", ".join(f"`{kind}` {weight:g}" for kind, weight in spec.safety.weights.items())
     return (
         f'Weights of safety events in `info["cost"]`: {weights}. '
@@ -276,7 +276,7 @@ def safety_words(spec: Scenario) -> str:
 
 
 def reward_words(spec: Scenario) -> str:
-    """Who has which share in which result."""
+    """Describe the reward mix."""
     mix = spec.rewards
     return (
         f"Reward mix: benches {mix.bench_local:g} of their own and {mix.bench_team:g} of the manager's result, the "
@@ -288,17 +288,18 @@ def reward_words(spec: Scenario) -> str:
 
 
 def description(labs: Laboratories, agents: Sequence[str] | None = None) -> dict[str, Any]:
-    """The laboratory for programs: what JSON can hold.
+    """Return a JSON-compatible description of the laboratory.
 
     Args:
         labs: the laboratories.
-        agents: whose spaces are told (default: everybody's).
+        agents: agents whose spaces are included (default: all).
 
     Returns:
-        The scenario's keys, ``file``, and under ``agents`` for each of them ``kind``, ``score`` (what an experiment,
-        or to the manager an episode, is worth), ``step_limit`` (most actions in it), ``observation`` (``size``, and
+        The scenario's keys, ``file``, and under ``agents`` for each of them ``kind``, ``score`` (score of an
+            experiment, or
+        of an episode for the manager), ``step_limit`` (maximum number of its actions), ``observation`` (``size``, and
         ``channels`` with ``start`` and ``stop`` index, name, unit, bounds, meaning) and ``actions`` (``discrete``, and
-        ``meanings`` by number).
+        ``meanings`` by index).
     """
     spec = labs.scenario
     keys = {"name", "title", "summary", "goals", "lab_goals", "orders", "theoretical_maximum_mol", "stock", "shelf"}

@@ -1,4 +1,4 @@
-"""N laboratories in one set of arrays: turns, experiments, rewards. Every environment is a view of this."""
+"""N laboratories in one set of arrays: turns, experiments, rewards. Every environment is a view of them."""
 
 from __future__ import annotations
 
@@ -55,8 +55,10 @@ __all__ = ["MANAGER_AGENT", "Laboratories"]
 
 @kernel
 def _draw_goals(members: IntArray, choices: IntArray, stream: StreamArray, goal: IntArray) -> None:
-    """Draw every order's goal from ``choices``; as many numbers are drawn where there is no choice, so the rest of
-    the episode is the same."""
+    """Draw every order's goal from ``choices``.
+
+    The same number of random numbers is used for a single choice, so that the rest of the episode is the same.
+    """
     for i in range(members.shape[0]):
         n = members[i]
         for o in range(goal.shape[1]):
@@ -88,7 +90,7 @@ def _put_starts(members: IntArray, starts: Handle, manager: Handle, vessels: Flo
 
 
 def _rehearsal_of(scenario: Scenario) -> Rehearsal:
-    with strangers_code(False):  # may not do in a child what it may here
+    with strangers_code(False):  # permissions of this process do not extend to a child
         return Laboratories(scenario).rehearsal()
 
 
@@ -167,7 +169,7 @@ class Laboratories:
         """Index of the agent that has the turn, by cursor; the manager's, which is -1, stands last."""
         self.observation_sizes = [int(role.observation_space.shape[0]) for role in self.roles]
         self.action_counts = [role.action_count for role in self.roles]
-        """Number of each agent's discrete actions; 0 where they are continuous."""
+        """Number of each agent's discrete actions; 0 for continuous actions."""
         self._lab_goals = np.array([spec.goals.index(goal) for goal in spec.lab_goals])
         self._rehearsed = False
         self._prepared: tuple[FloatArray, list[Table[StartPool]]] | None = None
@@ -191,12 +193,12 @@ class Laboratories:
 
     @property
     def safety_totals(self) -> FloatArray:
-        """[N, E] safety events since the episode began."""
+        """[N, E] safety events of the episode so far."""
         return self.state.safety_totals
 
     @property
     def rewards(self) -> FloatArray:
-        """[N, agents] what the last turn (or round) earned each agent."""
+        """[N, agents] rewards of the last turn or round."""
         return self.state.rewards.T
 
     @property
@@ -206,12 +208,12 @@ class Laboratories:
 
     @property
     def scores(self) -> FloatArray:
-        """[N, agents] score of the experiment that it ended, NaN where none ended."""
+        """[N, agents] scores of the experiments that ended, else NaN."""
         return self.state.scores.T
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        self.state = self.table.arrays  # a copy has arrays of its own, which its parts share again
+        self.state = self.table.arrays  # a copy has its own arrays, which its parts share again
         for b, experiments in enumerate(self.experiments):
             experiments.share(**self._shared(b))
 
@@ -268,24 +270,23 @@ class Laboratories:
 
     @functools.cached_property
     def _start(self) -> FloatArray:
-        """[V, W] vessel rows an episode begins with: the scenario's vessels, at rest."""
+        """[V, W] vessel rows at the start of an episode: the scenario's vessels, at rest."""
         shelf = Shelf(self.shelf.chemistry, 1, self.vessels_per_laboratory)
         for s, vessel in enumerate(self.scenario.shelf.vessel):
             row = shelf.fill(0, s, vessel.capacity_l, vessel.contents).row
-            if not self.worlds.active:  # else they come to rest once it is known what is in them
+            if not self.worlds.active:  # otherwise they settle when their contents are known
                 self._rest(row)
         return np.asarray(shelf.vessels[0])
 
     def _rest(self, row: FloatArray) -> None:
-        """Let a vessel that is not in a laboratory yet come to rest."""
+        """Settle a vessel that is not in a laboratory yet."""
         waste, events = np.zeros(len(self.shelf.layout.materials)), np.zeros(len(self.scenario.safety_events))
         rest_on_shelf(row, self.shelf.chem(), waste, events, self.rules.arrays.work)
 
     # -- compiling --------------------------------------------------------------------------------------------
 
     def _compile(self) -> None:
-        """Have what is not compiled yet compiled before the first episode, and not piece by piece in the midst of
-        it."""
+        """Compile all missing kernels before the first episode instead of during it."""
         self._rehearsed = True
         kernels: list[Callable[..., Any]] = [manager_act, manager_observe]
         kernels += [kernel for bench in self.benches for kernel in bench.kernels]
@@ -318,29 +319,28 @@ class Laboratories:
     # -- episodes ---------------------------------------------------------------------------------------------
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Begin a new series of episodes of one laboratory: the same seed is the same series, whatever is played."""
+        """Seed one laboratory: the same seed gives the same series of episodes, independent of the actions."""
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         seed_streams(sequence, self._streams()[:-1], member)
         self.worlds.seed(member, sequence)
         self.episodes.seed(member, self._streams())
 
     def _streams(self) -> list[StreamArray]:
-        """Every random stream that an episode begins with; what wears or drifts has its own from the world's number."""
+        """Return every random stream of an episode; streams of degradation and drift derive from the world's number."""
         # By kind of role: a seed means the same, whatever the order of the agents.
         roles = (self.manager, *self.bench_roles)
         return [*(role.stream for role in roles), self.worlds.table.arrays.stream]
 
     def reset(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
-        """Begin new episodes.
+        """Start new episodes.
 
         Args:
-            members: [B] laboratories.
-            goal: of the laboratory; None: drawn from each one's stream.
-            world: a seed or values (see :meth:`chemlab.lab.hidden.Worlds.begin`); None: drawn from a stream
-                of its own.
+            members: [B] environment indices.
+            goal: goal of the laboratory; None: drawn from each one's stream.
+            world: a seed or values (see :meth:`chemlab.lab.hidden.Worlds.begin`); None: drawn from a separate stream.
 
         Raises:
-            ValueError: unknown goal, or a world that there is not; nothing has changed.
+            ValueError: the goal is unknown, or the world is invalid; nothing has changed.
         """
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
         if not self._rehearsed:
@@ -370,22 +370,24 @@ class Laboratories:
         open_turn(members, self.table.handle)
 
     def equip(self, members: IntArray) -> None:
-        """Give benches and instruments the condition that the worlds of ``members`` [B] have drawn for them."""
+        """Set benches and instruments to the drawn condition of the worlds of ``members`` [B]."""
         for b, (bench, experiments) in enumerate(zip(self.benches, self.experiments, strict=True)):
             equip(bench, experiments, members, self.worlds, b, experiments.agent)
         begin_drift(self.instruments, members, self.table, self.rules.handle, self.worlds)
 
     def prepare(self, shares: Mapping[str, float] | None) -> None:
-        """Let a share of the episodes to come begin half way: with a vessel on the first slot that was recorded on its
-        way to a bench, for the episode's goal, instead of the scenario's first vessel.
+        """Set the initial-state distribution of later episodes, for a reverse curriculum.
+
+        A share of the episodes starts with a recorded vessel in the first slot in place of the scenario's first vessel.
+        It was recorded on its way to a bench, for the episode's goal.
 
         Args:
-            shares: of all episodes, by the bench the vessel is on its way to, or ``submit`` for one that is finished;
-                the rest begins with the scenario's own shelf. None or nothing: all of them.
+            shares: share of all episodes, by the bench the vessel is on its way to, or ``submit`` for a finished one;
+                the other episodes start with the scenario's own shelf. None or empty: all of them.
 
         Raises:
-            DataError: no vessels of that kind have been recorded for this scenario, or not for every goal.
-            ValueError: unknown bench, or shares that are negative or more than 1 together.
+            DataError: no such vessels have been recorded for this scenario, or not for every goal.
+            ValueError: a bench is unknown, or shares are negative or sum to more than 1.
         """
         if not shares:
             self._prepared = None
@@ -393,7 +395,7 @@ class Laboratories:
         known = [*self.scenario.benches, SUBMIT]
         unknown = [stage for stage in shares if stage not in known]
         if unknown or min(shares.values()) < 0.0 or sum(shares.values()) > 1.0 + 1e-9:
-            raise ValueError(f"prepare: shares of {', '.join(known)} that sum to 1 at most; given {dict(shares)}")
+            raise ValueError(f"prepare: shares of {', '.join(known)} must sum to at most 1; given {dict(shares)}")
         pools = []
         for stage in shares:
             pool = start_pool(self.shelf.chemistry, self.scenario, lab_starts(self.scenario, stage))
@@ -421,10 +423,14 @@ class Laboratories:
                 _put_starts(some, pool.handle, self.table.handle, self.shelf.vessels)
 
     def goal_index(self, goal: str) -> int:
-        """Index of a laboratory goal; ``ValueError`` names the goals there are."""
+        """Return the index of a laboratory goal.
+
+        Raises:
+            ValueError: the goal is unknown; the message lists the goals.
+        """
         if goal not in self.scenario.lab_goals:
             raise ValueError(
-                f"goal: {self.scenario.name} asks for {', '.join(self.scenario.lab_goals)}, given {goal!r}"
+                f"goal: {self.scenario.name} has the goals {', '.join(self.scenario.lab_goals)}, given {goal!r}"
             )
         return self.scenario.goals.index(goal)
 
@@ -439,11 +445,13 @@ class Laboratories:
         return np.asarray(self._by_cursor[self.state.cursor[members]])
 
     def turns_had(self, agent: int) -> IntArray:
-        """[N] turns an agent has had: the manager in this episode, a bench's agent in this experiment."""
+        """Return [N] the number of turns of an agent: of the manager in this episode, of a bench's agent in this
+        experiment.
+        """
         return self.roles[agent].turns_had
 
     def illegal(self, agent: int) -> BoolArray:
-        """[N] whether an agent's last action was masked, and so lost."""
+        """Return [N] whether an agent's last action was invalid."""
         return self.roles[agent].illegal
 
     def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
@@ -455,15 +463,19 @@ class Laboratories:
         return out
 
     def checked(self, agent: int, action: Any) -> npt.NDArray[Any]:
-        """The action as an array of one member; ``ValueError`` if it is outside the agent's action space."""
+        """Return the action as an array of one member.
+
+        Raises:
+            ValueError: it is outside the agent's action space.
+        """
         return self.roles[agent].checked(action)
 
     def act(self, agent: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        """One turn of ``agent`` in each laboratory of ``members`` (which all give it the turn).
+        """Play one turn of ``agent`` in each laboratory of ``members``, where it must have the turn.
 
         Args:
-            agent: number of the agent.
-            members: [B] laboratories.
+            agent: agent index.
+            members: [B] environment indices.
             actions: [B] int64, or [B, n] float64 for continuous actions, within the action space.
         """
         open_turn(members, self.table.handle)
@@ -471,14 +483,14 @@ class Laboratories:
         self.roles[agent].act(members, actions)
 
     def act_round(self, members: IntArray, actions: Sequence[npt.NDArray[Any]]) -> None:
-        """One round in each laboratory of ``members``: the manager's action where it has the turn, else the rest of
+        """Play one round in each laboratory of ``members``: the manager's action if it has the turn, else the rest of
         the tick.
 
-        The dynamics are those of :meth:`act`, turn after turn: benches still act in their order.
+        The dynamics are those of :meth:`act`, turn after turn: benches act in their order.
 
         Args:
-            members: [B] laboratories whose episodes are running.
-            actions: of every agent, [N] int64 or [N, n] float64; rows of agents without the turn are ignored.
+            members: [B] environment indices of running episodes.
+            actions: actions of every agent, [N] int64 or [N, n] float64; rows of agents without the turn are ignored.
         """
         open_turn(members, self.table.handle)
         self.experiment_ended = False
@@ -488,7 +500,8 @@ class Laboratories:
         if len(managed):
             self.manager.act(managed, actions[self.manager.index][managed])
         for role in self.bench_roles:
-            # Where the tick is over the cursor stands at the manager or at the first busy bench, which is past.
+            # At the end of the tick, the cursor is at the manager or at the first busy bench, which is before its last
+            # position.
             group = ticking[cursor[ticking] == role.cursor]
             if len(group):
                 role.act(group, actions[role.index][group])
@@ -527,8 +540,10 @@ class Laboratories:
             role.settle(over, result, charges)
 
     def result(self, members: IntArray) -> FloatArray:
-        """[B] the manager's score: what orders with terms have paid, else each order's product by amount and purity,
-        minus costs; an order without a submission, or with one that falls short of its specification, is worth nothing.
+        """Return [B] the manager's raw score.
+
+        It is the payment of orders with terms, else each order's product by amount and purity, minus costs. An order
+        without a submission, or with one that fails its specification, scores 0.
         """
         if self.scenario.demand.order:
             worth = self.state.paid[members]
@@ -540,13 +555,14 @@ class Laboratories:
         return np.asarray(worth.sum(axis=1) / worth.shape[1] - self.charges(members).sum(axis=1))
 
     def charges(self, members: IntArray) -> FloatArray:
-        """[B, items] what the managers have been charged so far, in units of the score; items as in
-        :data:`~chemlab.roles.manager_state.COST_ITEMS`."""
+        """Return [B, items] the managers' costs so far, in units of the score; items as in
+        :data:`~chemlab.roles.manager_state.COST_ITEMS`.
+        """
         out = np.empty((len(members), len(COST_ITEMS)))
         itemize(members, *self.handles(), out)
         return out
 
-    # -- what agents see --------------------------------------------------------------------------------------
+    # -- observations -----------------------------------------------------------------------------------------
 
     @property
     def channels(self) -> tuple[Channel, ...]:
@@ -554,23 +570,23 @@ class Laboratories:
         return self.manager.channels
 
     def observation_space(self, agent: int) -> gymnasium.spaces.Box:
-        """The agent's observation space."""
+        """Return the agent's observation space."""
         return self.roles[agent].observation_space
 
     def action_space(self, agent: int) -> gymnasium.Space[Any]:
-        """The agent's action space."""
+        """Return the agent's action space."""
         return self.roles[agent].action_space
 
     def observe(
         self, agent: int, members: IntArray, out: ObservationArray | None = None, rows: IntArray | None = None
     ) -> ObservationArray:
-        """[B, size] what an agent sees in each laboratory; a bench without an experiment sees zeros.
+        """Return [B, size] the agent's observations; zeros for a bench without an experiment.
 
         Args:
-            agent: number of the agent.
-            members: [B] laboratories.
-            out: what is written into and returned; default: a new array.
-            rows: [B] row of ``out`` for each laboratory, where it has others besides; default: in order.
+            agent: agent index.
+            members: [B] environment indices.
+            out: output array; default: a new array.
+            rows: [B] row of ``out`` for each laboratory; default: in order.
         """
         if out is None:
             out = np.empty((len(members), self.observation_sizes[agent]), dtype=np.float32)
@@ -578,7 +594,7 @@ class Laboratories:
         return out
 
     def mask(self, agent: int, members: IntArray, out: MaskArray | None = None) -> MaskArray | None:
-        """[B, actions] legal actions (1 = legal), or None where the action space is continuous."""
+        """Return [B, actions] legal actions (1 = legal), or None for a continuous action space."""
         if not self.action_counts[agent]:
             return None
         if out is None:
@@ -616,24 +632,24 @@ class Laboratories:
         )
 
     def total(self) -> FloatArray:
-        """[N, M] mol in vessels, bottles and waste, and delivered: what no turn may change but by reaction."""
+        """Return [N, M] mol in vessels, bottles, waste and delivered vessels, which only reactions change."""
         return np.asarray(self.shelf.total() + self.state.delivered)
 
     # -- state ------------------------------------------------------------------------------------------------
 
     def arrays(self) -> list[npt.NDArray[Any]]:
-        """Every array that changes, for snapshots."""
+        """Return every array that changes, for snapshots."""
         state = self.shelf.arrays()
         for experiments in self.experiments:
             state += experiments.arrays()
         return [*state, *self.table.changing(), *self.worlds.arrays(), *self.episodes.arrays()]
 
     def snapshot(self) -> list[npt.NDArray[Any]]:
-        """Copies of every array that changes, for :meth:`restore`."""
+        """Return copies of every array that changes, for :meth:`restore`."""
         return [array.copy() for array in self.arrays()]
 
     def restore(self, snapshot: list[npt.NDArray[Any]]) -> None:
-        """Put back a :meth:`snapshot`; everything then goes on exactly as it did.
+        """Restore a :meth:`snapshot`; the continuation is then identical.
 
         Raises:
             ValueError: it is of another laboratory; nothing changes.

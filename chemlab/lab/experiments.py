@@ -1,7 +1,4 @@
-"""Many experiments on one kind of bench, without the laboratory around it.
-
-This is what the single-bench environments are views of.
-"""
+"""Batches of experiments on one kind of bench without a laboratory, behind the single-bench environments."""
 
 from __future__ import annotations
 
@@ -44,7 +41,7 @@ def _draw_starts(
     experiment: Handle,
     shelf: Handle,
 ) -> None:
-    """Draw a goal of ``goals`` and one of its starting states for every member; two random numbers each."""
+    """Draw a goal of ``goals`` and one of its initial states for every member, from two random numbers each."""
     state, arrays, pool = opened(ExperimentState, experiment), opened(ShelfArrays, shelf), opened(StartPool, starts)
     for b in range(members.shape[0]):
         m = members[b]
@@ -61,13 +58,13 @@ def _draw_starts(
 
 @kernel
 def _draw_grades(members: IntArray, grades: int, stream: StreamArray, out: IntArray) -> None:
-    """Draw one of so many grades for every member."""
+    """Draw one of ``grades`` quality requirements for every member."""
     for b in range(members.shape[0]):
         out[members[b]] = int(uniform(stream[members[b]]) * grades)
 
 
 def _rehearsal_of(scenario: Scenario, bench: str) -> Rehearsal:
-    with strangers_code(False):  # may not do in a child what it may here
+    with strangers_code(False):  # permissions of this process do not extend to a child
         return ExperimentBatch(scenario, bench).rehearsal()
 
 
@@ -121,22 +118,22 @@ class ExperimentBatch:
         if missing:
             there = ", ".join(goal for goal, count in zip(self.scenario.goals, counts, strict=True) if count)
             raise DataError(
-                f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}; goals can be: {there}"
+                f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}; choose from {there}"
             )
 
     def _compile(self) -> None:
-        """Have what is not compiled yet compiled before the first experiment."""
+        """Compile all missing kernels before the first experiment."""
         self._rehearsed = True
         dimensions = 1 + tier_dimensions(self.shelf.chemistry.tier)
         again = functools.partial(_rehearsal_of, self.scenario, self.bench.key)
         compile_first(self.bench.kernels, dimensions, again, self.rehearsal())
 
     def rehearsal(self) -> Rehearsal:
-        """What happens in an experiment, of no laboratory: see :mod:`chemlab.kernels.warmup`."""
+        """Return the calls of an experiment without any member: see :mod:`chemlab.kernels.warmup`."""
         return [lambda: self.reset(self.members[:0]), *self.bench.rehearsal(self.shelf, self.experiments)]
 
     def _starts(self, kind: str) -> list[Start]:
-        """The starting states of a kind; with ``both``, either kind is drawn as often."""
+        """Return the initial states of a kind; with ``both``, either kind is equally likely."""
         if kind == "paper":
             return self._paper_starts()
         if kind == "lab":
@@ -167,26 +164,26 @@ class ExperimentBatch:
         return vessels
 
     def seed(self, member: int, seed: int) -> None:
-        """Begin a new series of the member's experiments: the same seed is the same series, whatever is played."""
+        """Seed a member: the same seed gives the same series of experiments, independent of the actions."""
         sequence = np.random.SeedSequence(seed)
         seed_streams(sequence, (self.experiments.stream, self.start_stream), member)
         self.worlds.seed(member, sequence)
         self.episodes.seed(member, self._streams())
 
     def _streams(self) -> list[StreamArray]:
-        """Every random stream that an experiment begins with."""
+        """Return every random stream of an experiment."""
         return [self.experiments.stream, self.start_stream, self.worlds.table.arrays.stream]
 
     def reset(
         self, members: IntArray, goal: int | None = None, bench: Bench | None = None, world: World | None = None
     ) -> None:
-        """Begin new experiments, for goals drawn from each member's stream or one given by index, in worlds drawn from
-        another or one given (see :meth:`chemlab.lab.hidden.Worlds.begin`).
+        """Start new experiments.
 
-        ``bench`` is the thread's own (see :meth:`Bench.separate_scratch`).
+        Goals are drawn from each member's stream or given by index; worlds are drawn from another stream or given (see
+        :meth:`chemlab.lab.hidden.Worlds.begin`). ``bench`` is the thread's own (see :meth:`Bench.separate_scratch`).
 
         Raises:
-            ValueError: a world that there is not; nothing has changed.
+            ValueError: the world is invalid; nothing has changed.
         """
         if not self._rehearsed:
             self._compile()
@@ -201,35 +198,35 @@ class ExperimentBatch:
             _draw_grades(members, len(self.bench.grades.names), self.start_stream, experiments.grade)
         if self.bench.told:
             experiments.told[members] = self.worlds.told(members, self.bench.key)
-        if self.worlds.active and self._fresh:  # a vessel that was recorded in a laboratory is what it is
+        if self.worlds.active and self._fresh:  # recorded vessels keep their recorded contents
             self.worlds.fill(members, self.bench.key)
         equip(bench or self.bench, experiments, members, self.worlds, 0, self.bench.key)
         (bench or self.bench).begin(shelf, experiments, members)
 
     def act(self, actions: npt.NDArray[Any], members: IntArray | None = None, bench: Bench | None = None) -> None:
-        """One step of the experiments of ``members`` (default: all); ``bench`` is the thread's own."""
+        """Step the experiments of ``members`` (default: all); ``bench`` is the thread's own."""
         some, own = self.members if members is None else members, bench or self.bench
         own.act(self.shelf, self.experiments, some, actions)
         wear_out(own, self.experiments, some)
 
     def finish(self, members: IntArray) -> FloatArray:
-        """End experiments; their scores [B]."""
+        """End experiments and return their scores [B]."""
         return self.bench.finish(self.shelf, self.experiments, members)
 
     def observe(self, out: ObservationArray | None = None) -> ObservationArray:
-        """[N, observation size] what the agents see."""
+        """Return [N, observation size] the agents' observations."""
         if out is None:
             out = np.zeros((len(self.members), *(self.bench.observation_space.shape)), dtype=np.float32)
         self.bench.observe(self.shelf, self.experiments, self.members, out)
         return out
 
     def mask(self) -> MaskArray:
-        """[N, actions] legal actions (discrete benches)."""
+        """Return [N, actions] legal actions (discrete benches)."""
         out = np.zeros((len(self.members), self.bench.action_count), dtype=np.int8)
         self.bench.mask(self.shelf, self.experiments, self.members, out)
         return out
 
     def arrays(self) -> list[npt.NDArray[Any]]:
-        """Every array that changes, for snapshots."""
+        """Return every array that changes, for snapshots."""
         own = [*self.shelf.arrays(), *self.experiments.arrays(), self.start_stream]
         return [*own, *self.worlds.arrays(), *self.episodes.arrays()]

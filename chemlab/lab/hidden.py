@@ -1,4 +1,4 @@
-"""What a scenario's world draws, put into laboratories: parameters of their chemistry, contents of their vessels."""
+"""Application of hidden parameters to laboratories: parameters of their chemistry, contents of their vessels."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ __all__ = ["NumberedWorld", "World", "Worlds", "world_chemistry"]
 
 @dataclass(frozen=True)
 class NumberedWorld:
-    """The world with a number, as a record names it.
+    """A world by number, as in a record.
 
     Attributes:
-        number: of the world, which says its split, too (see :mod:`chemlab.config.draws`).
-        given: values in the place of those drawn, by draw and target.
+        number: number of the world, which includes its split (see :mod:`chemlab.config.draws`).
+        given: values that replace drawn ones, by draw and target.
     """
 
     number: int
@@ -47,20 +47,19 @@ class NumberedWorld:
 
 
 World = int | Mapping[str, Any] | NumberedWorld
-"""Which world an episode is to have: the one of a seed, one with some of its values given, by draw and target, or the
-one that a record names."""
+"""Requested world of an episode: that of a seed, values by draw and target, or a recorded number."""
 
 _SETTLED = frozenset({"molar_volume", "molar_mass", "density", "boiling_point", "bottle_share", "bottle_rest"})
-"""Parameters that may not be drawn: they hang together, order materials, or are drawn as what is in a bottle."""
+"""Parameters that cannot be drawn: they depend on each other, order materials, or follow from bottle contents."""
 _SIGNED = frozenset({"formation", "equilibrium_heat", "acid_heat", "acid_pk"})
-"""Parameters that may be of either sign."""
+"""Parameters that may have either sign."""
 
 _APART = 0xD1B54A32D192ED03
-"""Between the counters of two devices' streams: odd, and no small multiple of what a stream advances by."""
+"""Distance between the counters of two devices' streams: odd, and not a small multiple of a stream's increment."""
 
 
 def _parameters(scenario: Scenario) -> list[str]:
-    """Parameters of the chemistry that a scenario draws."""
+    """Return the parameters of the chemistry that a scenario draws."""
     whats = [draw.what for draw in scenario.world.draws.values()]
     drawn_elsewhere = (*VESSEL_QUANTITIES, *DEVICE_QUANTITIES, *ORDER_QUANTITIES)
     bottles = any(_is_bottle(scenario, name) for draw in scenario.world.draws.values() for name in draw.of)
@@ -69,20 +68,22 @@ def _parameters(scenario: Scenario) -> list[str]:
 
 
 def _is_bottle(scenario: Scenario, name: str) -> bool:
-    """Whether a target of a draw is a bottle."""
+    """Return True if a target of a draw is a bottle."""
     return name == BOTTLE and name not in scenario.benches
 
 
 def world_chemistry(scenario: Scenario, laboratories: int) -> ChemistryTable:
-    """The chemistry of some laboratories: world 0 is that of the data files, n + 1 that of laboratory n, where the
-    scenario draws any of it."""
+    """Return the chemistry of some laboratories.
+
+    If the scenario draws any of it, world 0 is that of the data files, and n + 1 that of laboratory n.
+    """
     varying = _parameters(scenario)
     return build_chemistry(scenario, laboratories + 1 if varying else 1, varying)
 
 
 @dataclass(frozen=True)
 class _Parameter:
-    """A drawn parameter: which entries of which field, and which number is whose ([T] each; none: a single number)."""
+    """A drawn parameter: the entries of a field, and the number of each ([T] each; None: a single number)."""
 
     field: str
     entries: IntArray | None
@@ -92,14 +93,16 @@ class _Parameter:
 
 _CHANGES = ("factor", "offset", "value")
 _POSITION, _MATERIAL, _INERT, _CHANGE, _QUANTITIES = range(5)
-"""Columns of a table of contents: one line for what is drawn of a material in a vessel. From the last on, of each of
-:data:`~chemlab.config.draws.VESSEL_QUANTITIES`, the column of its number, or -1 where it is not drawn."""
+"""Columns of a table of drawn contents, with one row per material and vessel.
+
+The last columns hold, for each of :data:`~chemlab.config.draws.VESSEL_QUANTITIES`, the column of its number, or -1.
+"""
 _IDENTITY, _AMOUNT, _TITRE = (_QUANTITIES + VESSEL_QUANTITIES.index(what) for what in ("identity", "amount", "titre"))
 
 
 @inner
 def _changed(given: float, number: float, change: int) -> float:
-    """What a drawn number makes of what the files give; ``change`` counts :data:`_CHANGES`."""
+    """Apply a drawn number to a declared one; ``change`` is an index into :data:`_CHANGES`."""
     if change == 0:
         return given * number
     return given + number if change == 1 else number
@@ -109,7 +112,7 @@ def _changed(given: float, number: float, change: int) -> float:
 def _put_contents(
     members: IntArray, contents: IntArray, mol: FloatArray, values: FloatArray, shelf: Handle, chemistry: Handle
 ) -> None:
-    """Exchange the ``mol`` [C] of the files for what was drawn of them: ``contents`` [C, 7], ``values`` [N, K]."""
+    """Replace the declared ``mol`` [C] by the drawn contents: ``contents`` [C, 7], ``values`` [N, K]."""
     arrays, volume = opened(ShelfArrays, shelf), opened(Chemistry, chemistry[0]).molar_volume
     for i in range(members.shape[0]):
         n = members[i]
@@ -130,8 +133,10 @@ def _put_contents(
 
 @kernel
 def _change_terms(members: IntArray, drawn: IntArray, values: FloatArray, terms: FloatArray) -> None:
-    """Change the ``terms`` [N, orders, quantities] by what was drawn of them: quantity, order, column of ``values``
-    [N, K] and change in each line of ``drawn`` [D, 4]."""
+    """Apply draws to the ``terms`` [N, orders, quantities].
+
+    Each row of ``drawn`` [D, 4] has quantity, order, column of ``values`` [N, K], and change.
+    """
     for i in range(members.shape[0]):
         n = members[i]
         for d in range(drawn.shape[0]):
@@ -149,7 +154,7 @@ def _rest_all(
     events: FloatArray,
     work: FloatArray,
 ) -> None:
-    """Let the first ``slots`` vessels of each laboratory come to rest in its own world."""
+    """Settle the first ``slots`` vessels of each laboratory in its own world."""
     arrays = opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]
@@ -161,17 +166,17 @@ class Worlds:
     """The worlds of N laboratories.
 
     Args:
-        scenario: what it draws; most draw nothing.
-        shelf: whose chemistry (:func:`world_chemistry`) and vessels are meant.
-        split: which worlds there may be.
+        scenario: the scenario with its declared draws.
+        shelf: shelf with the chemistry (:func:`world_chemistry`) and vessels.
+        split: split of worlds.
 
     Attributes:
-        split: the same.
+        split: the split of worlds.
         active: whether anything is drawn.
 
     Raises:
-        DataError: a draw of something that is not there, or that could come to what is not possible.
-        ValueError: unknown split.
+        DataError: a drawn object does not exist, or a draw may have an impossible value.
+        ValueError: the split is unknown.
     """
 
     def __init__(self, scenario: Scenario, shelf: Shelf) -> None:
@@ -187,13 +192,15 @@ class Worlds:
         self.table = world_draws(n, self._variables)
         self._parameters: list[_Parameter] = []
         self._contents: dict[str, tuple[IntArray, FloatArray]] = {}
-        """By bench ("": the shelf), what is drawn of its vessels and the files' mol: see :func:`_put_contents`."""
+        """By bench ("": the shelf), the drawn contents of its vessels and the declared mol: see
+        :func:`_put_contents`.
+        """
         self._bottles: list[tuple[int, int, int]] = []
-        """Material of the label, column of the number, and what the rest is: -1 where the number says what all is."""
+        """Labelled material, column of the number, and remainder: -1 if the number is the identity."""
         self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
-        """By quantity and bench or instrument: column of the number, and what it changes how."""
+        """By quantity and bench or instrument: column of the number, and kind of change."""
         self._told: dict[str, IntArray] = {}
-        """By bench, the columns that it is told; found when first asked for."""
+        """By bench, the columns revealed to it; computed on first use."""
         self._demand, self._ticks = scenario.demand, float(scenario.limits.ticks)
         terms: list[tuple[int, int, int, int]] = []
         column = 0
@@ -214,7 +221,7 @@ class Worlds:
                 self._parameters.append(self._parameter(scenario, draw, columns, column, where))
             column += draw.variables
         self._drawn_terms = np.array(terms, dtype=np.int64).reshape(-1, 4)
-        """As :func:`_change_terms` takes them."""
+        """Rows as taken by :func:`_change_terms`."""
         self._base_terms = np.array(
             [[self._default(getattr(order, what)) for what in ORDER_QUANTITIES] for order in self._demand.order]
         ).reshape(-1, len(ORDER_QUANTITIES))
@@ -224,7 +231,7 @@ class Worlds:
         self._scratch = np.zeros(len(materials)), np.zeros(len(scenario.safety_events))
         self._work = np.zeros(work_size(shelf.chemistry))
 
-    # -- what is drawn ----------------------------------------------------------------------------------------
+    # -- declarations -----------------------------------------------------------------------------------------
 
     def _parameter(self, scenario: Scenario, draw: Draw, columns: IntArray, first: int, where: str) -> _Parameter:
         chemistry = self._shelf.chemistry
@@ -235,7 +242,7 @@ class Worlds:
         ]
         if draw.what not in drawable:
             known = ", ".join([*VESSEL_QUANTITIES, *DEVICE_QUANTITIES, *drawable])
-            raise DataError(f"{where}.what: {draw.what!r:.100} is nothing that may be drawn; known: {known}")
+            raise DataError(f"{where}.what: {draw.what!r:.100} cannot be drawn; choose from {known}")
         axis = chemistry.axes(draw.what)[:1]
         names = {
             (): [],
@@ -251,16 +258,16 @@ class Worlds:
         base = own[entries] if axis else own
         low, high = draw_limits(draw)
         ends = {"factor": (base * low, base * high), "offset": (base + low, base + high)}.get(draw.change, (low, high))
-        # What is above 0 in the files has to stay so: nothing has no heat capacity.
+        # Values that are positive in the files must stay positive; heat capacities, for instance.
         least = np.broadcast_to(np.minimum(*ends), np.shape(base))
         if draw.what in _SIGNED:
             if not np.isfinite([*np.ravel(ends[0]), *np.ravel(ends[1])]).all():
-                raise DataError(f"{where}: {draw.what} has no bounds; give low and high")
+                raise DataError(f"{where}: {draw.what} is unbounded; give low and high")
         elif not (np.isfinite(least).all() and ((least > 0.0) | ((np.asarray(base) == 0.0) & (least == 0.0))).all()):
-            raise DataError(f"{where}: {draw.what} could come to {np.min(least):g}, and must stay above 0; give low")
+            raise DataError(f"{where}: {draw.what} must stay above 0, and could become {np.min(least):g}; give low")
         if draw.what == "ambient_temperature" and not (np.min(ends) >= COLDEST_K and np.max(ends) <= HOTTEST_K):
             raise DataError(
-                f"{where}: {draw.what} could come to {np.min(ends):g} or {np.max(ends):g} K, and must stay from "
+                f"{where}: {draw.what} could become {np.min(ends):g} or {np.max(ends):g} K, and must stay from "
                 f"{COLDEST_K:g} to {HOTTEST_K:g} K; give low and high"
             )
         return _Parameter(draw.what, entries if axis else None, columns if axis else np.array([first]), draw.change)
@@ -294,19 +301,19 @@ class Worlds:
     # -- drawing ----------------------------------------------------------------------------------------------
 
     def seed(self, member: int, seed: np.random.SeedSequence) -> None:
-        """Start the stream of one laboratory's worlds afresh."""
+        """Restart the stream of one laboratory's worlds."""
         if self.active:
             self.table.arrays.stream[member, 0] = self.split.sequence(seed).generate_state(1, np.uint64)[0]
 
     def begin(self, members: IntArray, world: World | None = None) -> None:
-        """Draw worlds for new episodes: the parameters of the laboratories' chemistry are theirs from here on.
+        """Draw worlds for new episodes and set the parameters of the laboratories' chemistry.
 
         Args:
-            members: [B] laboratories.
-            world: the one they all get, or what is given of it; None: each the next of its stream.
+            members: [B] environment indices.
+            world: common world of all, or some of its values; None: each the next of its stream.
 
         Raises:
-            ValueError: the scenario draws nothing, or not what was given; nothing has changed.
+            ValueError: the scenario has no hidden parameters, or not the given ones; nothing has changed.
         """
         if world is not None:
             self.check(world)
@@ -327,13 +334,13 @@ class Worlds:
         self._set_parameters(members)
 
     def check(self, world: Any) -> None:
-        """Whether a world can be asked for.
+        """Check a requested world.
 
         Raises:
-            ValueError: it cannot; the message says what is wrong.
+            ValueError: the request is invalid; the message states the reason.
         """
         if not self.active:
-            raise ValueError("world: this scenario draws nothing")
+            raise ValueError("world: this scenario has no hidden parameters")
         if isinstance(world, NumberedWorld):
             self._check_number(world.number)
             world = world.given or {}
@@ -372,18 +379,18 @@ class Worlds:
             parameters["bottle_rest"][rows, label] = rest if rest >= 0 else own
 
     def fill(self, members: IntArray, bench: str = "") -> None:
-        """Put what was drawn in the place of what the files say, in vessels that have just been filled.
+        """Apply drawn contents to vessels that have just been filled.
 
         Args:
-            members: [B] laboratories.
-            bench: whose starting vessel is meant; else the shelf's.
+            members: [B] environment indices.
+            bench: bench whose initial vessel was filled; None: the shelf.
         """
         if bench in self._contents:
             drawn, shelf = self._contents[bench], self._shelf
             _put_contents(members, *drawn, self.table.arrays.values, shelf.handle, shelf.chemistry.handles)
 
     def drawn(self, what: str, name: str, members: IntArray, values: FloatArray) -> FloatArray:
-        """``values`` [B, ...] of a bench or instrument, changed by what was drawn of it for ``members`` [B]."""
+        """Return ``values`` [B, ...] of a bench or instrument, changed by its draws for ``members`` [B]."""
         for column, change in self._devices.get((what, name), ()):
             number = self.table.arrays.values[members, column].reshape((-1,) + (1,) * (values.ndim - 1))
             given = np.zeros_like(values) + number
@@ -391,7 +398,7 @@ class Worlds:
         return values
 
     def device_streams(self, members: IntArray, device: int) -> StreamArray:
-        """[B] beginnings of the random streams of a bench or instrument in the worlds of ``members`` [B]."""
+        """Return [B] initial random streams of a bench or instrument in the worlds of ``members`` [B]."""
         apart = np.uint64((_APART * (1 + device)) % 2**64)
         return np.asarray(self.table.arrays.number[members, 0] + apart)
 
@@ -399,21 +406,24 @@ class Worlds:
         return self._ticks if given is None else float(given)
 
     def set_terms(self, members: IntArray, terms: FloatArray) -> None:
-        """Write what each order of ``members`` [B] asks for and pays into ``terms`` [N, orders, quantities], in the
-        order of :data:`~chemlab.config.draws.ORDER_QUANTITIES`; no orders where the scenario gives none."""
+        """Write the order terms of ``members`` [B] into ``terms`` [N, orders, quantities].
+
+        Quantities are in the order of :data:`~chemlab.config.draws.ORDER_QUANTITIES`; there are no orders if the
+        scenario declares none.
+        """
         terms[members] = self._base_terms
         if len(self._drawn_terms):
             _change_terms(members, self._drawn_terms, self.table.arrays.values, terms)
 
     def told(self, members: IntArray, bench: str) -> FloatArray:
-        """[B, T] what a bench is told of what has been drawn, each as :meth:`positions` has it."""
+        """Return [B, T] hidden parameters revealed to a bench, as given by :meth:`positions`."""
         if bench not in self._told:
             told = [bench in draw.told for draw in self._spec.draws.values() for _ in range(draw.variables)]
             self._told[bench] = np.flatnonzero(told)
         return positions(self._variables.arrays, self.table.arrays.values[members], self._told[bench])
 
     def most_terms(self) -> FloatArray:
-        """[quantities] the highest that the terms of any order can be; at least a little above 0."""
+        """Return [quantities] the highest possible terms of any order; at least slightly above 0."""
         most = self._base_terms.max(axis=0, initial=0.0)
         for draw in self._spec.draws.values():
             if draw.what in ORDER_QUANTITIES:
@@ -423,26 +433,30 @@ class Worlds:
         return np.asarray(np.maximum(most, 1e-9))
 
     def rest(self, members: IntArray, slots: int) -> None:
-        """Let the first ``slots`` vessels come to rest, each in its own world."""
+        """Settle the first ``slots`` vessels, each in its own world."""
         _rest_all(members, slots, self._shelf.handle, self._shelf.chemistry.handles, *self._scratch, self._work)
 
-    # -- telling ----------------------------------------------------------------------------------------------
+    # -- reading ----------------------------------------------------------------------------------------------
 
     def number(self, member: int) -> int:
-        """Number of a laboratory's world."""
+        """Return the number of a laboratory's world."""
         return int(self.table.arrays.number[member, 0])
 
     def values(self, member: int) -> dict[str, Any]:
-        """What has been drawn for a laboratory, by draw and target (see :func:`chemlab.lab.sampling.named_values`)."""
+        """Return the drawn values of a laboratory by draw and target (see
+        :func:`chemlab.lab.sampling.named_values`).
+        """
         return named_values(self._spec, self.table.arrays.values[member], self._shelf.layout.materials)
 
     def positions(self, members: IntArray) -> FloatArray:
-        """[B, K] the same as numbers from 0 to 1, in the order of the declared draws."""
+        """Return [B, K] the drawn values as positions in their distributions from 0 to 1, in the order of the
+        declarations.
+        """
         return positions(self._variables.arrays, self.table.arrays.values[members])
 
     @property
     def names(self) -> list[str]:
-        """What each of the K numbers is: draw, and target where it has several."""
+        """Names of the K numbers: draw, and target if there are several."""
         return [
             name if draw.variables == 1 else f"{name}.{target}"
             for name, draw in self._spec.draws.items()
@@ -450,7 +464,7 @@ class Worlds:
         ]
 
     def arrays(self) -> list[npt.NDArray[Any]]:
-        """Every array that changes, for snapshots."""
+        """Return every array that changes, for snapshots."""
         if not self.active:
             return []
         parameters = self._shelf.chemistry.parameters

@@ -32,25 +32,25 @@ __all__ = [
 _TRIES = 10_000
 
 _LEAST_KEPT = 0.05
-"""Of the prior must be left to training: worlds of test regions are drawn again until one is not in any."""
+"""Minimum probability of the prior outside test regions; training worlds inside them are redrawn."""
 
 
 class Variables(NamedTuple):
-    """Declared draws as arrays: K numbers, Q options of all of them, Z regions of all of them, in order."""
+    """Declared draws as arrays: K numbers, Q options in total, Z regions in total, in order."""
 
     kind: Annotated[IntArray, Field("K")]
     a: Annotated[FloatArray, Field("K")]
-    """[K] low, mean, or the logarithm of the median"""
+    """[K] low, mean, or logarithm of the median"""
     b: Annotated[FloatArray, Field("K")]
     """[K] high, or standard deviation"""
     low: Annotated[FloatArray, Field("K")]
     high: Annotated[FloatArray, Field("K")]
     group: Annotated[IntArray, Field("K")]
-    """[K] -1 for none"""
+    """[K] index of the group, -1 for none"""
     common: Annotated[FloatArray, Field("K")]
-    """[K] share of the group's score in its own; the rest is the square root of 1 less its square"""
+    """[K] weight of the group's score in the number's own; the rest has the weight sqrt(1 - weight^2)"""
     block: Annotated[IntArray, Field("K")]
-    """[K] of a permutation, the first of its numbers"""
+    """[K] for a permutation, index of its first number"""
     first_option: Annotated[IntArray, Field("K+1")]
     options: Annotated[FloatArray, Field("Q")]
     """[Q] numbers, or indices of materials"""
@@ -61,31 +61,31 @@ class Variables(NamedTuple):
 
 
 class WorldDraws(NamedTuple):
-    """What has been drawn for N laboratories: K numbers, C groups."""
+    """Draws of N laboratories: K numbers, C groups."""
 
     stream: Annotated[StreamArray, Field("N 1", first=None)]
-    """[N, 1] where the numbers of a laboratory's next worlds come from"""
+    """[N, 1] stream of the numbers of a laboratory's next worlds"""
     number: Annotated[StreamArray, Field("N 1", first=None)]
     """[N, 1] the world's number"""
     values: Annotated[FloatArray, Field("N K", first=None)]
-    """[N, K] what was drawn"""
+    """[N, K] drawn values"""
     work: Annotated[StreamArray, Field("N 1", first=None, kept=False)]
-    """scratch, as ``scores`` [N, C]"""
+    """[N, 1] scratch, like ``scores`` [N, C]"""
     scores: Annotated[FloatArray, Field("N C", first=None, kept=False)]
 
 
 def world_draws(laboratories: int, variables: Table[Variables]) -> Table[WorldDraws]:
-    """Room for the draws of some laboratories."""
+    """Allocate the draws of some laboratories."""
     groups = int(variables.arrays.group.max(initial=-1)) + 1
     sizes = {"N": laboratories, "K": len(variables.arrays.kind), "C": groups, "1": 1}
     return Table.empty(WorldDraws, **sizes)
 
 
 def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]:
-    """The declared draws as arrays.
+    """Convert declared draws to arrays.
 
     Raises:
-        ValueError: test regions leave next to nothing to training; the message names them.
+        ValueError: test regions leave too little for training; the message names them.
     """
     rows: list[tuple[float, ...]] = []
     options: list[list[float]] = []
@@ -135,7 +135,7 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
 def _reserved(
     draw: Draw, row: tuple[float, ...], options: list[float], weights: FloatArray, regions: list[tuple[float, float]]
 ) -> float:
-    """Largest probability that a number lies in one of its test regions (regions may overlap)."""
+    """Return an upper bound of the probability that a number lies in one of its test regions (regions may overlap)."""
     kind, a, b, low, high = row[:5]
     total = 0.0
     for first, last in regions:
@@ -150,7 +150,7 @@ def _reserved(
 
 
 def _mass(kind: float, a: float, b: float, region: tuple[float, float]) -> float:
-    """Probability of a region of a normal (or lognormal) number."""
+    """Return the probability of a region under a normal (or lognormal) distribution."""
     below = []
     for end in region:
         if kind == LOGNORMAL:
@@ -162,7 +162,7 @@ def _mass(kind: float, a: float, b: float, region: tuple[float, float]) -> float
 
 @inner
 def _number(k: int, score: float, share: float, variables: Variables) -> float:
-    """A number of the k-th distribution: by its normal score; of a choice, by its share of all."""
+    """Return a number of the k-th distribution from its normal score, or for a choice from its uniform share."""
     kind, value = variables.kind[k], 0.0
     if kind == UNIFORM:
         below = 0.5 * math.erfc(-score / math.sqrt(2.0))
@@ -181,13 +181,13 @@ def _number(k: int, score: float, share: float, variables: Variables) -> float:
 
 @inner
 def _permuted(k: int, share: float, values: FloatArray, variables: Variables) -> float:
-    """The next number of a permutation: one of the options that those before it have not."""
+    """Return the next number of a permutation: one of the options that the earlier ones do not have."""
     first, last = variables.first_option[k], variables.first_option[k + 1]
     block = variables.block[k]
     left = int(share * (last - first - (k - block)))
     value = 0.0
     for q in range(first, last):
-        # Options may be equal: count how often each has been taken, and how often it stood before.
+        # Options may be equal: count how often each has been taken, and how often it occurred before.
         taken, before = 0, 0
         for other in range(block, k):
             taken += values[other] == variables.options[q]
@@ -202,13 +202,13 @@ def _permuted(k: int, share: float, values: FloatArray, variables: Variables) ->
 
 @kernel
 def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bool) -> None:
-    """Draw all numbers of the worlds of ``members`` from their worlds' numbers.
+    """Draw all numbers of the worlds of ``members`` from the worlds' numbers.
 
     Args:
-        members: [B] laboratories.
-        declared: what to draw (:class:`Variables`).
-        drawn: where it goes (:class:`WorldDraws`); ``work`` holds the worlds' numbers.
-        anywhere: whether worlds may lie in test regions; else they are drawn again until they do not.
+        members: [B] environment indices.
+        declared: the declared draws (:class:`Variables`).
+        drawn: receives the draws (:class:`WorldDraws`); ``work`` holds the worlds' numbers.
+        anywhere: whether worlds may lie in test regions; otherwise they are redrawn until they do not.
     """
     variables, state = opened(Variables, declared), opened(WorldDraws, drawn)
     for i in range(members.shape[0]):
@@ -238,7 +238,7 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
 
 @kernel
 def next_numbers(members: IntArray, drawn: Handle, split: int) -> None:
-    """Put the next world's number of each laboratory's stream into ``work``."""
+    """Write the next world's number of each laboratory's stream to ``work``."""
     state = opened(WorldDraws, drawn)
     for i in range(members.shape[0]):
         n = members[i]
@@ -246,14 +246,14 @@ def next_numbers(members: IntArray, drawn: Handle, split: int) -> None:
 
 
 def quantiles(draw: Draw, shares: FloatArray) -> FloatArray:
-    """Numbers of a draw below which these shares of the prior lie: what whoever knows the prior may reckon with.
+    """Return quantiles of a draw's prior.
 
     Raises:
-        ValueError: it is a draw of materials, or of a permutation.
+        ValueError: the draw is of materials, or a permutation.
     """
     kind, a, b, low, high = numbers_of(draw)
     if kind == PERMUTATION or draw.what == "identity":
-        raise ValueError(f"{draw.what}: has options, and no quantiles")
+        raise ValueError(f"{draw.what}: has options, so it has no quantiles")
     if kind == CHOICE:
         options = np.array(options_of(draw), dtype=np.float64)
         weights = np.array(getattr(draw.distribution, "weights", ()) or [1.0] * len(options))
@@ -268,8 +268,11 @@ def quantiles(draw: Draw, shares: FloatArray) -> FloatArray:
 
 
 def positions(variables: Variables, values: FloatArray, columns: IntArray | None = None) -> FloatArray:
-    """[B, C] where the ``columns`` [C] (default: all) of ``values`` [B, K] stand in their distributions, from 0 to 1:
-    which share of the prior is below each, or which option it is."""
+    """Return [B, C] positions of ``values`` [B, K] in their distributions, from 0 to 1.
+
+    A position is the prior probability below the value, or the scaled index of the option. ``columns`` [C] selects
+    numbers (default: all).
+    """
     chosen = range(values.shape[1]) if columns is None else columns.tolist()
     out = np.zeros((len(values), len(chosen)))
     for at, k in enumerate(chosen):
@@ -288,7 +291,7 @@ def positions(variables: Variables, values: FloatArray, columns: IntArray | None
 
 
 def named_values(spec: WorldSpec, values: FloatArray, materials: Sequence[str]) -> dict[str, Any]:
-    """One world's numbers [K] by draw, and by target where each has its own; materials by name."""
+    """Return one world's numbers [K] by draw, and by target if each has its own; materials by name."""
     found: dict[str, Any] = {}
     k = 0
     for name, draw in spec.draws.items():
@@ -301,15 +304,15 @@ def named_values(spec: WorldSpec, values: FloatArray, materials: Sequence[str]) 
 
 
 def given_values(spec: WorldSpec, given: Mapping[str, Any], materials: Sequence[str]) -> FloatArray:
-    """[K] numbers in the form of :func:`named_values`; NaN for what is not given.
+    """Return [K] numbers from the form of :func:`named_values`; NaN for missing ones.
 
     Raises:
-        ValueError: unknown draw or target, or a value that is none.
+        ValueError: a draw or target is unknown, or a value is invalid.
     """
     out = np.full(sum(draw.variables for draw in spec.draws.values()), np.nan)
     unknown = [name for name in given if name not in spec.draws]
     if unknown:
-        raise ValueError(f"world: {unknown[0]!r:.100} is not drawn; known: {', '.join(spec.draws) or 'nothing'}")
+        raise ValueError(f"world: {unknown[0]!r:.100} is not drawn; choose from {', '.join(spec.draws) or 'nothing'}")
     k = 0
     for name, draw in spec.draws.items():
         value = given.get(name, {})

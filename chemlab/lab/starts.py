@@ -1,5 +1,4 @@
-"""Starting states recorded from laboratory runs: the vessels that a pretrained bench agent will really meet, and those
-with which a manager's workflow can begin half way.
+"""Initial states recorded in laboratory episodes: the vessels that reach each bench, and those for reverse curricula.
 
 ``chemlab export starts`` plays the scripted laboratory and writes the vessels that were put on each bench or submitted
 to a JSON file, one per scenario; the files of the bundled scenarios are bundled as well.
@@ -46,25 +45,25 @@ _FILE_BYTES = 20_000_000
 _SUFFIX = ".starts.json"
 
 SUBMIT = "submit"
-"""Stands among the benches for vessels that were submitted."""
+"""Key for submitted vessels, beside the benches."""
 
 
 class Start(NamedTuple):
-    """A vessel and what is to be done with it."""
+    """A vessel and its goal."""
 
     goal: str
     weight: float
-    """How often it is drawn, among those of its goal."""
+    """Relative probability among the vessels of its goal."""
     capacity_l: float
     contents_mol: dict[str, float]
     last_bench: str | None = None
-    """Where it was last, as the manager sees it."""
+    """Last bench of the vessel, as observed by the manager."""
     last_position: int = 0
-    """As which of the bench's vessels."""
+    """Its position at that bench."""
 
 
 class _Vessel(BaseModel):
-    """A recorded vessel, whatever it was for."""
+    """A recorded vessel, independent of its purpose."""
 
     model_config = _FROZEN
 
@@ -78,17 +77,17 @@ class _Vessel(BaseModel):
 
 
 class _Recorded(BaseModel):
-    """A file of recorded vessels."""
+    """Schema of a file of recorded vessels."""
 
     model_config = _FROZEN
 
     scenario: str
     same_as: str | None = pydantic.Field(default=None, pattern=r"^[\w.-]+\.json$")
-    """File beside this one whose vessels these are, too."""
+    """Name of a file beside this one with the same vessels."""
     vessels: tuple[_Vessel, ...] = ()
-    """Each different vessel once."""
+    """Each distinct vessel once."""
     benches: dict[str, dict[str, tuple[Annotated[int, pydantic.Field(ge=0)], ...]]] = {}
-    """Index into the vessels of each that was recorded, by bench and goal."""
+    """Indices into the recorded vessels, by bench and goal."""
 
 
 def _read(path: Path) -> _Recorded:
@@ -97,12 +96,12 @@ def _read(path: Path) -> _Recorded:
 
 
 class StartPool(NamedTuple):
-    """Starting states to draw from: T vessels, grouped by the goal they are for; G goals."""
+    """Initial states to draw from: T vessels, grouped by goal; G goals."""
 
     rows: Annotated[FloatArray, Field("T W")]
     """[T, W] vessel rows"""
     first: Annotated[IntArray, Field("G+1")]
-    """[G + 1] where each goal's vessels begin"""
+    """[G + 1] offset of each goal's vessels"""
     reached: Annotated[FloatArray, Field("T")]
     """[T] cumulative probability within the goal"""
     last_bench: Annotated[IntArray, Field("T")]
@@ -112,7 +111,7 @@ class StartPool(NamedTuple):
 
 
 def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[Start]) -> Table[StartPool]:
-    """Vessels as rows to draw from."""
+    """Convert vessels to rows to draw from."""
     draft, benches = Shelf(chemistry, 1, 1), list(scenario.benches)
     found = [(g, vessel) for g, goal in enumerate(scenario.goals) for vessel in vessels if vessel.goal == goal]
     rows = [draft.fill(0, 0, vessel.capacity_l, vessel.contents_mol).row.copy() for _, vessel in found]
@@ -137,7 +136,7 @@ def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[
 
 @inner
 def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
-    """Which of a goal's vessels; takes one random number. The goal must have some."""
+    """Draw a vessel of a goal; takes one random number. The goal must have vessels."""
     draw = uniform(state)
     t = pool.first[goal]
     while t < pool.first[goal + 1] - 1 and draw >= pool.reached[t]:
@@ -146,13 +145,13 @@ def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
 
 
 def starts_file(scenario: Scenario) -> Path:
-    """Where a scenario's recorded starting states are: with chemlab, or beside the user's scenario file."""
+    """Return the file of a scenario's recorded initial states: in the package, or beside the user's scenario file."""
     shipped = Path(__file__).parent.parent / "data" / "starts" / f"{scenario.name}.json"
     return shipped if shipped_file(scenario.name) else Path(scenario.origin).with_suffix(_SUFFIX)
 
 
 def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
-    """Recorded vessels of one bench, or those that were submitted (:data:`SUBMIT`), in the order of recording.
+    """Return the recorded vessels of one bench, or the submitted ones (:data:`SUBMIT`), in the order of recording.
 
     Raises:
         DataError: nothing has been recorded for this scenario or bench, or the file does not fit the scenario.
@@ -160,7 +159,7 @@ def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
     again = f"run: chemlab export starts {scenario.argument}"
     path = starts_file(scenario)
     if not path.is_file():
-        raise DataError(f"starts: no laboratory runs recorded for {scenario.name}; {again}")
+        raise DataError(f"starts: no laboratory episodes recorded for {scenario.name}; {again}")
     recorded = _read(path)
     if recorded.same_as is not None:
         path = path.with_name(recorded.same_as)
@@ -184,7 +183,7 @@ def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
 
 
 def goals_met(scenario: Scenario, bench: str) -> list[str]:
-    """The goals that a bench has recorded vessels of, in the scenario's order; all goals where it has none that fit."""
+    """Return the goals with recorded vessels of a bench, in the scenario's order; all goals if there are none."""
     try:
         met = {start.goal for start in lab_starts(scenario, bench)}
     except DataError:
@@ -193,8 +192,7 @@ def goals_met(scenario: Scenario, bench: str) -> list[str]:
 
 
 def write_starts(path: Path, scenario: Scenario, vessels: dict[str, list[Start]]) -> None:
-    """Write recorded vessels by bench: each different vessel once, and by bench and goal which of them it was, in the
-    order of recording."""
+    """Write recorded vessels by bench: each distinct vessel once, and its indices by bench and goal in order."""
     numbers: dict[str, int] = {}
     benches: dict[str, dict[str, list[int]]] = {}
     for bench, found in vessels.items():

@@ -1,4 +1,4 @@
-"""The laboratory in plain text, for terminals and logs."""
+"""The laboratory as plain text, for terminals and logs."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ __all__ = [
 
 _BAR = 20
 _CURVE_ERROR = 0.05
-"""Largest error of a curve in words: linear interpolation between the printed points is that close to every value."""
+"""Maximum error of a curve in words, by linear interpolation between the printed points."""
 _LONG = 16
 """Channels with more values are described as curves."""
 _PURE = 3
-"""A layer is listed by itself if at least this many pixels in a row show it; thinner ones are part of a mixed zone."""
+"""Minimum number of consecutive pixels of a separately listed layer; thinner ones are part of a mixed zone."""
 
 
 def named_events(scenario: Scenario, info: Mapping[str, Any]) -> dict[str, float]:
@@ -46,7 +46,7 @@ def named_events(scenario: Scenario, info: Mapping[str, Any]) -> dict[str, float
 
 
 def named_costs(info: Mapping[str, Any]) -> dict[str, float]:
-    """The costs of the manager's info by item, in units of the score."""
+    """Return the costs of the manager's info by item, in units of the score."""
     return dict(zip(COST_ITEMS, info["costs"].tolist(), strict=True))
 
 
@@ -62,7 +62,7 @@ def action_words(laboratories: Laboratories, agent: int, action: Any) -> str:
 
 
 def reading_words(laboratories: Laboratories, slot: int, instrument: str, member: int = 0) -> str:
-    """The manager's last reading of an instrument on a slot, in words, with its price."""
+    """Describe the manager's last reading of an instrument on a slot, with its price."""
     labs, table = laboratories, laboratories.instruments
     i = table.names.index(instrument)
     values = labs.state.reading[member, slot, table.start[i] : table.start[i + 1]]
@@ -72,7 +72,7 @@ def reading_words(laboratories: Laboratories, slot: int, instrument: str, member
 def measured_words(
     laboratories: Laboratories, instrument: int, values: Any, name: Callable[[str], str] | None = None
 ) -> str:
-    """A reading in words.
+    """Describe a reading.
 
     Args:
         laboratories: the laboratories that own the instruments.
@@ -91,7 +91,7 @@ def measured_words(
 
 
 def position_words(bench: Bench) -> str:
-    """The vessels at a bench, in words."""
+    """Describe the vessels at a bench."""
     first, *others = bench.positions
     clean = f"; {', '.join(others)}: clean, empty vessels of {bench.auxiliary_capacity_l:g} L" if others else ""
     return f"{first}: the vessel brought to the bench{clean}"
@@ -101,7 +101,9 @@ def position_words(bench: Bench) -> str:
 
 
 def curve_words(channel: Channel, values: npt.NDArray[Any]) -> str:
-    """A curve as the points ``x:percent`` between which it is straight, to within 0.05 of every value."""
+    """Describe a curve by the points ``x:percent`` of a piecewise linear approximation with an error of at most
+    0.05.
+    """
     found = np.asarray(values, dtype=np.float64)
     spectrum = channel.unit == "absorption" and len(found) == len(WAVELENGTHS_NM)
     x = WAVELENGTHS_NM if spectrum else np.arange(len(found))
@@ -110,7 +112,7 @@ def curve_words(channel: Channel, values: npt.NDArray[Any]) -> str:
 
 
 def _vertices(values: npt.NDArray[np.float64]) -> list[int]:
-    """Indices of the points that a curve needs (Ramer, Douglas and Peucker's algorithm)."""
+    """Return the indices of the points of the approximation (Ramer, Douglas and Peucker's algorithm)."""
     kept, open_spans = {0, len(values) - 1}, [(0, len(values) - 1)]
     while open_spans:
         first, last = open_spans.pop()
@@ -126,10 +128,10 @@ def _vertices(values: npt.NDArray[np.float64]) -> list[int]:
 
 
 class Shades:
-    """The materials that the grey values of a layer camera stand for.
+    """Materials by grey value in a layer camera.
 
     Attributes:
-        names: of the materials, air first.
+        names: names of the materials, air first.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -140,11 +142,11 @@ class Shades:
         self._values = np.array([material.shade for material in shown.values()])
 
     def materials(self, pixels: npt.NDArray[Any]) -> IntArray:
-        """[pixels] index of the name that each grey value is nearest to."""
+        """Return [pixels] the index of the material with the nearest grey value."""
         return np.asarray(np.abs(np.asarray(pixels)[:, None] - self._values).argmin(axis=1), dtype=np.int64)
 
     def words(self, pixels: npt.NDArray[Any], name: Callable[[str], str] | None = None) -> str:
-        """A camera's picture as heights of layers in percent, from the bottom; air at the top is left out."""
+        """Describe a camera picture as heights of layers in percent from the bottom; air at the top is omitted."""
         kinds = self.materials(pixels).tolist()
         while kinds and kinds[-1] == 0:
             kinds.pop()
@@ -174,7 +176,7 @@ class Shades:
         return len(zone) >= _PURE and len(set(zone)) == 1
 
 
-# -- what a role observes ---------------------------------------------------------------------------------------------
+# -- observation of a role --------------------------------------------------------------------------------------------
 
 
 def _number(value: float) -> str:
@@ -182,15 +184,15 @@ def _number(value: float) -> str:
 
 
 def _listed(channel: Channel) -> list[str]:
-    """Names of a channel's values, as its meaning lists them after a colon; none where it does not."""
+    """Return the names of a channel's values, which its meaning lists after a colon; empty without a list."""
     names = channel.meaning.rpartition(": ")[2].split(", ")
     return names if len(names) == channel.size else []
 
 
 class RoleText:
-    """Text of what one role observes, generated from its declared channels: the same for people and for models.
+    """Text of one role's observation, generated from its declared channels, for people and models alike.
 
-    It holds what the role did itself (:meth:`acted`): which vessel it sent to which bench, and which orders it filled.
+    It also stores the role's own actions (:meth:`acted`): the bench to which each vessel was sent, and filled orders.
 
     Args:
         laboratories: only the public scenario and the declared channels are used.
@@ -209,13 +211,13 @@ class RoleText:
         self.begin()
 
     def begin(self) -> None:
-        """Forget the role's own actions: an episode begins."""
+        """Clear the stored actions at the start of an episode."""
         self._away: dict[str, tuple[str, str]] = {}
         self._filled: set[str] = set()
         self._seen: dict[str, str] = {}
 
     def acted(self, action: Any) -> None:
-        """Take note of an action of the role that was carried out."""
+        """Store an action of the role that was carried out."""
         if not self._manages:
             return
         kind, *arguments = self._labs.actions.decode(int(action))
@@ -226,7 +228,9 @@ class RoleText:
             self._filled.add(f"goal_{arguments[1]}")
 
     def _group(self) -> dict[str, list[tuple[str, Channel]]]:
-        """(label, channel) of every channel, by the slot, bench, order or instrument that it is about; '' if none."""
+        """Return (label, channel) of every channel, by the slot, bench, order or instrument it refers to; '' if
+        none.
+        """
         scenario = self._labs.scenario
         known = [f"slot_{s}" for s in range(scenario.shelf.slots)] + self._labs.bench_agents
         known += [order for order, _ in order_channels(scenario)] + list(scenario.instruments)
@@ -239,7 +243,9 @@ class RoleText:
         return subjects
 
     def _known_scales(self) -> dict[str, tuple[list[float], list[str], str]]:
-        """(factor and name of every value, unit) of channels that are shares of something the scenario states."""
+        """Return (factor and name of every value, unit) of channels that are shares of a quantity stated by the
+        scenario.
+        """
         labs, scenario = self._labs, self._labs.scenario
         limits, scales = scenario.limits, {}
         if self._manages:
@@ -264,7 +270,7 @@ class RoleText:
         return scales
 
     def lines(self, observation: ObservationArray) -> list[str]:
-        """The observation in lines. Lines of slots or orders that are alike are one."""
+        """Return the observation in lines. Slots or orders with equal lines share one."""
         found: dict[str, list[str]] = {}
         for subject, channels in self._subjects.items():
             values = {channel.name: observation[self._slices[channel.name]] for _, channel in channels}
@@ -277,11 +283,11 @@ class RoleText:
         return [f"{_together(subjects)}: {words}" if subjects[0] else words for words, subjects in found.items()]
 
     def text(self, observation: ObservationArray) -> str:
-        """The observation as one text."""
+        """Return the observation as one text."""
         return "\n".join(self.lines(observation))
 
     def _general(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> list[str]:
-        """Channels that are about the role itself: long ones a line each, the others together."""
+        """Return the channels of the role itself: long ones in a line each, the others together."""
         short = [(label, one) for label, one in channels if one.size == 1 and one.unit != "one-hot"]
         lines = [
             f"{label}: {self._words(label, channel, values[channel.name], '')}"
@@ -333,7 +339,7 @@ class RoleText:
         return ", ".join(filter(None, words))
 
     def _vessel(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> str:
-        """A vessel on the shelf: its outside, and the readings taken of it."""
+        """Describe a vessel on the shelf: its visible properties and its readings."""
         labels = dict(channels)
         value = {label: float(values[channel.name][0]) for label, channel in labels.items() if channel.size == 1}
         capacity = value["capacity"] * labels["capacity"].high
@@ -351,7 +357,7 @@ class RoleText:
             known |= {instrument, f"{instrument} age"}
             reading, age = labels.get(instrument), value[f"{instrument} age"]
             shown = None if reading is None else values[reading.name]
-            # The age alone does not tell a reading of the episode's whole length ago from none: both are 1.
+            # The age alone does not distinguish a reading as old as the longest episode from none: both are 1.
             if age >= 1.0 and (shown is None or not shown.any()):
                 continue
             ago = f"{_number(age * labels[f'{instrument} age'].high)} ticks ago"
@@ -361,7 +367,7 @@ class RoleText:
         return ", ".join(words)
 
     def _position(self, key: str, position: str) -> str:
-        """A bench's own name of a position, which the channel numbers in the order of its positions."""
+        """Return a bench's own name of a position, which the channel encodes as an index."""
         bench = next((bench for bench in self._labs.benches if bench.key == key), None)
         generic = {"main vessel": 0, "B1": 1, "B2": 2}.get(position)
         if bench is None or generic is None or generic >= len(bench.positions):
@@ -376,7 +382,7 @@ class RoleText:
         return names[int(own.argmax())] if own.any() else ""
 
     def _words(self, label: str, channel: Channel, values: npt.NDArray[Any], before: str) -> str:
-        """The values of one channel; ``before`` is put in front of single numbers."""
+        """Describe the values of one channel; ``before`` is put in front of single numbers."""
         if channel.unit == "one-hot":
             chosen = self._chosen(channel, {channel.name: values})
             own = chosen in self._labs.scenario.materials
@@ -403,7 +409,7 @@ class RoleText:
 
 
 def _together(subjects: Sequence[str]) -> str:
-    """Names of slots, orders and benches that share a line: ``slots 0-3, 5``."""
+    """Return the names of slots, orders and benches that share a line: ``slots 0-3, 5``."""
     kind, _, number = subjects[0].rpartition("_")
     words = {"slot": "slot", "goal": "order"}.get(kind)
     if words is None or not number.isdigit():
@@ -417,11 +423,11 @@ def _together(subjects: Sequence[str]) -> str:
 
 
 def describe_laboratory(laboratories: Laboratories, member: int) -> str:
-    """Shelf, benches, goal and costs of one laboratory: its outside, as its agents could see it.
+    """Describe shelf, benches, goal and costs of one laboratory, as visible to its agents.
 
     Args:
         laboratories: the laboratories.
-        member: which one.
+        member: environment index.
     """
     labs, state, scenario = laboratories, laboratories.state, laboratories.scenario
     status = STATUS_WORDS[int(state.status[member])]

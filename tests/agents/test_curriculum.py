@@ -118,8 +118,8 @@ def test_a_prepared_vessel_can_be_submitted_at_once() -> None:
     ("shares", "message"),
     [
         ({"oven": 0.5}, "shares of rxn, ext, dit, submit"),
-        ({"dit": -0.1}, "sum to 1 at most"),
-        ({"dit": 0.7, "ext": 0.7}, "sum to 1 at most"),
+        ({"dit": -0.1}, "sum to at most 1"),
+        ({"dit": 0.7, "ext": 0.7}, "sum to at most 1"),
     ],
 )
 def test_wrong_shares(shares: dict[str, float], message: str) -> None:

@@ -381,7 +381,7 @@ def test_purity_may_be_meant_among_some_materials() -> None:
     ("among", "message"),
     [
         (["1-chlorohexane"], "purity_among: '2-chlorohexane' itself must be one of them"),
-        (["2-chlorohexane", "toluene"], "purity_among: 'toluene' cannot occur here; can: "),
+        (["2-chlorohexane", "toluene"], "purity_among: 'toluene' cannot occur; known: "),
     ],
 )
 def test_purity_among_what_is_not_there_is_refused(among: list[str], message: str) -> None:

@@ -305,7 +305,7 @@ def test_a_state_of_another_environment_changes_nothing() -> None:
         wrong = [single(distillation).get_state(), batch(reaction, 3).get_state(), [], state[:-1], [*state, state[0]]]
         wrong += [[*state[:-1], state[-1][:0]], [state[0].astype(np.float32), *state[1:]], [*state[:-1], "a"]]
         for other in wrong:
-            with pytest.raises(ValueError, match="state: is of another environment"):
+            with pytest.raises(ValueError, match="state: does not fit this environment"):
                 put(other)
             assert_same_arrays(take(), state)
         put(state)

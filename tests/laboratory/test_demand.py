@@ -155,7 +155,7 @@ def test_terms_are_drawn_and_carried_in_snapshots_and_pickles() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("orders", 2, "demand.order: give one for each of orders = 2, given"),
+        ("orders", 2, "demand.order: must have one for each of orders = 2, given"),
         ("draw", {"of": ["order_9"]}, "world.draws.within.of: unknown order 'order_9'"),
         ("draw", {"distribution": {"kind": "normal", "mean": 0.0, "sd": 1.0}}, "within: Input should be"),
         ("draw", {"of": []}, "name at least one order"),

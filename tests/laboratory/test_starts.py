@@ -92,5 +92,5 @@ def test_goals_that_a_bench_has_met(tmp_path: Path) -> None:
     assert goals_met(mine, "rxn") == ["F", "E"]
     starts_file(mine).write_text('{"scenario": "mine", "vessels": [], "benches": {}}', encoding="utf-8")
     assert goals_met(mine, "rxn") == ["F", "E"]
-    with pytest.raises(DataError, match=r"no vessel of goal 'F' for bench 'fin'; goals can be: E"):
+    with pytest.raises(DataError, match=r"no vessel of goal 'F' for bench 'fin'; choose from E"):
         BenchVectorEnv(1, "relay", "fin", starts="lab")

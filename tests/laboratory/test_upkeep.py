@@ -311,7 +311,7 @@ def test_worlds_draw_the_condition_of_benches_and_instruments() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"of": ["rxn_2"]}, "'rxn_2' has no gain; what may have: rxn_0, rxn_1, rxn"),
+        ({"of": ["rxn_2"]}, "'rxn_2' has no gain; choose from rxn_0, rxn_1, rxn"),
         ({"of": []}, "name at least one bench or instrument"),
         ({"change": "offset"}, "must stay above 0"),
         ({"distribution": {"kind": "normal", "mean": 1.0, "sd": 1.0}}, "must stay above 0"),

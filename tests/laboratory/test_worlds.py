@@ -322,7 +322,7 @@ def test_worlds_that_cannot_be_asked_for_change_nothing(world: Any, message: str
         with pytest.raises(ValueError, match=message):
             env.reset(seed=3, options={"world": world})
         assert worlds(env) == before
-    with pytest.raises(ValueError, match="draws nothing"):
+    with pytest.raises(ValueError, match="no hidden parameters"):
         raw_env("wurtz_dodecane").reset(seed=0, options={"world": 1})
 
 
@@ -501,5 +501,5 @@ def test_a_formation_enthalpy_may_be_drawn_though_it_is_below_0() -> None:
 
 
 def test_what_may_be_of_either_sign_needs_bounds() -> None:
-    with pytest.raises(DataError, match=r"world\.draws\.heat: formation has no bounds; give low and high"):
+    with pytest.raises(DataError, match=r"world\.draws\.heat: formation is unbounded; give low and high"):
         Laboratories(estimated({"kind": "normal", "mean": 0.0, "sd": 1000.0}))
