@@ -282,12 +282,12 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         (
             "{ diethyl_ether = 4.0 }",
             '{ water = 4.0, "Na+" = 0.5, "Cl-" = 0.25 }',
-            ["shelf.vessel.0.contents", "charge of +0.25 mol", "ions that balance it"],
+            ["shelf.vessel.0.contents", "charge is +0.25 mol", "ions that balance it"],
         ),
         (
             "{ diethyl_ether = 3.0 }",
             '{ water = 4.0, "Cl-" = 0.25 }',
-            ["benches.rxn.start.contents", "charge of -0.25 mol"],
+            ["benches.rxn.start.contents", "charge is -0.25 mol"],
         ),
         ("Na = 2.0 }", 'Na = 2.0, "Cl-" = 1.0 }', ["benches.rxn.reagents", "'Cl-' is an ion", "NaCl"]),
         ('material = "water"', 'material = "Na+"', ["benches.ext.process.1.material", "'Na+' is an ion"]),
@@ -804,7 +804,7 @@ def test_pair_files_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("base", "message"),
     [
-        ("wurtz_dodecan", r"base: unknown 'wurtz_dodecan'; shipped: .*wurtz_dodecane"),
+        ("wurtz_dodecan", r"base: unknown 'wurtz_dodecan'; choose from .*wurtz_dodecane"),
         ("nowhere.toml", r"base: unknown 'nowhere.toml'"),
         ("circle.toml", r"inherits from this scenario"),
     ],
@@ -884,7 +884,7 @@ def test_bases_have_an_end(tmp_path: Path) -> None:
     for i in range(20):
         (tmp_path / f"{i}.toml").write_text(f'base = "{i + 1}.toml"\n')
     (tmp_path / "20.toml").write_text('base = "fictitious"\n')
-    with pytest.raises(DataError, match="more than 16 bases"):
+    with pytest.raises(DataError, match="more than 16 nested bases"):
         load_scenario(tmp_path / "0.toml")
     assert load_scenario(tmp_path / "10.toml").name == "fictitious"
 
@@ -994,7 +994,7 @@ def test_prices_of_bottles_that_are_not_there_do_not_hinder_restoring(slime: Pat
         ("scenario.stock.gold", 1.0, r"stock: unknown material 'gold'"),
         ("scenario.theoretical_maximum_mol", {}, r"theoretical_maximum_mol.dodecane: must be given"),
         ("scenario.theoretical_maximum_mol.dodecane", 0.0, r"theoretical_maximum_mol.dodecane: .*0.000001"),
-        ("scenario.shelf.vessel", [], r"shelf: vessel: give at least one"),
+        ("scenario.shelf.vessel", [], r"shelf: vessel: must have at least one"),
         ("scenario.physics", "magic", r"physics: unknown backend"),
         ("scenario.title", "x" * 5000, r"scenario: title: a text must be 4000 characters at most"),
         ("materials.water.density_kg_l", -1.0, r"materials.water: density_kg_l"),

@@ -217,11 +217,11 @@ def file(**draw: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("draw", "message"),
     [
-        ({"what": "titre", "of": ["slot_0"], "material": "1-chlorohexane"}, "x: inert: must be given for a titre"),
+        ({"what": "titre", "of": ["slot_0"], "material": "1-chlorohexane"}, "x: inert: required for a titre"),
         ({"what": "amount", "of": ["slot_0"]}, "x: material: required for amount"),
         (
             {"what": "amount", "of": ["slot_1"], "material": "Na"},
-            "x.of: unknown vessel 'slot_1'; choose from slot_0, rxn",
+            "unknown vessel 'slot_1'; choose from slot_0, rxn",
         ),
         ({"what": "amount", "of": ["slot_0"], "material": "Na"}, "x.material: 'Na' is not in slot_0"),
         ({"what": "amount", "of": ["stock"], "material": "Na"}, "x.what: a bottle's amount is observed"),
