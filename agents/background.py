@@ -1,4 +1,4 @@
-"""The laboratory for one of its agents, with background policies by name; see :mod:`chemlab.envs.focal`."""
+"""Single-agent views of the laboratory with background policies by name; see :mod:`chemlab.envs.focal`."""
 
 from __future__ import annotations
 
@@ -18,25 +18,26 @@ from .roles import role_of
 __all__ = ["Background", "background_players", "focal_env", "focal_vector_env"]
 
 Background = str | Mapping[str, Any]
-"""Policies of the other agents: a policy's name for all of them, or a name, a policy, a model or a function by agent id
-(``rxn_0``) or role (``rxn``, ``manager``); scripted policies play all others."""
+"""Policies of the other agents: a policy's name for all, or a name, policy, model or function by agent or role;
+others are scripted.
+"""
 
 
 def focal_env(
     scenario: Any = "wurtz_dodecane", agent: str = MANAGER_AGENT, background: Background = "scripted", **arguments: Any
 ) -> FocalEnv:
-    """The laboratory for one agent.
+    """Return the laboratory for one agent.
 
     Args:
-        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
-        agent: id of the agent that acts.
-        background: who plays the others.
-        arguments: more of :class:`~chemlab.envs.focal.FocalEnv`'s (``rewards``, ``render_mode``, ...).
+        scenario: a bundled name, a path to a TOML file, or a loaded scenario.
+        agent: name of the acting agent.
+        background: policies of the others.
+        arguments: further arguments of :class:`~chemlab.envs.focal.FocalEnv` (``rewards``, ``render_mode``, ...).
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: unknown agent, policy or render mode.
-        TypeError: a background policy is none.
+        DataError: the scenario is invalid or unknown.
+        ValueError: the agent, a policy or the render mode is unknown.
+        TypeError: a background policy is not a policy.
     """
     return FocalEnv(scenario, agent, background_policies(background), **arguments)
 
@@ -48,20 +49,20 @@ def focal_vector_env(
     background: Background = "scripted",
     **arguments: Any,
 ) -> FocalVectorEnv:
-    """A batch of laboratories for one agent; ``num_envs`` of them, else as :func:`focal_env`.
+    """Return a batch of ``num_envs`` laboratories for one agent; otherwise as :func:`focal_env`.
 
     Args:
         num_envs, scenario, agent, background: see :func:`focal_env`.
-        arguments: more of :class:`~chemlab.envs.focal.FocalVectorEnv`'s (``autoreset_mode``, ``copy``, ...).
+        arguments: further arguments of :class:`~chemlab.envs.focal.FocalVectorEnv` (``autoreset_mode``, ``copy``, ...).
     """
     return FocalVectorEnv(num_envs, scenario, agent, background_policies(background), **arguments)
 
 
 def background_policies(background: Background) -> Policies:
-    """A function that gives every agent of some laboratories the policy that ``background`` names.
+    """Return a function that makes the policies of all agents of some laboratories as named by ``background``.
 
     Raises (when called):
-        ValueError: unknown policy, or a name that is no agent's.
+        ValueError: a policy or an agent is unknown.
     """
 
     def choose(laboratories: Laboratories) -> dict[str, Any]:
@@ -88,16 +89,16 @@ def background_players(
     background: str,
     act: Callable[[int, IntArray, npt.NDArray[Any]], None] | None = None,
 ) -> Players:
-    """Make the players of the roles that are not trained.
+    """Make the players of the roles that do not learn.
 
     Args:
-        laboratories: where they play.
-        learning: the roles that somebody else moves.
-        background: the others' policy, by name (see :func:`~.policies.make_policies`).
+        laboratories: the laboratories.
+        learning: roles played by the caller.
+        background: policies of the others, by name (see :func:`~.policies.make_policies`).
         act: as for :class:`~chemlab.envs.players.Players`.
 
     Raises:
-        ValueError: unknown policy, or one that does not fit.
+        ValueError: a policy is unknown or does not fit.
     """
     policies = [
         None if role_of(agent) in learning else agent_policy(background, laboratories, number)

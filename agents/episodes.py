@@ -63,7 +63,7 @@ class Played:
 
 
 def _case(env: BenchVectorEnv, goal: str, member: int) -> str:
-    """Return which random companion the starting state has; '' where that is not random."""
+    """Return the random companion of the initial state; '' if it is not random."""
     companion = env.bench.spec.start.companion
     if companion is None or companion.probability in (0.0, 1.0):
         return ""
@@ -83,13 +83,13 @@ def play_bench(
     seed: int | Sequence[int],
     record: bool = False,
 ) -> Played:
-    """One experiment in every member of a batch; a member plays what a single environment reset with its seed plays.
+    """Play one experiment in every member of a batch; a member plays the same as a single environment with its seed.
 
     Args:
         env: batch of N with ``autoreset_mode="SameStep"``.
-        policy: plays all members.
-        goal: what the experiments are for, or one for each member.
-        seed: of member 0, the others have the next ones; or one for each member.
+        policy: policy of all members.
+        goal: goal of the experiments, or one for each member.
+        seed: seed of member 0, with consecutive seeds for the others; or one for each member.
         record: whether to keep the actions.
 
     Returns:
@@ -99,7 +99,7 @@ def play_bench(
     goals = np.array([goal] * n if isinstance(goal, str) else goal)
     seeds = [seed + i for i in range(n)] if isinstance(seed, int) else list(seed)
     for i, one in enumerate(dict.fromkeys(goals.tolist())):
-        # The first reset has to be of all; each other goal's members are then begun again with the goal that is theirs.
+        # The first reset must be of all members; members with other goals are then reset again.
         only = goals == one if i else np.ones(n, dtype=np.bool_)
         observations, _ = env.reset(seed=seeds, options={"goal": one, "reset_mask": only})
     cases = [_case(env, one, member) for member, one in enumerate(goals.tolist())]
@@ -117,7 +117,7 @@ def play_bench(
         played.illegal += running * infos["illegal_action"]
         played.lengths += running
         ended = terminated | truncated
-        # A member that has ended goes on with an experiment that does not count: its policy begins anew there.
+        # A member that has ended continues with an experiment that does not count, with a reset policy memory.
         step = np.where(ended, 0, step + 1)
         running &= ~ended
         if not running.any():
@@ -128,7 +128,7 @@ def play_bench(
 
 
 def _unsafe(labs: Laboratories) -> npt.NDArray[np.bool_]:
-    """[N] whether a harmful safety event happened; rounding leaves less than ``_TRACE_EVENT`` of none."""
+    """Return [N] whether a harmful safety event happened; amounts below ``_TRACE_EVENT`` are rounding errors."""
     harmful = [kind not in ("boiled_dry", "dry_heating") for kind in labs.scenario.safety_events]
     return np.asarray((labs.safety_totals[:, harmful] >= _TRACE_EVENT).any(axis=1))
 

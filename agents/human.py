@@ -1,7 +1,7 @@
-"""A person as a policy: what their role sees, in words and bars, and what they type, as an action.
+"""Human players as policies: the observation in words and bars, and typed input as actions.
 
-Everything shown of the laboratory is read off the role's observation, so a person knows what a learned policy would,
-the public scenario, and (as the manager, who has them in ``info``) the costs so far.
+Everything shown is taken from the role's observation, so a person has the information of a learned policy, the public
+scenario, and (as the manager, from ``info``) the costs so far.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from chemlab.roles.bench import Bench, channel_slices
 __all__ = ["HumanPolicy", "Left", "LetterShades", "Menu", "parse_numbers", "sparkline"]
 
 _FLAT = 12
-"""Up to so many actions are listed one by one; more are grouped."""
+"""Maximum number of actions that are listed individually; more are grouped."""
 _BLOCKS, _PLAIN = " ▁▂▃▄▅▆▇█", " .:-=+*#@"
 
 
@@ -34,20 +34,21 @@ class Left(Exception):
     """The person has left the game."""
 
 
-# -- seeing -----------------------------------------------------------------------------------------------------------
+# -- observations ------------------------------------------------------------------------------------------------------
 
 
 def sparkline(values: Sequence[float] | npt.NDArray[Any], width: int, signs: str = _BLOCKS) -> str:
-    """Numbers in [0, 1] as a line of ``width`` signs at most, each the highest of its numbers, so that no peak is lost.
+    """Format numbers in [0, 1] as a line of at most ``width`` signs, each the maximum of its numbers, so that peaks are
+    kept.
 
-    A number is shown as the sign nearest to it; the first sign is 0, the last is 1.
+    A number is shown as the nearest sign; the first sign is 0, the last is 1.
     """
     parts = np.array_split(np.asarray(values, dtype=np.float64), min(width, len(values)))
     return "".join(signs[round(float(part.max().clip(0.0, 1.0)) * (len(signs) - 1))] for part in parts)
 
 
 def _grid(rows: Sequence[tuple[str, str | Text]]) -> Table:
-    """Labels and what they are of; long lines go on below their own beginning."""
+    """Return a table of labels and contents; long lines are indented on continuation."""
     grid = Table.grid(padding=(0, 1))
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
@@ -57,7 +58,7 @@ def _grid(rows: Sequence[tuple[str, str | Text]]) -> Table:
 
 
 class LetterShades(Shades):
-    """Pictures of a layer camera as coloured letters, one letter for each material."""
+    """Formats camera pictures as coloured letters, one letter per material."""
 
     def __init__(self, scenario: Scenario) -> None:
         super().__init__(scenario)
@@ -68,7 +69,7 @@ class LetterShades(Shades):
             self.letters.append(next(c for c in options if c not in self.letters))
 
     def line(self, pixels: npt.NDArray[Any], width: int) -> Text:
-        """A camera's picture lying on its side, the bottom at the left; a cell shows what most of its pixels are."""
+        """Return a camera picture as a line, the bottom at the left; a cell shows the majority of its pixels."""
         text = Text()
         for part in np.array_split(self.materials(pixels), min(width, len(pixels))):
             kind = int(np.bincount(part).argmax())
@@ -78,21 +79,21 @@ class LetterShades(Shades):
         return text
 
     def legend(self, *pictures: npt.NDArray[Any]) -> str:
-        """The materials that the letters of some pictures stand for."""
+        """Return the materials of the letters in some pictures."""
         kinds = sorted({int(kind) for pixels in pictures for kind in self.materials(pixels)})
         return ", ".join(f"{self.letters[kind]} {self.names[kind]}" for kind in kinds)
 
 
-# -- choosing ---------------------------------------------------------------------------------------------------------
+# -- menus -------------------------------------------------------------------------------------------------------------
 
 
 class Menu:
-    """Numbered actions, grouped where there are many, narrowed by typing.
+    """Numbered actions, grouped if there are many, and narrowed by typing.
 
     Args:
-        meanings: what every action does.
+        meanings: description of every action.
         paths: the same in steps (``start rxn_0``, ``slot 0``, ``goal dodecane``) for grouping.
-        legal: which of them are possible now.
+        legal: which of them are legal now.
     """
 
     def __init__(self, meanings: Sequence[str], paths: Sequence[Sequence[str]], legal: Sequence[int]) -> None:
@@ -101,7 +102,7 @@ class Menu:
         self._shown, self._depth = self._legal, 0
 
     def entries(self) -> list[tuple[str, list[int]]]:
-        """(label, the actions it stands for) of each numbered line."""
+        """Return (label, actions) of each numbered line."""
         if len(self._shown) <= _FLAT:
             return [(self._meanings[action], [action]) for action in self._shown]
         groups: dict[str, list[int]] = {}
@@ -116,23 +117,23 @@ class Menu:
         return f"{part}: {_joined(list(later))}"
 
     def back(self) -> None:
-        """Show everything again."""
+        """Show all actions again."""
         self._shown, self._depth = self._legal, 0
 
     def _narrow(self, actions: list[int]) -> None:
-        """Show only these; steps that are the same in all of them are done."""
+        """Show only these actions; their common steps are completed."""
         self._shown, self._depth = actions, 0
         if len(actions) > _FLAT:
             while len({self._paths[action][self._depth] for action in actions}) == 1:
                 self._depth += 1
 
     def take(self, typed: str) -> int | None:
-        """The action that was typed: numbers of lines, one after the other, or how its meaning begins.
+        """Return the typed action: numbers of successive lines, or the beginning of its description.
 
-        None if the menu now shows less instead.
+        None if the menu was narrowed instead.
 
         Raises:
-            ValueError: no such line or action; the message says so.
+            ValueError: the line or action does not exist; the message says so.
         """
         if all(part.isdigit() for part in typed.split()):
             return self._take_numbers([int(part) for part in typed.split()])
@@ -164,9 +165,9 @@ class Menu:
 
 
 def _matchers(typed: str) -> tuple[Callable[[str], bool], Callable[[str], bool]]:
-    """(whether a meaning begins like what was typed, whether it has all of its words, in any order).
+    """Return two tests of a description: whether it begins like the typed text, and whether it has all its words.
 
-    Words may be cut short, numbers may not, and a number belongs to the word before it: ``slot 1`` is neither slot 10
+    Words may be abbreviated, numbers may not, and a number belongs to the word before it: ``slot 1`` is neither slot 10
     nor the 1 of ``rxn_1``.
     """
 
@@ -184,7 +185,7 @@ def _matchers(typed: str) -> tuple[Callable[[str], bool], Callable[[str], bool]]
 
 
 def _joined(steps: Sequence[str]) -> str:
-    """Choices beside each other, what is the same in all of them said once: ``1 / 3 / 8 L``, ``slot 0 / 1``."""
+    """Join choices with their common words stated once: ``1 / 3 / 8 L``, ``slot 0 / 1``."""
     heads, tails = zip(*(step.partition(" ")[::2] for step in steps), strict=True)
     if len(set(tails)) == 1:
         return f"{' / '.join(heads)} {tails[0]}".strip()
@@ -203,14 +204,14 @@ def _share(text: str, what: str) -> float:
     try:
         value = float(text.rstrip("%")) / (100.0 if percent else 1.0)
     except ValueError:
-        raise ValueError(f"{what}: {text!r} is no number") from None
+        raise ValueError(f"{what}: {text!r} is not a number") from None
     if not (math.isfinite(value) and 0.0 <= value <= 1.0):
         raise ValueError(f"{what}: must be from 0 to 1 (or 0% to 100%), given {text}")
     return value
 
 
 def parse_numbers(typed: str, size: int, reagents: Sequence[str] = ()) -> FloatArray:
-    """What was typed as a continuous action of ``size`` numbers in [0, 1].
+    """Parse typed text as a continuous action of ``size`` numbers in [0, 1].
 
     Either all the numbers; or, on a bench with reagents, what is to change: ``T+`` (a whole step up), ``T-0.5`` (half a
     step down), ``T=0.7`` (the number itself), ``T0`` (hold), the same with ``V``, and ``NAME=SHARE`` (or ``NAME`` for
@@ -253,13 +254,13 @@ def parse_numbers(typed: str, size: int, reagents: Sequence[str] = ()) -> FloatA
 
 
 class HumanPolicy:
-    """A person's policy for one agent of one laboratory.
+    """Policy of a person for one agent of one laboratory.
 
     Args:
-        laboratories: where it plays; of these only what is public is used.
-        number: the agent.
-        ask: gives what the person types at a prompt; ``EOFError`` means that nobody will type any more.
-        console: shows things; its width and encoding are respected.
+        laboratories: the laboratory; only its public part is used.
+        number: agent index.
+        ask: prompt function that returns the typed text; ``EOFError`` means the end of input.
+        console: output console; its width and encoding are respected.
         before: called at the beginning of each of the person's turns.
     """
 
@@ -284,7 +285,7 @@ class HumanPolicy:
 
     @property
     def agent(self) -> str:
-        """Id of the agent."""
+        """Name of the agent."""
         return self._labs.agents[self._number]
 
     def act(
@@ -297,7 +298,7 @@ class HumanPolicy:
             ValueError: more than one laboratory; people play one at a time.
         """
         if len(observation) != 1:
-            raise ValueError(f"{self.agent}: a person plays one laboratory at a time, given {len(observation)}")
+            raise ValueError(f"{self.agent}: human players support one laboratory at a time, given {len(observation)}")
         if step[0] == 0:
             self._last = None
             self._text.begin()
@@ -310,7 +311,7 @@ class HumanPolicy:
         self._text.acted(chosen)
         return np.asarray(chosen)[None]
 
-    # -- what is shown ------------------------------------------------------------------------------------------------
+    # -- output ---------------------------------------------------------------------------------------------------
 
     def view(self, observation: ObservationArray, step: int) -> Iterator[Any]:
         """The text of the observation (see :class:`~chemlab.lab.text.RoleText`), and its pictures, as things rich can
@@ -337,7 +338,7 @@ class HumanPolicy:
         return max(min(self._console.width - 16, 60), 10)
 
     def _pictures(self, observation: ObservationArray) -> Iterator[Any]:
-        """Layers as letters and spectra as blocks, where there are any."""
+        """Yield layers as letters and spectra as blocks, if there are any."""
         rows: list[tuple[str, str | Text]] = []
         layers = []
         for channel in self._role.channels:
@@ -352,15 +353,15 @@ class HumanPolicy:
         if rows:
             yield _grid(rows)
 
-    # -- what is typed ------------------------------------------------------------------------------------------------
+    # -- input ----------------------------------------------------------------------------------------------------
 
     def _typed(self) -> str:
-        """What the person types, without what is not an action."""
+        """Return the typed text, after handling commands."""
         while True:
             try:
                 text = self._ask(f"{self.agent}> ").strip()
             except EOFError:
-                raise Left("nobody is typing any more") from None
+                raise Left("end of input") from None
             if text.lower() in ("q", "quit", "exit"):
                 raise Left("you have left")
             if text.lower() not in ("?", "h", "help"):
@@ -371,7 +372,7 @@ class HumanPolicy:
         self._console.print(Text(f"  {error}", style="yellow"))
 
     def _choose(self, mask: npt.NDArray[np.int8]) -> int:
-        """A legal discrete action."""
+        """Ask for a legal discrete action."""
         labs, meanings = self._labs, list(self._role.action_meanings)
         paths = _manager_paths(labs) if self._manages else [_bench_path(meaning) for meaning in meanings]
         menu = Menu(meanings, paths, np.flatnonzero(mask).tolist())
@@ -401,7 +402,7 @@ class HumanPolicy:
                 fresh = False
 
     def _numbers(self) -> FloatArray:
-        """A continuous action."""
+        """Ask for a continuous action."""
         space = self._labs.action_space(self._number)
         size = int(space.shape[0]) if space.shape else 0
         reagents = getattr(self._role, "reagent_names", ())
@@ -423,7 +424,7 @@ class HumanPolicy:
                 self._sorry(error)
 
     def help(self) -> list[str]:
-        """How to play the role, in lines."""
+        """Return instructions for the role, in lines."""
         scenario = self._labs.scenario
         lines = [f"{scenario.title}: {scenario.summary}"]
         reagents = getattr(self._role, "reagent_names", ())
@@ -462,7 +463,7 @@ class HumanPolicy:
 
 
 def _manager_paths(labs: Laboratories) -> list[list[str]]:
-    """The manager's actions in steps: kind and bench, slot, goal or instrument."""
+    """Return the manager's actions in steps: kind and bench, slot, goal or instrument."""
     prices = dict(zip(labs.instruments.names, labs.instruments.price.tolist(), strict=True))
     paths = []
     for action in range(len(labs.actions)):
@@ -481,6 +482,6 @@ def _manager_paths(labs: Laboratories) -> list[list[str]]:
 
 
 def _bench_path(meaning: str) -> list[str]:
-    """A bench's action in steps: process, magnitude."""
+    """Return a bench's action in steps: process, magnitude."""
     what, comma, magnitude = meaning.partition(", ")
     return [what, magnitude] if comma else [meaning]

@@ -1,5 +1,4 @@
-"""Stable-Baselines3's learners as checkpoints have them: ``model.zip`` of one, ``ROLE.zip`` of several that learned
-together.
+"""Stable-Baselines3 learners in checkpoints: ``model.zip`` of one, ``ROLE.zip`` of several trained together.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -34,11 +33,11 @@ LEARNERS: dict[str, Any] = {
     "recurrent-ppo": RecurrentPPO,
     "maskable-recurrent-ppo": RecurrentPPO,
 }
-"""By the name that ``chemlab train --algo`` has for it."""
+"""Learner classes by their name in ``chemlab train --algo``."""
 
 
 def _load(kind: Any, path: Path, **settings: Any) -> Any:
-    """A learner's file: a pickle among others, so sealed (:mod:`~chemlab.agents.seals`)."""
+    """Load a learner's file; it contains a pickle, so its signature is checked (:mod:`~chemlab.agents.seals`)."""
     return kind.load(BytesIO(read_sealed(path)), device="cpu", **settings)
 
 
@@ -49,19 +48,19 @@ def save_learner(folder: Path, model: BaseAlgorithm) -> None:
 
 
 def load_learner(folder: Path, algo: str, **settings: Any) -> BaseAlgorithm:
-    """The learner of a checkpoint, to play with rather than to go on learning.
+    """Load the learner of a checkpoint, for playing instead of further training.
 
     Args:
-        folder: the checkpoint's.
+        folder: folder of the checkpoint.
         algo: a name of ``LEARNERS``.
-        settings: more of SB3's ``load``: with ``env`` it can go on learning.
+        settings: further arguments of SB3's ``load``: with ``env`` it can be trained further.
 
     Raises:
-        ValueError: unknown algorithm.
-        DataError: the file is not this user's.
+        ValueError: the algorithm is unknown.
+        DataError: the file has no valid signature.
     """
     if algo not in LEARNERS:
-        raise ValueError(f"{folder}: algo: known: {', '.join(LEARNERS)}; given {algo!r:.100}")
+        raise ValueError(f"{folder}: algo: must be one of {', '.join(LEARNERS)}; given {algo!r:.100}")
     small = {"buffer_size": 1} if algo in ("dqn", "qr-dqn", "sac", "td3") and not settings else {}
     model: BaseAlgorithm = _load(LEARNERS[algo], folder / "model.zip", **small, **settings)
     return model
@@ -76,16 +75,16 @@ def save_team(folder: Path, models: dict[str, Any]) -> None:
 
 
 def load_team(folder: Path) -> dict[str, Any]:
-    """The learners of a joint run's checkpoint, by role.
+    """Load the learners of a joint run's checkpoint, by role.
 
     Raises:
-        DataError: a file is not this user's, or of a chemlab that made other networks of it.
+        DataError: a file has no valid signature, or is of a version with other networks.
     """
     found = {}
     for file in sorted(folder.glob("*.zip")):
         kind = MaskablePPO if "maskable" in file.stem else PPO
         try:
             found[file.stem.partition(".")[0]] = _load(kind, file)
-        except RuntimeError as error:  # torch's, of weights that do not fit
-            raise DataError(f"{file}: was saved by a chemlab that made other networks of it: train it anew") from error
+        except RuntimeError as error:  # torch's error for weights that do not fit
+            raise DataError(f"{file}: was saved by a version with other networks: train it again") from error
     return found

@@ -67,11 +67,11 @@ _SCRIPTS: dict[str, dict[str, type[Any]]] = {
         "crystallization": ScriptedCrystallization,
     },
 }
-"""Scripted policies by tier of physics and kind of bench."""
+"""Scripted policies by physics backend and kind of bench."""
 
 _DEEPEST = 8
 _UNSCRIPTED: set[str] = set()
-"""Kinds of benches without a script that have been spoken of."""
+"""Kinds of benches without a scripted policy for which a warning has been given."""
 
 
 @kernel
@@ -96,11 +96,11 @@ def _draw_numbers(members: IntArray, stream: StreamArray, out: FloatArray) -> No
 
 
 class RandomPolicy:
-    """Uniformly random legal actions, every member from a stream of its own.
+    """Uniformly random legal actions, with a separate stream per member.
 
     Args:
-        size: numbers of a continuous action; ignored where there is a mask.
-        seed: seed of the members' streams; :meth:`seed` starts one of them afresh.
+        size: size of a continuous action; ignored with a mask.
+        seed: seed of the members' streams; :meth:`seed` restarts one of them.
     """
 
     def __init__(self, size: int, seed: int | np.random.SeedSequence | None = None) -> None:
@@ -109,14 +109,14 @@ class RandomPolicy:
         self._stream: StreamArray = np.zeros((0, 1), dtype=np.uint64)
 
     def _provide(self, members: int) -> None:
-        """Streams for that many members."""
+        """Create streams for these members."""
         while len(self._stream) < members:
             more = self._seeds.spawn(max(members - len(self._stream), len(self._stream)))
             states = [sequence.generate_state(1, np.uint64) for sequence in more]
             self._stream = np.concatenate([self._stream, states])
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Start the stream of one member afresh."""
+        """Restart the stream of one member."""
         self._provide(member + 1)
         sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         self._stream[member] = sequence.generate_state(1, np.uint64)
@@ -144,11 +144,11 @@ class RandomPolicy:
 
 
 class LapsingPolicy:
-    """Another policy that now and then plays a random legal action instead, as people and machines do.
+    """Epsilon-random policy: plays a random legal action with a given probability, otherwise another policy's action.
 
     Args:
         policy: the other policy.
-        probability: of a lapse at each turn, in [0, 1].
+        probability: probability of a random action in each turn, in [0, 1].
         size: as for :class:`RandomPolicy`.
         seed: as for :class:`RandomPolicy`.
     """
@@ -165,7 +165,7 @@ class LapsingPolicy:
         return self._policy, self._lapses, self._random
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Start the streams of one member afresh."""
+        """Restart the streams of one member."""
         own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         for part, sequence in zip(self._parts(), own.spawn(3), strict=True):
             if hasattr(part, "seed"):
@@ -192,13 +192,13 @@ class LapsingPolicy:
 
 
 def policy_names() -> tuple[str, ...]:
-    """Names that :func:`make_policies` knows."""
+    """Return the names that :func:`make_policies` accepts."""
     scripted = ("scripted", "scripted:unsafe", "scripted:no-extraction", "scripted:memoryless", "scripted:fifo")
     return (*scripted, "random", "pretrained", "pretrained-isolated", "trained", "plan")
 
 
 def make_policies(name: str, laboratories: Laboratories, seed: int | None = None) -> dict[str, Policy]:
-    """One policy for each agent of a laboratory.
+    """Make a policy for each agent of a laboratory.
 
     Args:
         name: one of :func:`policy_names` (below), the name of a bundled policy
@@ -228,7 +228,7 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
 
 
 def _name_for(name: str, agent: str, agents: Sequence[str]) -> str:
-    """The part of a policy's name that is about an agent."""
+    """Return the part of a policy's name that applies to an agent."""
     general, *exceptions = name.split(",")
     known = {*agents, *map(role_of, agents)}
     for exception in exceptions:
@@ -241,7 +241,7 @@ def _name_for(name: str, agent: str, agents: Sequence[str]) -> str:
 
 
 def _size(actions: gymnasium.Space[Any]) -> int:
-    """Numbers of an action, 0 where it is discrete."""
+    """Return the size of a continuous action, 0 for a discrete one."""
     return int((actions.shape or (0,))[0])
 
 
@@ -251,7 +251,7 @@ def _probability(name: str, text: str) -> float:
     except ValueError:
         share = -1.0
     if not 0.0 <= share <= 1.0:
-        raise ValueError(f"policy: {name!r}: what follows @ is the share of random actions, from 0 to 1")
+        raise ValueError(f"policy: {name!r}: the share of random actions after @ must be from 0 to 1")
     return share
 
 
@@ -285,7 +285,7 @@ def agent_policy(
     if own not in policy_names():
         if not is_saved(own):
             raise ValueError(
-                f"policy: known: {', '.join(policy_names())}, a shipped one's name, or a path that exists; "
+                f"policy: must be one of {', '.join(policy_names())}, a bundled policy, or an existing path; "
                 f"given {own!r}"
             )
         saved = find_saved(own)
@@ -314,7 +314,7 @@ def agent_policy(
 def _as_trained(
     policy: Policy, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None, deep: int
 ) -> Policy:
-    """A trained policy with the advisor that it learned with, if it had one."""
+    """Wrap a trained policy with the advisor of its training, if it had one."""
     advice = policy.card.advice if isinstance(policy, PretrainedPolicy) else None
     if advice is None:
         return policy
@@ -336,11 +336,11 @@ def is_scripted(bench: Bench) -> bool:
 
 
 def scripted_bench(bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None) -> Policy:
-    """The scripted policy for a bench; random legal actions, and a warning, for a kind that has none.
+    """Return the scripted policy of a bench; for kinds without one, random legal actions with a warning.
 
     Args:
-        bench: what it is to operate.
-        careful: False leaves out what only safety is for.
+        bench: the bench.
+        careful: False omits actions that serve only safety.
         seed: seed of random actions.
     """
     kind = bench.spec.kind
@@ -364,17 +364,17 @@ def scripted_manager(
     remember: bool = True,
     schedule: bool = True,
 ) -> Policy:
-    """The scripted manager for some laboratories.
+    """Return the scripted manager of some laboratories.
 
     Args:
-        laboratories: whose manager it is.
-        careful: False leaves out what only safety and measuring are for.
-        skip: benches it does without.
-        remember: False forgets what it has found out when a batch is over, or at the next look.
-        schedule: False takes one order at a time, as they come.
+        laboratories: the laboratories.
+        careful: False omits actions that serve only safety and measurement.
+        skip: benches that are not used.
+        remember: False clears the belief at the end of a batch, or at the next measurement.
+        schedule: False processes one order at a time in order of arrival.
 
     Raises:
-        ValueError: it is to forget, and has nothing to; or to take orders one at a time, and knows no other way.
+        ValueError: the scripted manager of the scenario has no memory or no schedule that could be removed.
     """
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
@@ -395,13 +395,13 @@ def scripted_manager(
 
 
 def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
-    """A policy for a bench by name.
+    """Make a policy for a bench by name.
 
     Args:
-        name: ``scripted``, ``random``, ``pretrained``, the name of a policy that comes with chemlab
+        name: ``scripted``, ``random``, ``pretrained``, a bundled policy
             (:func:`~chemlab.agents.pretrained.pretrained_names`), or a path: a training run's folder, a checkpoint in
             it (folder or ``model.zip``), or exported weights (``.safetensors``).
-        bench: whose experiments it is to run.
+        bench: the bench.
         seed: seed of a random policy.
 
     Raises:
@@ -416,10 +416,10 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
         return pretrained_for(bench)
     if not is_saved(name):
         raise ValueError(
-            f"policy: known: scripted, random, pretrained, a shipped one's name, or a path that exists; given {name!r}"
+            f"policy: must be scripted, random, pretrained, a bundled policy, or an existing path; given {name!r}"
         )
     saved = find_saved(name).load
-    # A run of one role may be tried on any bench that it fits; which of several it is has to be clear.
+    # A run of one role may be tried on any bench that it fits; with several roles, the choice must be unambiguous.
     role = next(iter(saved)) if len(saved) == 1 else bench.key
     if role not in saved:
         raise ValueError(f"policy: {name} is for {', '.join(saved)}; given bench {bench.key!r}")

@@ -1,10 +1,10 @@
-"""Trained policies that need numpy alone: a ``NAME.safetensors`` with the weights and a ``NAME.json`` card.
+"""Trained policies that need only NumPy: a ``NAME.safetensors`` file with the weights and a ``NAME.json`` card.
 
 >>> from chemlab.agents.pretrained import load_pretrained, pretrained_names
 >>> policy = load_pretrained("wurtz_rxn")                                          # doctest: +SKIP
 
-A policy fits a bench, or a laboratory's manager, if it would see and do the same there: the same channels, goals and
-actions, whatever the scenario is called. Cards say what it was trained on, how, with what, and what it then reached.
+A policy fits a bench, or a laboratory's manager, with the same channels, goals and actions, independent of the
+scenario's name. A card states the task, training, command and evaluation of a policy.
 """
 
 from __future__ import annotations
@@ -60,11 +60,11 @@ _MOST_LAYERS = 32
 
 
 LSTM = {"lstm.weight_ih": ("4H", "O"), "lstm.weight_hh": ("4H", "H"), "lstm.bias": ("4H",)}
-"""Weights of a memory of H numbers that sees O: shape by name."""
+"""Shapes by name of the weights of an LSTM with H units and O inputs."""
 
 
 def interface(workplace: Workplace) -> dict[str, Any]:
-    """What an agent sees and may do, as plain values; policies fit where this is equal."""
+    """Return an agent's channels and actions as plain values; policies fit if these are equal."""
     return {
         "kind": workplace.kind,
         "channels": [[c.name, c.size, c.unit, c.low, c.high, c.meaning] for c in workplace.channels],
@@ -74,8 +74,11 @@ def interface(workplace: Workplace) -> dict[str, Any]:
 
 
 def fingerprint(workplace: Workplace) -> str:
-    """A number for the task: a bench's options, starting state, chemistry, stock and prices; for a manager, those of
-    all benches, and the shelf, instruments, limits and costs."""
+    """Return a hash of the task.
+
+    For a bench, it covers options, initial state, chemistry, stock and prices; for a manager, those of all benches, the
+    shelf, instruments, limits and costs.
+    """
     scenario = workplace.scenario
     task: dict[str, Any] = {
         "materials": {name: written(m) for name, m in scenario.materials.items()},
@@ -89,34 +92,33 @@ def fingerprint(workplace: Workplace) -> str:
     if isinstance(workplace, Bench):
         task["bench"] = written(workplace.spec, without={"count"})
     else:
-        # What a scenario is called changes nothing.
+        # The name of a scenario is irrelevant.
         task["laboratory"] = written(scenario, without={"name", "title", "summary"})
     return hashlib.sha256(json.dumps(task, sort_keys=True).encode()).hexdigest()[:16]
 
 
 @dataclass(frozen=True)
 class Card:
-    """``NAME.json``: what a policy is and where it comes from.
+    """Card of a policy, ``NAME.json``.
 
     Attributes:
-        name: its name.
-        env_id, scenario, goals, starts: what it was trained on.
-        bench: the role it plays: a bench's key, or ``manager``.
-        fingerprint: of that task (:func:`fingerprint`).
-        interface: what it sees and does (:func:`interface`).
-        observation_size, action_size: sizes; ``action_size`` is how many there are to choose from, or numbers.
+        name: name of the policy.
+        env_id, scenario, goals, starts: training task.
+        bench: its role: a bench's key, or ``manager``.
+        fingerprint: hash of the task (:func:`fingerprint`).
+        interface: its channels and actions (:func:`interface`).
+        observation_size, action_size: sizes; ``action_size`` is the number of discrete actions, or of numbers.
         algo, label, seed, step: the algorithm, and the checkpoint's step.
-        command: what trains it again.
-        versions: of chemlab, Stable-Baselines3, PyTorch, numpy.
-        activation: of the hidden layers, ``tanh`` or ``relu``.
-        output: ``argmax`` (of the legal), ``clip`` (to [0, 1]) or ``tanh`` (rescaled to [0, 1]).
-        evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's
-            ``scripted_mean``, ``scripted_by_goal``; the policy as it is played here, with masks.
-        background: who played the other roles, where it was trained in a laboratory.
-        memory: how many numbers of each kind its LSTM, which stands before the layers, keeps; 0: it has none.
-        masked: whether it chooses among the legal actions alone; False where it learned without masks, and is to be
-            seen as it learned.
-        advice: name of the policy whose choice it sees behind its observation (:mod:`chemlab.agents.advice`), if any.
+        command: command that repeats the training.
+        versions: versions of chemlab, Stable-Baselines3, PyTorch, numpy.
+        activation: activation of the hidden layers, ``tanh`` or ``relu``.
+        output: ``argmax`` (of the legal actions), ``clip`` (to [0, 1]) or ``tanh`` (rescaled to [0, 1]).
+        evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's ``scripted_mean``,
+            ``scripted_by_goal``; for the policy as played here, with masks.
+        background: policies of the other roles, if trained in a laboratory.
+        memory: number of units of its LSTM before the layers; 0: none.
+        masked: whether it chooses among legal actions only; False if it was trained without masks.
+        advice: name of the policy whose action it observes (:mod:`chemlab.agents.advice`), if any.
     """
 
     name: str
@@ -145,7 +147,7 @@ class Card:
 
     @classmethod
     def of(cls, workplace: Workplace, **more: Any) -> Card:
-        """The card of what was trained for a workplace; ``more`` are the fields that say nothing of it."""
+        """Return the card of a policy trained for a workplace; ``more`` are the other fields."""
         own = {
             "scenario": workplace.scenario.name,
             "bench": workplace.key,
@@ -159,12 +161,12 @@ class Card:
         return cls(**{**own, **more})
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields as the file has them."""
+        """Return the fields in the format of the file."""
         return asdict(self)
 
 
 class _Interface(BaseModel):
-    """An :func:`interface` as a card has it."""
+    """Schema of an :func:`interface` in a card."""
 
     model_config = _EXACT
 
@@ -175,7 +177,7 @@ class _Interface(BaseModel):
 
 
 class _CardFile(BaseModel):
-    """A card as a file has it."""
+    """Schema of a card file."""
 
     model_config = _EXACT
 
@@ -208,13 +210,12 @@ assert set(_CardFile.model_fields) == {field.name for field in fields(Card)}
 
 
 class PretrainedPolicy:
-    """A trained network as a :class:`~chemlab.agents.policies.Policy`; deterministic, with a memory where it has an
-    LSTM.
+    """A trained network as a deterministic :class:`~chemlab.agents.policies.Policy`, with a memory if it has an LSTM.
 
     Args:
         card: its card.
-        weights: ``{i}.weight`` [out, in] and ``{i}.bias`` [out] of the layers, in order; where it has a memory of H
-            numbers also :data:`LSTM`, gates in PyTorch's order (input, forget, cell, output).
+        weights: ``{i}.weight`` [out, in] and ``{i}.bias`` [out] of the layers, in order; with a memory of H units also
+            :data:`LSTM`, gates in PyTorch's order (input, forget, cell, output).
 
     Raises:
         ValueError: weights and card do not agree.
@@ -259,10 +260,10 @@ class PretrainedPolicy:
             )
 
     def check(self, workplace: Workplace) -> None:
-        """Refuse a workplace it does not fit; warn if it has changed since the policy was trained there.
+        """Check that the policy fits a workplace; warn if the task has changed since training.
 
         Raises:
-            ValueError: what differs first, and what to do.
+            ValueError: it does not fit; the message states the first difference and what to do.
         """
         difference = _difference(self.card, workplace)
         if difference:
@@ -281,24 +282,23 @@ class PretrainedPolicy:
     def values(
         self, observation: ObservationArray, step: IntArray | None = None, members: IntArray | None = None
     ) -> npt.NDArray[np.float32]:
-        """[B, actions] what the network puts out: preferences or Q values of discrete actions, else the action's mean.
+        """Return [B, actions] the outputs of the network: logits or Q values of discrete actions, else the mean action.
 
         Args:
-            observation: [B, size].
-            step, members: as for :meth:`act`, of a policy with a memory, which then remembers; default: at its
-                beginning.
+            observation: [B, size] observations.
+            step, members: as for :meth:`act`, for a policy with a memory, which is then updated; default: the start.
 
         Raises:
-            ValueError: observations of another size.
+            ValueError: observations have another size.
         """
         x = np.asarray(observation, dtype=np.float32)
         if x.ndim != 2 or x.shape[1] != self.card.observation_size:
             raise ValueError(
                 f"pretrained {self.card.name!r} sees [B, {self.card.observation_size}] numbers, given {x.shape}; "
-                "check() says what differs"
+                "check() states the difference"
             )
-        # Sums of products depend on how long the batch is and where it lies in memory, in their last digits. With twice
-        # as many digits none of that is left in the result, which chooses among actions that may be worth the same.
+        # The last digits of sums of products depend on the batch size and the memory layout. Twice the precision
+        # removes these differences, which matter when two actions have nearly equal values.
         y = x.astype(np.float64)
         if self._lstm:
             begun = np.zeros(len(y), dtype=np.int64)
@@ -310,8 +310,8 @@ class PretrainedPolicy:
         return y.astype(np.float32)
 
     def _remembered(self, seen: FloatArray, step: IntArray, members: IntArray) -> FloatArray:
-        """[B, H] what the LSTM puts out."""
-        from scipy.special import expit  # takes as long to import as an episode does; few networks remember
+        """Return [B, H] the outputs of the LSTM."""
+        from scipy.special import expit  # imported on use, because the import is slow
 
         hidden, cell = self._memory.recall(step, members)
         into, over, bias = self._lstm
@@ -345,8 +345,7 @@ class PretrainedPolicy:
 
 
 def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:
-    """The policy as it plays at a workplace: one that was trained on a discretised bench plays the numbers that its
-    choices stand for, where actions are continuous.
+    """Adapt a policy to a workplace: discrete choices of a discretised bench are converted to continuous actions.
 
     Raises:
         ValueError: it does not fit, see :meth:`PretrainedPolicy.check`.
@@ -366,13 +365,13 @@ def _advice(workplace: Workplace) -> str:
 
 
 def given_as(scenario: Scenario) -> str:
-    """What a command is given for a scenario: a shipped one's name, else the path of its file."""
+    """Return the command-line argument for a scenario: a bundled one's name, else the path of its file."""
     shipped = scenario.origin == str(shipped_file(scenario.name))
     return shlex.quote(scenario.origin if Path(scenario.origin).is_file() and not shipped else scenario.name)
 
 
 def _difference(card: Card, workplace: Workplace) -> str:
-    """The first thing in which a workplace is not what the policy knows, or nothing."""
+    """Describe the first difference between a workplace and the policy's interface; empty if there is none."""
     mine, other = card.interface, json.loads(json.dumps(interface(workplace)))
     if mine["kind"] != other["kind"]:
         return f"it is for {mine['kind']}, this is {other['kind']}"
@@ -390,12 +389,12 @@ def _difference(card: Card, workplace: Workplace) -> str:
 
 
 def _shipped() -> Path:
-    # A source checkout and an installed wheel both have the folder beside this module.
+    # The folder is beside this module in a checkout and in an installed wheel.
     return Path(str(importlib.resources.files(__package__ or "chemlab.agents") / "models"))
 
 
 def pretrained_names() -> list[str]:
-    """Names of the policies that come with chemlab."""
+    """Return the names of the bundled policies."""
     return sorted(file.stem for file in _shipped().glob("*.json"))
 
 
@@ -410,10 +409,10 @@ def _read_card(path: Path) -> Card:
 
 
 def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
-    """A policy by its name (:func:`pretrained_names`) or by the path of either of its files, with or without suffix.
+    """Load a policy by its name (:func:`pretrained_names`) or by the path of either of its files.
 
     Raises:
-        ValueError: unknown name, missing or damaged files.
+        ValueError: the name is unknown, or files are missing or damaged.
     """
     path = Path(name_or_path)
     if isinstance(name_or_path, str) and name_or_path in pretrained_names():
@@ -424,7 +423,7 @@ def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
     file = path.with_name(f"{path.name}.safetensors")
     try:
         weights = load(read_bytes(file, _MOST_BYTES))
-    except Exception as error:  # safetensors has an exception class of its own, which is not part of its interface
+    except Exception as error:  # safetensors has its own exception class, which is not public
         raise DataError(f"{file}: cannot be read ({error!s:.500}); it belongs beside {path.name}.json") from error
     try:
         return PretrainedPolicy(card, weights)
@@ -433,12 +432,12 @@ def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
 
 
 def save_policy(path: Path, card: Card, weights: Weights) -> None:
-    """Write ``PATH.safetensors`` and ``PATH.json``, each whole or not at all, and read them again.
+    """Write ``PATH.safetensors`` and ``PATH.json`` atomically, and read them back.
 
     Args:
-        path: of both files, without suffix.
-        card: its card.
-        weights: as :class:`PretrainedPolicy` takes them.
+        path: path of both files, without suffix.
+        card: the card.
+        weights: as for :class:`PretrainedPolicy`.
 
     Raises:
         ValueError: weights and card do not agree.
@@ -450,16 +449,16 @@ def save_policy(path: Path, card: Card, weights: Weights) -> None:
 
 
 def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool = False) -> PretrainedPolicy:
-    """The shipped policy for a workplace: one trained on it, else one that sees and does the same there.
+    """Return the bundled policy for a workplace: one trained on it, else one with the same interface.
 
     Args:
-        workplace: what it is to operate.
-        laboratory: whether in a laboratory. Benches that learned in a running laboratory are for that, the others for
-            single benches; where several fit as well, so are those that have met a laboratory's vessels.
-        alone: whether also in a laboratory benches are to be taken that learned on single benches.
+        workplace: the bench or manager.
+        laboratory: whether it is in a laboratory. Benches trained in a running laboratory are preferred there, and
+            others for single benches; among equals, benches trained on a laboratory's vessels.
+        alone: whether benches trained on single benches are used in a laboratory as well.
 
     Raises:
-        ValueError: there is none; the message says why each of its kind does not fit.
+        ValueError: there is none; the message states why each policy of this kind does not fit.
     """
     reasons, fitting = [], []
     cards = {name: _read_card(_shipped() / f"{name}.json") for name in pretrained_names()}
@@ -475,7 +474,7 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
     if not fitting:
         raise ValueError(
             f"no pretrained policy fits {workplace.key!r} of {workplace.scenario.name} "
-            f"({'; '.join(reasons) or f'none for {workplace.kind} comes along'}); train one: {_advice(workplace)}"
+            f"({'; '.join(reasons) or f'none for {workplace.kind} is bundled'}); train one: {_advice(workplace)}"
         )
     policy = load_pretrained(min(fitting)[-1])
     policy.check(workplace)

@@ -2,16 +2,16 @@
 
 | | |
 |---|---|
-| Agents | the agents of the roles that learn, by their ids; the others are played inside, by background policies |
-| Steps | one turn: the observations hold the agent that has it and nobody else |
+| Agents | agents of the learning roles; background policies play the others inside the environment |
+| Steps | one turn: observations contain only the agent that has it |
 | Observations | rxn: as in AEC; discrete roles: `{"observations": as in AEC, "action_mask": int8}` |
 | Actions | as in AEC |
-| Rewards | with an agent's observation comes all it has earned since its last one, as `last()` has it in AEC |
-| End | `__all__`; everybody who has had a turn gets a last observation |
+| Rewards | with each observation, the agent's rewards since its last one, as `last()` in AEC |
+| End | `__all__`; every agent that has had a turn receives a last observation |
 
-Nothing is computed here: `reset` with a seed and the same actions give the AEC environment's observations and rewards,
-number by number. Rewards of an agent before its first turn (an accident at an experiment's start, where that is priced)
-come with its first observation; RLlib ascribes them to none of its actions.
+Nothing is computed here: `reset` with a seed and the same actions give the AEC environment's observations and rewards
+exactly. Rewards of an agent before its first turn (a priced safety event at an experiment's start) arrive with its
+first observation; RLlib ascribes them to none of its actions.
 
 >>> from chemlab.agents.rllib import LaboratoryMultiAgentEnv                          # doctest: +SKIP
 >>> env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane", "roles": ["manager"]})   # doctest: +SKIP
@@ -51,14 +51,14 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
     """One laboratory for RLlib; see this module's documentation.
 
     Args:
-        config: ``scenario`` (shipped name, path or loaded scenario; default ``wurtz_dodecane``), ``roles`` that learn
+        config: ``scenario`` (bundled name, path or loaded scenario; default ``wurtz_dodecane``), ``roles`` that learn
             (``manager`` and bench keys; default: all), ``background`` (name of the policies that play the others;
             default ``scripted``), and ``rewards``, ``split`` as for
             :class:`~chemlab.envs.aec.raw_env`.
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: unknown setting, role, background, reward mix or split.
+        DataError: the scenario is invalid or unknown.
+        ValueError: a setting, role, background, reward mix or split is unknown.
     """
 
     def __init__(self, config: Mapping[str, Any] | None = None) -> None:
@@ -77,11 +77,11 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         self.observation_spaces = {agent: self._seen_space(agent) for agent in self.possible_agents}
         self.action_spaces = {agent: self.laboratory.action_space(agent) for agent in self.possible_agents}
         self._had_turn: set[str] = set()
-        # RLlib seeds runners one apart and a runner's laboratories one apart: some would play with the same dice.
+        # RLlib seeds runners and laboratories of a runner with consecutive seeds, which would overlap.
         self._seed_offset = 1000 * int(getattr(config, "worker_index", 0))
 
     def _play(self, number: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        """Play a background policy's turn by AEC's own step, which keeps account of rewards and infos."""
+        """Play a background policy's turn by AEC's own step, which accumulates rewards and infos."""
         self.laboratory.step(actions[0])
 
     def _seen_space(self, agent: str) -> gymnasium.Space[Any]:
@@ -94,18 +94,17 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Begin an episode, played on to the first turn of an agent that learns.
+        """Start an episode and play up to the first turn of a learning agent.
 
-        Episodes in which none of them has a turn are played over; they happen where a background manager never starts
-        their bench.
+        Episodes without such a turn are replaced; they occur if a background manager never starts their bench.
 
         Args:
-            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins. In
+            seed: starts a series of episodes that depends on the seed alone; None: the next episode of the series. In
                 RLlib's env runner i, 1000 i is added.
-            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it.
+            options: ``{"goal": name}`` sets one of the scenario's laboratory goals instead of drawing it.
 
         Raises:
-            ValueError: unknown goal, or a seed that is not an integer of at least 0; nothing has changed.
+            ValueError: the goal is unknown, or the seed is not a non-negative integer; nothing has changed.
             RuntimeError: the background policies never start these agents.
         """
         seed = checked_seed(seed)
@@ -136,7 +135,7 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
     def step(
         self, action_dict: dict[str, Any]
     ) -> tuple[dict[str, Any], dict[str, float], dict[str, bool], dict[str, bool], dict[str, Any]]:
-        """One turn of the agent that has it; the others then play on to the next turn of one that learns.
+        """Play one turn of the agent that has it; the others then play up to the next turn of a learning agent.
 
         Args:
             action_dict: the action of the agent that has the turn.
@@ -169,7 +168,9 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         return self._of([agent for agent in self.possible_agents if agent in self._had_turn])
 
     def _of(self, agents: list[str]) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
-        """What some agents see, have earned and are told; the mask of one without the turn allows one action only."""
+        """Return observations, rewards and infos of some agents; the mask of an agent without the turn has one legal
+        action.
+        """
         laboratory = self.laboratory
         infos = {agent: dict(laboratory.infos[agent]) for agent in agents}  # RLlib keeps them
         observations: dict[str, Any] = {}
@@ -179,12 +180,12 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
                 observations[agent] = {"observations": seen, "action_mask": infos[agent]["action_mask"]}
             else:
                 observations[agent] = seen
-        # What PettingZoo's last() returns: all that the agent has earned since its own last turn.
+        # As PettingZoo's last(): the agent's rewards since its own last turn.
         rewards = {agent: float(laboratory._cumulative_rewards[agent]) for agent in agents}
         return observations, rewards, infos
 
     @property
     def score(self) -> float:
-        """The laboratory's score so far: what the manager has delivered, minus all costs (at the end: the result)."""
+        """The laboratory's raw score so far: delivered products minus all costs."""
         labs = self.laboratory.laboratories
         return float(labs.result(labs.members)[0])

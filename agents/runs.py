@@ -1,19 +1,19 @@
-"""A training run's folder: what is in it, and reading it. Figures and tables are made from these files alone.
+"""Folder of a training run: its files, and reading them. Figures and tables are made from these files alone.
 
 | File | Content |
 |---|---|
 | `config.json` | :class:`RunConfig`: every argument, the bench, versions; written first |
-| `curve.jsonl` | :class:`CurvePoint` a line, one for each rollout: episodes that ended in it |
-| `evaluations.jsonl` | :class:`Evaluation` a line: deterministic policy beside the scripted one, on paired seeds |
-| `result.json` | :class:`RunResult`: best and last checkpoint on held-out seeds; it is there when the run is finished |
+| `curve.jsonl` | one :class:`CurvePoint` per line and rollout: episodes that ended in it |
+| `evaluations.jsonl` | one :class:`Evaluation` per line: deterministic and scripted policy on paired seeds |
+| `result.json` | :class:`RunResult`: best and last checkpoint on held-out seeds; written when the run is finished |
 | `failed.json` | written by a sweep: exit code and log of the last attempt, if that failed |
 | `checkpoints/` | `last-STEP/` and `best-STEP/`, replay memory; large, not for version control |
-| `checkpoints/*-STEP/` | `ROLE.safetensors` and `ROLE.json` play (:mod:`~chemlab.agents.pretrained`), whoever trained \
-them; `model.zip` or `ROLE.zip` (Stable-Baselines3's learner) and `state.pkl` are pickles, to go on with, each with a \
-seal (:mod:`~chemlab.agents.seals`) |
+| `checkpoints/*-STEP/` | `ROLE.safetensors` and `ROLE.json` are the policies (:mod:`~chemlab.agents.pretrained`); \
+`model.zip` or `ROLE.zip` (Stable-Baselines3's learner) and `state.pkl` are signed pickles for resuming \
+(:mod:`~chemlab.agents.seals`) |
 | `tensorboard/` | TensorBoard's event files; not for version control |
 
-Numbers are floats with full precision; `null` where there is none (no episode ended; no scripted policy).
+Numbers are floats with full precision; `null` for missing ones (no episode ended; no scripted policy).
 """
 
 from __future__ import annotations
@@ -53,26 +53,25 @@ __all__ = [
 ]
 
 RESULT_SEED = 2_000_000
-"""Of the first episode of the evaluation that reports a finished run; neither training nor the evaluations that choose
-the best checkpoint have seeds there."""
+"""Seed of the first episode of the final evaluation; training and intermediate evaluations use other seeds."""
 
 
 class RunConfig(BaseModel):
-    """``config.json``.
+    """Content of ``config.json``.
 
     Attributes:
         label: name of the algorithm in figures: ``ppo``, ``ppo-xl``, ...
-        env_id: the environment's id.
+        env_id: id of the environment.
         algo: name of the algorithm.
-        seed: of the run.
+        seed: seed of the run.
         scenario: name or path.
-        bench: who learns: a bench's key, an agent's id, or several roles, with commas.
-        goals: those trained for.
-        fingerprint: of the bench's chemistry, options and prices; equal fingerprints are equal tasks.
-        versions: of everything that results may depend on.
-        background, starts, rewards: as the arguments have them.
-        arguments: those of :mod:`chemlab.agents.train.arguments` that differ from the defaults, without the seed; None
-            in runs before 0.3, which have them beside the others.
+        bench: learning roles: a bench's key, an agent's name, or several roles separated by commas.
+        goals: training goals.
+        fingerprint: hash of the bench's chemistry, options and prices; equal tasks have equal hashes.
+        versions: versions of everything that results may depend on.
+        background, starts, rewards: as in the arguments.
+        arguments: arguments of :mod:`chemlab.agents.train.arguments` that differ from the defaults, without the seed;
+            None in runs before 0.3, which have them beside the others.
     """
 
     model_config = ConfigDict(extra="allow", strict=True)
@@ -93,9 +92,9 @@ class RunConfig(BaseModel):
 
 
 _EXACT = ConfigDict(extra="forbid", allow_inf_nan=False)
-"""How lines and results are read: no unknown key, NaN or infinity."""
+"""Strict parsing of lines and results: unknown keys, NaN and infinity are rejected."""
 _FILE_BYTES = 64_000_000
-"""Several times the size of a curve of a hundred thousand rounds."""
+"""Maximum file size: several times that of a curve of a hundred thousand rounds."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ class CurvePoint:
     return_std: float | None
     episodes: int
     seconds: float
-    """Wall time until then, with evaluations and checkpoints, over all sittings."""
+    """Wall time so far, including evaluations and checkpoints, summed over all sessions."""
 
 
 @dataclass(frozen=True)
@@ -149,24 +148,24 @@ class RunResult:
 
 
 def checked_config(values: Any, where: str) -> dict[str, Any]:
-    """A run's configuration as it was read.
+    """Validate a run's configuration.
 
     Raises:
-        DataError: it is not what a run writes; the message begins with ``where``.
+        DataError: it is malformed; the message begins with ``where``.
     """
     validated(RunConfig, values, where)
     return dict(values)
 
 
 def checked_result(values: Any, where: str) -> RunResult:
-    """A run's result as it was read.
+    """Validate a run's result.
 
     Raises:
-        DataError: it is not what a run writes; the message begins with ``where``.
+        DataError: it is malformed; the message begins with ``where``.
     """
     found: RunResult = validated(RunResult, bounded(values, where), where)
     if set(found.by_goal) != set(found.last_by_goal) or not found.by_goal:
-        raise DataError(f"{where}: by_goal and last_by_goal must be of the same goals")
+        raise DataError(f"{where}: by_goal and last_by_goal must have the same goals")
     return found
 
 
@@ -174,14 +173,14 @@ class RunBusy(ValueError):
     """Another process is training this run."""
 
     exit_code = 75
-    """What a command ends with: it may succeed later (``EX_TEMPFAIL``)."""
+    """Exit code of the command: a retry may succeed (``EX_TEMPFAIL``)."""
 
 
 Line = TypeVar("Line", CurvePoint, Evaluation)
 
 
 class Run:
-    """A run's folder.
+    """Folder of a run.
 
     Args:
         path: the folder; it need not exist yet.
@@ -198,50 +197,50 @@ class Run:
         self.tensorboard = path / "tensorboard"
 
     def config(self) -> dict[str, Any] | None:
-        """``config.json`` as it is, or None.
+        """Return the content of ``config.json``, or None.
 
         Raises:
-            DataError: the file is not what a run writes.
+            DataError: the file is malformed.
         """
         if not self.config_file.exists():
             return None
         return checked_config(read_json(self.config_file), str(self.config_file))
 
     def result(self) -> RunResult | None:
-        """``result.json``, or None while the run is not finished.
+        """Return the content of ``result.json``, or None while the run is not finished.
 
         Raises:
-            DataError: the file is not what a run writes.
+            DataError: the file is malformed.
         """
         if not self.result_file.exists():
             return None
         return checked_result(read_json(self.result_file), str(self.result_file))
 
     def curve(self) -> list[CurvePoint]:
-        """The learning curve so far."""
+        """Return the learning curve so far."""
         return list(_lines(self.curve_file, CurvePoint))
 
     def evaluations(self) -> list[Evaluation]:
-        """The evaluations so far."""
+        """Return the evaluations so far."""
         return list(_lines(self.evaluations_file, Evaluation))
 
     def append(self, line: CurvePoint | Evaluation) -> None:
-        """Add a line to the curve or to the evaluations."""
+        """Append a line to the curve or to the evaluations."""
         file = self.curve_file if isinstance(line, CurvePoint) else self.evaluations_file
         with naming(file), file.open("a", encoding="utf-8") as handle:
             handle.write(json.dumps(asdict(line)) + "\n")
 
     def keep_lines(self, folder: Path) -> None:
-        """Put copies of the curve and of the evaluations into a checkpoint, so that both go on where it does."""
+        """Copy the curve and the evaluations into a checkpoint, so that all resume from the same step."""
         for file in (self.curve_file, self.evaluations_file):
             if file.exists():
                 shutil.copyfile(file, folder / file.name)
 
     def rewind(self, step: int) -> None:
-        """Make curve and evaluations what they were at the last checkpoint, which is ``step``'s (0: there is none).
+        """Restore curve and evaluations to the last checkpoint at ``step`` (0: there is none).
 
-        Lines past it go, and those that have been lost since come back: a crash of the system, or a version control
-        that puts back an earlier file, may spare the checkpoints and not them.
+        Later lines are removed, and lost ones restored: a system crash, or a version control system that restores an
+        earlier file, may affect them but not the checkpoints.
         """
         last = self.checkpoint("last")
 
@@ -255,17 +254,17 @@ class Run:
             write_text(file, "".join(json.dumps(asdict(line)) + "\n" for line in lines))
 
     def checkpoint(self, kind: str) -> Path | None:
-        """Folder of the ``last`` or ``best`` checkpoint (the newest complete one), or None."""
+        """Return the folder of the newest complete ``last`` or ``best`` checkpoint, or None."""
         found = {p.name.rpartition("-")[2]: p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()}
         steps = [step for step in found if step.isdecimal() and len(step) < 20]
         return found[max(steps, key=int)] if steps else None
 
     @contextmanager
     def locked(self, patience: float = 1.0) -> Iterator[None]:
-        """Hold the run: the system lets go of it when the process ends, however it ends.
+        """Lock the run; the system releases the lock when the process ends.
 
         Args:
-            patience: seconds to wait for it: who only looks whether it is held (:meth:`busy`) holds it for a moment.
+            patience: seconds to wait for the lock, because :meth:`busy` holds it for a moment.
 
         Raises:
             RunBusy: another process holds it.
@@ -282,7 +281,7 @@ class Run:
             yield
 
     def busy(self) -> bool:
-        """Whether a process is training this run now."""
+        """Return True if a process is training this run now."""
         if not (self.checkpoints / "lock").exists():
             return False
         try:
@@ -293,7 +292,7 @@ class Run:
 
 
 def _lines(path: Path, kind: type[Line]) -> Iterator[Line]:
-    """The complete lines of a file; a last one that a crash has cut is not."""
+    """Yield the complete lines of a file; a last one truncated by a crash is skipped."""
     if not path.exists():
         return
     for number, line in enumerate(read_text(path, _FILE_BYTES).splitlines(keepends=True), start=1):
@@ -324,15 +323,15 @@ def differences(saved: Mapping[str, Any], expected: Mapping[str, Any]) -> dict[s
 
 
 def to_text(values: Any) -> str:
-    """A JSON file's content."""
+    """Return the content of a JSON file."""
     return json.dumps(values, indent=1) + "\n"
 
 
 def versions() -> dict[str, str]:
-    """What results may depend on."""
+    """Return versions of everything that results may depend on."""
     return {"chemlab": chemlab.__version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 def find_runs(folder: Path) -> list[Run]:
-    """Every run below a folder, in order of its path."""
+    """Return every run below a folder, in order of its path."""
     return [Run(file.parent) for file in sorted(folder.rglob("config.json")) if "checkpoints" not in file.parts]

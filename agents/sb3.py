@@ -1,4 +1,4 @@
-"""Batched benches, and batched views of the laboratory, for Stable-Baselines3 and sb3-contrib: ``ChemlabVecEnv``.
+"""Batched benches and batched single-agent views for Stable-Baselines3 and sb3-contrib: ``ChemlabVecEnv``.
 
 >>> from stable_baselines3 import PPO                                              # doctest: +SKIP
 >>> from chemlab.agents.sb3 import ChemlabVecEnv                                   # doctest: +SKIP
@@ -40,25 +40,24 @@ class ChemlabVecEnv(Guarded, VecEnv):
     """A batch as SB3's ``VecEnv``: N members stepped by one call, each reset as soon as it ends.
 
     Args:
-        env: N, or a batch that exists: a :class:`~chemlab.envs.bench_env.BenchVectorEnv` or
+        env: number of members N, or an existing batch: a :class:`~chemlab.envs.bench_env.BenchVectorEnv` or
             :class:`~chemlab.envs.focal.FocalVectorEnv` (:func:`chemlab.agents.background.focal_vector_env`) with
             ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
-        show_masks: whether observations end with the mask of discrete actions, one number an action, for learners that
-            take no masks (:class:`~chemlab.agents.recurrent.MaskedLstmPolicy`).
-        advisor: whose advice observations are to show (before the masks), for discrete actions.
+        show_masks: whether observations end with the mask of discrete actions, one number per action, for learners that
+            do not support masks (:class:`~chemlab.agents.recurrent.MaskedLstmPolicy`).
+        advisor: source of teacher hints in the observations (before the masks), for discrete actions.
         arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
-    Infos: a member's info has ``TimeLimit.truncated`` (True only under wrappers that truncate: nothing follows the end
-    of an experiment, a submission or a laboratory's limit), ``cost`` (weighted safety events of the step) and
-    ``illegal_action``, in views of the laboratory ``elapsed_ticks``; at an episode's end also ``terminal_observation``,
-    ``score`` and ``episode`` ("r", "l", "t") as SB3's ``Monitor`` has it, so that ``rollout/ep_rew_mean`` is logged
-    without one.
+    Infos: a member's info has ``TimeLimit.truncated`` (True only under wrappers that truncate; ends of experiments,
+    submissions and limits terminate), ``cost`` (weighted safety events of the step) and ``illegal_action``; in views of
+    the laboratory ``elapsed_ticks``. At an episode's end it also has ``terminal_observation``, ``score`` and
+    ``episode`` ("r", "l", "t") as in SB3's ``Monitor``, so that ``rollout/ep_rew_mean`` is logged without a monitor.
 
-    Masks: ``env_method("action_masks")`` is one mask a member; where actions are continuous there is no such attribute,
-    so that sb3-contrib's ``is_masking_supported`` says so.
+    Masks: ``env_method("action_masks")`` returns one mask per member. Continuous actions have no such attribute, so
+    that sb3-contrib's ``is_masking_supported`` is False.
 
-    Seeds: :meth:`seed` with s gives member i the seed s + i at the next reset, so that it plays what a single
-    environment reset with s + i plays.
+    Seeds: :meth:`seed` with s gives member i the seed s + i at the next reset, so that it plays the same as a single
+    environment reset with s + i.
 
     Raises:
         ValueError: another autoreset mode, masks of continuous actions, or arguments beside an existing batch.
@@ -107,10 +106,10 @@ class ChemlabVecEnv(Guarded, VecEnv):
         return {"TimeLimit.truncated": False, "cost": cost, "illegal_action": illegal}
 
     def reset(self) -> npt.NDArray[np.float32]:
-        """Begin experiments in every member, with the seeds and options set before; [N, size] observations.
+        """Start experiments in every member with the seeds and options set before; return [N, size] observations.
 
         Raises:
-            ValueError: unknown option or goal.
+            ValueError: an option or goal is unknown.
         """
         seeds = None if all(seed is None for seed in self._seeds) else self._seeds
         same = all(options == self._options[0] for options in self._options)
@@ -132,13 +131,14 @@ class ChemlabVecEnv(Guarded, VecEnv):
         return kept
 
     def step_async(self, actions: npt.NDArray[Any]) -> None:
-        """Take the actions [N] or [N, n] that :meth:`step_wait` will play."""
+        """Store the actions [N] or [N, n] for :meth:`step_wait`."""
         self._actions = actions
         if self._advisor is not None:
             self._advisor.played(actions, np.arange(self.num_envs))
 
     def step_wait(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
-        """Play them: observations [N, size], rewards [N], whether each episode has ended [N], infos.
+        """Play the stored actions; return observations [N, size], rewards [N], whether each episode has ended [N],
+        infos.
 
         Raises:
             ValueError: an action is outside the action space (nothing has changed).
@@ -148,9 +148,9 @@ class ChemlabVecEnv(Guarded, VecEnv):
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        # Dictionaries of their own in every step: wrappers write into them.
+        # New dictionaries in every step, because wrappers write into them.
         infos = list(map(self._info, found["cost"].tolist(), found["illegal_action"].tolist()))
-        if "elapsed_ticks" in found:  # the laboratory's views, whose steps differ in length
+        if "elapsed_ticks" in found:  # steps of the laboratory's views differ in length
             for info, ticks in zip(infos, found["elapsed_ticks"].tolist(), strict=True):
                 info["elapsed_ticks"] = ticks
         for i in np.flatnonzero(dones):
@@ -170,8 +170,8 @@ class ChemlabVecEnv(Guarded, VecEnv):
         return kept, rewards.astype(np.float32), dones, infos
 
     def _ended(self, observation: npt.NDArray[np.float32], member: int) -> npt.NDArray[np.float32]:
-        # At the end nothing is chosen any more, and nobody advises anything; but whoever asks what this is worth has
-        # never seen an observation without advice: it is the last one.
+        # No action follows the last observation, so it has no hint; the last hint is shown, because value functions
+        # were never trained on observations without one.
         return np.concatenate([observation, self._advice[member], self._legal])
 
     def _kept(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
@@ -189,13 +189,13 @@ class ChemlabVecEnv(Guarded, VecEnv):
         self.env.close()
 
     def get_state(self) -> list[npt.NDArray[Any]]:
-        """Copies of everything that changes, for :meth:`set_state`."""
+        """Return copies of everything that changes, for :meth:`set_state`."""
         memory = np.empty(1, dtype=object)
         memory[0] = None if self._advisor is None else self._advisor.get_memory()
         return [*self.batch.get_state(), self._returns.copy(), self._lengths.copy(), memory]
 
     def set_state(self, state: list[npt.NDArray[Any]]) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations."""
+        """Restore a :meth:`get_state` of this or of an identical batch; return the observations."""
         *batch, self._returns[:], self._lengths[:], memory = state
         self._reset_seeds()
         self._reset_options()
@@ -204,7 +204,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
         return self._kept(self.batch.set_state(batch))
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
-        """[N, actions] legal actions now.
+        """Return [N, actions] the current legal actions.
 
         Raises:
             ValueError: the bench's actions are continuous.
@@ -212,7 +212,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
         return self.batch.action_masks()
 
     def get_attr(self, attr_name: str, indices: Indices = None) -> list[Any]:
-        """An attribute of each member; what the members share is there once for each of them.
+        """Return an attribute of each member; a shared attribute is repeated.
 
         Raises:
             AttributeError: there is none of that name.
@@ -231,7 +231,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
 
         Raises:
             AttributeError: there is none of that name.
-            ValueError: not all members are meant.
+            ValueError: ``indices`` are not all members.
         """
         if set(self._members(indices)) != set(range(self.num_envs)):
             raise ValueError(f"{attr_name}: members share it, so it is set for all of them, given indices {indices!r}")
@@ -240,7 +240,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: Indices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """``action_masks`` of each member; any other method is the batch's own, called once, its result repeated.
+        """Return ``action_masks`` of each member; any other method of the batch is called once and its result repeated.
 
         Raises:
             AttributeError: there is none of that name.
@@ -254,11 +254,11 @@ class ChemlabVecEnv(Guarded, VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[gymnasium.Wrapper[Any, Any, Any, Any]], indices: Indices = None
     ) -> list[bool]:
-        """Whether members have a wrapper: SB3's ``Monitor``, as ``episode`` infos are here, and no other."""
+        """Return whether members have a wrapper: True for SB3's ``Monitor``, whose ``episode`` infos are provided."""
         return [issubclass(wrapper_class, Monitor)] * len(self._members(indices))
 
     def _owner(self, name: str) -> Any:
-        """The outermost vector wrapper that has an attribute, or the batch itself."""
+        """Return the outermost vector wrapper that has an attribute, or the batch itself."""
         owner: Any = self.env
         while not hasattr(owner, name) and owner is not self.batch:
             owner = owner.env
@@ -271,7 +271,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
 
 
 class _Masks:
-    """One member's ``action_masks`` method."""
+    """The ``action_masks`` method of one member."""
 
     def __init__(self, batch: BatchEnv, member: int) -> None:
         self._batch, self._member = batch, member

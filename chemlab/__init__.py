@@ -1,6 +1,6 @@
 """chemlab: a multi-agent chemistry laboratory for reinforcement-learning research.
 
-The names in ``__all__`` are the public surface; each is imported when it is first used.
+The names in ``__all__`` are the public API; each is imported on first use.
 """
 
 import importlib
@@ -42,7 +42,7 @@ def __dir__() -> list[str]:
 
 
 def _find_mapped_folders() -> None:
-    """In a checkout ``agents`` and ``scenarios`` stand beside this package and not in it: let them be found there."""
+    """In a checkout, ``agents`` and ``scenarios`` are beside this package: add their parent to its path."""
     here = Path(__file__).resolve().parent
     if not (here / "agents").is_dir() and (here.parent / "agents").is_dir():
         __path__.append(str(here.parent))

@@ -1,7 +1,6 @@
-"""The laboratory's physics for a person with a notebook: a flask, what is in it, what one does with it.
+"""Interactive physics: a flask for notebooks, with the same kernels as the laboratory.
 
-Everything here is done by the kernels that the laboratory runs on (:mod:`chemlab.physics.backends`); there are no
-agents, no turns and no random numbers.
+All operations use the laboratory's kernels (:mod:`chemlab.physics.backends`), without agents, turns and random numbers.
 
 >>> ether = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
 >>> receiver = ether.another(capacity_l=2.0)
@@ -71,7 +70,7 @@ if TYPE_CHECKING:
 __all__ = ["Flask", "Heated", "Layer", "Measurement", "Moment", "SpillWarning"]
 
 _PIXELS = 4000
-"""Heights at which a flask can be cut; a real separating funnel does not do better."""
+"""Resolution of heights in a drained flask; a real separating funnel is not more precise."""
 _MOST_PARTS = 10_000
 _RTOL, _ATOL = 1e-6, 1e-9
 _SHOWN_MOL = 1e-6
@@ -85,16 +84,16 @@ _REMEMBERED = 10_000
 
 
 class SpillWarning(UserWarning):
-    """Something ran over: it is in the flask's ``waste``."""
+    """A vessel overflowed; the lost material is in the flask's ``waste``."""
 
 
 class Heated(NamedTuple):
     """Result of a heating step, J."""
 
     taken_j: float
-    """went into the flask: less than was offered where it is as hot as the mantle, or nothing is in it"""
+    """heat absorbed by the flask: less than offered if it is as hot as the mantle or empty"""
     condensed_j: float
-    """of that, what the condenser took away again"""
+    """heat removed by the condenser"""
 
 
 class Amounts(dict[str, float]):
@@ -132,11 +131,11 @@ class Layer:
     """One layer of a flask."""
 
     name: str
-    """``solids``, ``aqueous``, ``organic``; in the tier ``paper`` the solvent's name"""
+    """``solids``, ``aqueous``, ``organic``; with the backend ``paper`` the solvent's name"""
     volume_l: float
-    """L, with what is dissolved in it"""
+    """volume in L, including solutes"""
     share: float
-    """of the volume of all layers"""
+    """share of the volume of all layers"""
     contents: Mapping[str, float]
     """mol by material"""
 
@@ -152,21 +151,21 @@ class Measurement:
     """[size] in ``unit``"""
     unit: str
     labels: tuple[str, ...]
-    """[size] what each value is of, for chromatographs; empty for other instruments"""
+    """[size] meaning of each value, for chromatographs; empty for other instruments"""
     words: str
-    """the same in words"""
+    """description of the reading"""
 
     def __str__(self) -> str:
         return self.words
 
     def __float__(self) -> float:
-        """The only value.
+        """Return the only value.
 
         Raises:
-            TypeError: there are several.
+            TypeError: there are several values.
         """
         if len(self.values) != 1:
-            raise TypeError(f"there are {len(self.values)} values; take .values")
+            raise TypeError(f"there are {len(self.values)} values; use .values")
         return float(self.values[0])
 
 
@@ -183,7 +182,7 @@ class _Setting(NamedTuple):
     """Digest of the files' content: after an edit, the same paths are another setting."""
 
     def read(self) -> str:
-        """Return the digest of what the files contain now.
+        """Return the digest of the files' current content.
 
         Raises:
             DataError: a file cannot be read.
@@ -200,7 +199,7 @@ class _Setting(NamedTuple):
 
 
 class _Known(NamedTuple):
-    """The chemistry of some materials, and of what their reactions make."""
+    """Chemistry of some materials and of their reaction products."""
 
     scenario: Scenario
     table: ChemistryTable
@@ -212,10 +211,10 @@ def _listed(amounts: Mapping[str, float]) -> str:
 
 @functools.lru_cache(maxsize=64)
 def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
-    """Of a laboratory with one vessel, in which ``names`` can be.
+    """Build the chemistry of a laboratory with one vessel that can contain ``names``.
 
     Raises:
-        DataError: something is missing that the tier needs of them, or a file was edited since the setting was made.
+        DataError: data that the backend needs is missing, or a file was edited since the setting was made.
     """
     if setting.read() != setting.content:
         raise DataError(
@@ -299,10 +298,10 @@ def _dew_point(distillate: Mapping[str, float], known: _Known, guess: float) -> 
 
 
 def _number(name: str, value: Any, low: float, high: float = math.inf) -> float:
-    """``value`` as a number within bounds.
+    """Return ``value`` as a number within bounds.
 
     Raises:
-        ValueError: it is none, or outside.
+        ValueError: it is not a number, or out of bounds.
     """
     try:
         number = float(value)
@@ -319,14 +318,14 @@ R = TypeVar("R")
 
 
 class _Saved(NamedTuple):
-    """All that an operation changes of a flask."""
+    """Everything that an operation changes of a flask."""
 
     attributes: dict[str, Any]
     arrays: list[FloatArray]
 
 
 def _all_or_nothing(operation: Callable[Concatenate[Flask, P], R]) -> Callable[Concatenate[Flask, P], R]:
-    """Leave the flasks as they were where an operation is interrupted or fails: no matter is lost or counted twice."""
+    """Restore the flasks if an operation is interrupted or fails, so that no material is lost or duplicated."""
 
     @functools.wraps(operation)
     def whole(self: Flask, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -419,11 +418,11 @@ class Flask:
         if temperature_k is not None:
             self._row[TEMPERATURE] = _number("temperature_k", temperature_k, 150.0, 900.0)
             self._put_in_molten(contents)
-        self._row[CLOCK] = T_MIX  # shaken, so that everything is where it belongs; then left to settle
+        self._row[CLOCK] = T_MIX  # shaken to equilibrium, then settled
         self._after()
         self.settle()
 
-    # -- what is in it ------------------------------------------------------------------------------------------------
+    # -- contents -----------------------------------------------------------------------------------------------------
 
     @property
     def amounts(self) -> dict[str, float]:
@@ -438,37 +437,37 @@ class Flask:
 
     @property
     def temperature_k(self) -> float:
-        """K, of the contents."""
+        """Temperature of the contents in K."""
         return self._vessel.temperature_k
 
     @property
     def pressure_kpa(self) -> float:
-        """kPa above the contents: the room's, since the flask is open."""
+        """Pressure above the contents in kPa: the room's, because the flask is open."""
         return float(self._known.table.world().ambient_pressure)
 
     @property
     def vapor_pressure_kpa(self) -> float:
-        """kPa of the liquids' vapour; what reaches :attr:`pressure_kpa` boils."""
+        """Vapour pressure of the liquids in kPa; they boil when it reaches :attr:`pressure_kpa`."""
         return float(laws.vapor_pressure(self._row, self._chem))
 
     @property
     def capacity_l(self) -> float:
-        """L that it holds."""
+        """Capacity in L."""
         return self._vessel.capacity_l
 
     @property
     def volume_l(self) -> float:
-        """L of everything in it but gases."""
+        """Volume of everything except gases in L."""
         return self._vessel.volume_l
 
     @property
     def mass_kg(self) -> float:
-        """kg of everything in it."""
+        """Mass of the contents in kg."""
         return float(self._vessel.row[self._columns] @ self._known.table.world().molar_mass) / 1000.0
 
     @property
     def layers(self) -> tuple[Layer, ...]:
-        """Solids, then liquids, from the bottom up, as they are once it has settled."""
+        """Layers after settling: solids, then liquids, from the bottom up."""
         layout, air = self._shelf.layout, self._known.table.world().air
         layers, volumes = np.zeros(layout.fluid_columns + 1, dtype=np.int64), np.zeros(layout.fluid_columns)
         count = laws.find_layers(self._row, self._chem, layers, volumes)
@@ -488,7 +487,7 @@ class Flask:
 
     @property
     def waste(self) -> dict[str, float]:
-        """mol of each material that it has lost: spilled, flown off, vented."""
+        """Material that the flask has lost, in mol: spilled, evaporated or vented."""
         lost = self._shelf.waste[0].tolist()
         return {name: mol for name, mol in zip(self._shelf.layout.materials, lost, strict=True) if mol > 0.0}
 
@@ -497,16 +496,18 @@ class Flask:
         """Safety events so far, by kind (:data:`chemlab.config.scenario.SAFETY_EVENTS`)."""
         return {kind: float(x) for kind, x in zip(SAFETY_EVENTS, self._events, strict=True) if x > 0.0}
 
-    # -- what one does with it ----------------------------------------------------------------------------------------
+    # -- operations ---------------------------------------------------------------------------------------------------
 
     def another(self, contents: Mapping[str, float] | None = None, capacity_l: float | None = None) -> Flask:
-        """A further flask in the same room, with the same physics and reactions; as large as this one by default."""
+        """Return another flask in the same room, with the same physics and reactions; by default of the same
+        capacity.
+        """
         other = Flask.__new__(Flask)
         other._fill(self._setting, dict(contents or {}), capacity_l or self.capacity_l, None)
         return other
 
     def copy(self) -> Flask:
-        """The same flask again, to try something out on."""
+        """Return a copy of the flask, for experiments."""
         other = self.another()
         other._learn(self._names)
         other._row[:] = self._row
@@ -517,11 +518,11 @@ class Flask:
 
     @_all_or_nothing
     def add(self, name: str, mol: float, temperature_k: float | None = None) -> None:
-        """Add ``mol`` of a pure material, as warm as the room or as ``temperature_k``; what does not fit spills.
+        """Add ``mol`` of a pure material at room temperature or ``temperature_k``; the excess spills.
 
         Raises:
-            DataError: unknown material, or one that the tier lacks data of.
-            ValueError: an amount or a temperature out of bounds; an ion, of which there is none alone.
+            DataError: the material is unknown, or lacks data that the backend needs.
+            ValueError: an amount or a temperature is out of bounds, or the material is an ion.
         """
         key = self._resolved(name)
         mol = _number(f"add: {name}", mol, 0.0, 1e4)
@@ -548,17 +549,17 @@ class Flask:
         reflux: float = 1.0,
         hottest_k: float = 800.0,
     ) -> Heated:
-        """Heat it; what boils is condensed to the room's temperature and runs into ``receiver``.
+        """Heat the flask; vapour is condensed to room temperature and collected in ``receiver``.
 
         Args:
-            joules: J offered.
-            receiver: where the distillate goes; without one it is lost (:attr:`waste`).
+            joules: offered heat in J.
+            receiver: flask for the distillate; without one it is lost (:attr:`waste`).
             stages: theoretical stages of a column between pot and condenser, of which the pot is one (``real``).
-            reflux: mol that the column's head returns for each that it lets pass.
-            hottest_k: K, of the mantle: no heat flows into what is hotter.
+            reflux: reflux ratio: mol that the column's head returns per mol that passes.
+            hottest_k: temperature of the mantle in K: hotter contents are not heated.
 
         Returns:
-            What became of the heat, J.
+            The heat balance in J.
         """
         joules = _number("joules", joules, 0.0)
         stages = int(_number("stages", stages, 1, 16))
@@ -583,10 +584,10 @@ class Flask:
 
     @_all_or_nothing
     def cool(self, joules: float, coolest_k: float = 273.15) -> float:
-        """Take up to ``joules`` from it, by a coolant of ``coolest_k``.
+        """Remove up to ``joules`` by a coolant at ``coolest_k``.
 
         Returns:
-            J taken: less than was asked for once it is as cold as the coolant.
+            Removed heat in J: less than requested once the contents are as cold as the coolant.
         """
         limits = np.array([0.0, _number("coolest_k", coolest_k, COLDEST_K, HOTTEST_K), 1.0, 0.0])
         asked = -_number("joules", joules, 0.0)
@@ -603,15 +604,15 @@ class Flask:
         jacket_w_k: float | None = None,
         condenser_w: float | None = None,
     ) -> None:
-        """Stir it for a while and let it react.
+        """Stir the flask for a time and let it react.
 
         Args:
-            seconds: how long; in the tier ``paper`` the unit is that of its rate constants.
-            temperature_k: of a thermostat that keeps the contents as warm, and closed; of the jacket with
-                ``jacket_w_k``. Without it no heat goes in or out.
-            jacket_w_k: W/K between contents and jacket (``real``).
-            condenser_w: W that a condenser above the open flask takes from what boils, which runs back; vapour beyond
-                that is lost and counts as an event. By default it takes all (``real``).
+            seconds: duration; with the backend ``paper`` in the unit of its rate constants.
+            temperature_k: temperature of a thermostat around the closed flask, or of the jacket with
+                ``jacket_w_k``. None: no heat exchange.
+            jacket_w_k: heat transfer in W/K between contents and jacket (``real``).
+            condenser_w: cooling power in W of a reflux condenser above the open flask; vapour beyond
+                it is lost and counts as a safety event. Default: unlimited (``real``).
 
         Raises:
             ArithmeticError: the reactions are too stiff; nothing has changed.
@@ -622,7 +623,7 @@ class Flask:
         if jacket_w_k is not None:
             through = _number("jacket_w_k", jacket_w_k, 0.0)
             if temperature_k is None:
-                raise ValueError("jacket_w_k: a jacket has a temperature; give temperature_k, too")
+                raise ValueError("jacket_w_k: requires temperature_k, the temperature of the jacket")
         jacket = self.temperature_k if temperature_k is None else _number("temperature_k", temperature_k, 150.0, 900.0)
         closed = temperature_k is not None and jacket_w_k is None
         if closed:
@@ -633,16 +634,19 @@ class Flask:
         waste = self._shelf.waste[0]
         if laws.react(self._row, seconds, around, self._chem, waste, self._events, self._work) < 0:
             raise ArithmeticError(
-                f"react: too stiff for {seconds:g} s at {self.temperature_k:.1f} K, and nothing has happened; "
-                "take a shorter time, a jacket, or smaller rate constants"
+                f"react: too stiff for {seconds:g} s at {self.temperature_k:.1f} K, and nothing has changed; "
+                "use a shorter time, a jacket, or smaller rate constants"
             )
         self._seconds += seconds
         self._after(clock=T_MIX - CLOCK_SETTLED)
 
     @_all_or_nothing
     def wait(self, seconds: float) -> None:
-        """Let it stand in the room: layers separate, heat goes to the room, crystals grow or dissolve, what reacts by
-        itself does so. In the tier ``paper`` only the layers separate."""
+        """Let the flask stand in the room: layers separate, heat is exchanged, crystals grow or dissolve, reactions go
+        on.
+
+        With the backend ``paper`` only the layers separate.
+        """
         seconds = _number("seconds", seconds, 0.0)
         tick = self._known.scenario.real.tick_s
         ticks = seconds / tick
@@ -656,19 +660,19 @@ class Flask:
 
     @_all_or_nothing
     def settle(self) -> None:
-        """Let the layers separate; it takes no time."""
+        """Let the layers separate at once."""
         self._after(clock=CLOCK_SETTLED - T_MIX)
 
     @_all_or_nothing
     def mix(self) -> None:
-        """Shake it: the layers are at equilibrium with each other, and stirred."""
+        """Shake the flask: the layers are mixed and at equilibrium with each other."""
         self._after(clock=T_MIX - CLOCK_SETTLED)
 
     @_all_or_nothing
     def drain(self, receiver: Flask, share: float) -> None:
-        """Let the lowest ``share`` (0 to 1) of the volume run into another flask, solids first.
+        """Drain the lowest ``share`` (0 to 1) of the volume into another flask, solids first.
 
-        Of a flask that has settled, ``flask.drain(other, flask.layers[0].share)`` takes the lowest layer.
+        For a settled flask, ``flask.drain(other, flask.layers[0].share)`` drains the lowest layer.
 
         Raises:
             ValueError: the share is out of bounds, or the other flask has other physics.
@@ -687,11 +691,11 @@ class Flask:
 
     @_all_or_nothing
     def filter(self, receiver: Flask, cake_liquid: float = 0.0) -> None:
-        """Let the liquids run through a filter into another flask; solids and crystals stay.
+        """Filter the liquids into another flask; solids and crystals stay.
 
         Args:
-            receiver: where the liquids go.
-            cake_liquid: litres of liquid that a litre of solids keeps.
+            receiver: flask for the liquids.
+            cake_liquid: litres of liquid retained per litre of solids.
 
         Raises:
             ValueError: a number is out of bounds, or the other flask has other physics.
@@ -709,14 +713,16 @@ class Flask:
 
     @_all_or_nothing
     def dry(self, litres: float) -> None:
-        """Draw ``litres`` of air over it, which leave saturated with the vapour of its liquids; that is lost. The
-        temperature stays, and so do solids."""
+        """Draw ``litres`` of air over the contents, which leave saturated with vapour that is lost.
+
+        Temperature and solids are unchanged.
+        """
         laws.dry(self._row, _number("litres", litres, 0.0, 1e6), self._chem, self._shelf.waste[0])
         self._after()
 
     @_all_or_nothing
     def pour(self, other: Flask, share: float) -> None:
-        """Pour ``share`` (0 to 1) of everything in it into another flask; what does not fit there spills.
+        """Pour ``share`` (0 to 1) of everything into another flask; the excess spills.
 
         Raises:
             ValueError: the share is out of bounds, or the other flask has other physics.
@@ -728,17 +734,19 @@ class Flask:
         other._after()
 
     def measure(self, kind: str) -> Measurement:
-        """Measure it with an instrument of a kind (:data:`chemlab.roles.instruments.INSTRUMENTS`, or
-        ``my_parts.py:NAME``).
+        """Measure the contents with an instrument.
+
+        Args:
+            kind: kind of instrument (:data:`chemlab.roles.instruments.INSTRUMENTS`, or ``my_parts.py:NAME``).
 
         Raises:
-            DataError: unknown kind, or one that the tier has no laws for.
+            DataError: the kind is unknown, or not supported by the backend.
         """
         instruments = {"reading": InstrumentSpec(kind=kind)}
         table = InstrumentTable(self._known.scenario.model_copy(update={"instruments": instruments}), self._known.table)
         channel, instrument = table.channels[0], table.kinds[0]
         readings, first = np.zeros((1, 1, channel.size)), np.zeros(1, dtype=np.int64)
-        # Which pixel shows which layer is all that is drawn by lot.
+        # Only the assignment of layers to pixels is random.
         table.read(self._shelf, readings, np.zeros((1, 1), dtype=np.uint64), first, first, first)
         return Measurement(
             channel.low + readings[0, 0] * (channel.high - channel.low),
@@ -794,7 +802,7 @@ class Flask:
         assert made is not None
         return made[1]
 
-    # -- how it looks -------------------------------------------------------------------------------------------------
+    # -- display ------------------------------------------------------------------------------------------------------
 
     def __repr__(self) -> str:
         lines = [
@@ -859,7 +867,7 @@ class Flask:
         return vessel_scene(self._known.scenario, self._shelf)
 
     def picture(self, width: int = 240, height: int = 240) -> npt.NDArray[np.uint8]:
-        """[height, width, 3] its picture, RGB.
+        """Return its picture as RGB [height, width, 3].
 
         Raises:
             ImportError: Pillow is not installed (``pip install '.[render]'``).
@@ -868,7 +876,7 @@ class Flask:
 
         return draw_vessel(self.scene(), width, height)
 
-    # -- inside -------------------------------------------------------------------------------------------------------
+    # -- internals ----------------------------------------------------------------------------------------------------
 
     @property
     def _row(self) -> FloatArray:
@@ -910,7 +918,7 @@ class Flask:
         if keys:
             raise DataError(f"{name!r} may be {' or '.join(map(repr, keys))}; give one of these names")
         if name in known:
-            raise DataError(f"{name!r} is a gas, which an open flask does not hold")
+            raise DataError(f"{name!r} is a gas, which an open flask cannot hold")
         if wrong_cas(name):
             raise DataError(f"{name!r} is no CAS number: its check digit is wrong; correct it, or give a name")
         near = list(dict.fromkeys([*difflib.get_close_matches(name, known, 1, 0.9), *closest(name)]))[:3]
@@ -967,14 +975,14 @@ class Flask:
         self._work = np.zeros((rows, columns))
 
     def _learn(self, names: frozenset[str]) -> None:
-        """Give it a chemistry that has ``names``; what it holds stays."""
+        """Extend the chemistry to ``names``; the contents are kept."""
         if names == self._names:
             return
         known = _chemistry(self._setting, names)
         old, was = self._shelf, self._known.table.layout
         new = Shelf(known.table, 1, 1)
         new.rows[0, :AMOUNTS] = old.rows[0, :AMOUNTS]
-        if self._names:  # of none it knows water, but has none
+        if self._names:  # an empty flask has water in its chemistry, but no amount of it
             same = [new.layout.materials.index(name) for name in was.materials]
             new.amounts[0, 0, same], new.waste[0, same] = old.amounts[0, 0], old.waste[0]
             fluids = [new.layout.dissolved.index(name) for name in was.dissolved]
@@ -987,7 +995,7 @@ class Flask:
         return [self._shelf.rows, self._shelf.waste, self._events]
 
     def _saved(self) -> _Saved:
-        """The state for :meth:`_put_back`."""
+        """Return the state for :meth:`_put_back`."""
         return _Saved(dict(vars(self)), [array.copy() for array in self._changing()])
 
     def _put_back(self, saved: _Saved) -> None:
@@ -1007,7 +1015,7 @@ class Flask:
                 self._shelf.dissolved[0, 0, layout.dissolved.index(name), layout.solvents.index("organic")] = mol
 
     def _join(self, other: Flask) -> None:
-        """Make sure that matter can pass to another flask."""
+        """Check that material can pass to another flask."""
         if other is self:
             raise ValueError("receiver: is the flask itself; make another one: flask.another()")
         if other._setting != self._setting:
@@ -1016,7 +1024,7 @@ class Flask:
             if key == "content":
                 raise ValueError(
                     "receiver: a file of its materials, pairs or reactions was edited after this flask was made; make "
-                    "both anew"
+                    "new flasks"
                 )
             raise ValueError(
                 f"receiver: has {key} = {theirs!r}, and this flask {mine!r}; make the receiver by flask.another()"
@@ -1065,7 +1073,7 @@ def _weak(scenario: Scenario, names: set[str]) -> Iterator[str]:
 
 @functools.lru_cache(maxsize=16)
 def _materials(files: tuple[str, ...], content: str) -> dict[str, Material]:
-    """Materials by id; ``content`` is part of the key, so that an edited file is read again."""
+    """Return materials by id; ``content`` is part of the cache key, so that an edited file is read again."""
     return {**shipped_materials(), **load_materials(Path(file) for file in files)}
 
 

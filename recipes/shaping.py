@@ -52,7 +52,7 @@ class PotentialShaping(gymnasium.vector.VectorWrapper):
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """One step, with the shaped rewards; the environment's own are ``infos["unshaped_reward"]``."""
+        """Take one step, with the shaped rewards; the environment's own are ``infos["unshaped_reward"]``."""
         observations, rewards, terminated, truncated, infos = self.env.step(actions)
         last = np.array(observations)
         for i in np.flatnonzero(terminated | truncated):

@@ -916,7 +916,7 @@ def test_an_episode_that_is_broken_off_leaves_its_part(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=r"not finished: read .*a\.jsonl\.part"):
         read_record(path)
     # Neither does anything write over it unasked.
-    with pytest.raises(ValueError, match="already there"):
+    with pytest.raises(ValueError, match="already exists"):
         Recorder(path, env.laboratories)
     with Recorder(path, env.laboratories, force=True) as recorder:
         play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
@@ -928,7 +928,7 @@ def test_a_file_that_appears_while_recording_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "a.jsonl"
     recorder = Recorder(path, env.laboratories)
     path.write_text("mine")
-    with pytest.raises(ValueError, match="somebody else"):
+    with pytest.raises(ValueError, match="another process"):
         play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
     assert path.read_text() == "mine"
     assert verify_record(recorder.part).status == "ok"
@@ -1165,7 +1165,7 @@ def test_the_commands(tmp_path: Path) -> None:
     assert runner.invoke(app, run).exit_code == 0
     refused = runner.invoke(app, run)
     assert refused.exit_code == 2
-    assert "already there" in refused.output
+    assert "already exists" in refused.output
     assert runner.invoke(app, [*run, "--force"]).exit_code == 0
     assert runner.invoke(app, [*run, "--episodes", "2", "--seed", "7"]).exit_code == 0
     assert sorted(file.name for file in tmp_path.iterdir()) == ["a-7.jsonl", "a-8.jsonl", "a.jsonl"]

@@ -703,7 +703,7 @@ def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
         (lambda flask, other: flask.heat(1.0, other, stages=99), "stages: must be"),
         (lambda flask, other: flask.cool(math.nan), "joules: must be"),
         (lambda flask, other: flask.react(-1.0), "seconds: must be"),
-        (lambda flask, other: flask.react(1.0, jacket_w_k=1.0), "give temperature_k, too"),
+        (lambda flask, other: flask.react(1.0, jacket_w_k=1.0), "requires temperature_k"),
         (lambda flask, other: flask.wait(math.inf), "seconds: must be a finite"),
         (lambda flask, other: flask.pour(Flask({"water": 1.0}, physics="paper"), 0.5), "has physics = 'paper'"),
         (lambda flask, other: flask.measure("horoscope"), "unknown kind 'horoscope'"),

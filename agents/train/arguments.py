@@ -285,7 +285,7 @@ class A2C(OnPolicy):
 
 
 class Clipped(BaseModel):
-    """What every PPO has."""
+    """Common arguments of every PPO."""
 
     clip_range: Positive = 0.2
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 10

@@ -1,7 +1,7 @@
-"""Checkpoints that a crash cannot spoil, with everything that a run needs to go on as if it had not stopped.
+"""Crash-safe checkpoints with the complete state of a run.
 
-A checkpoint is written into a folder of another name, which is then renamed; the one before is removed afterwards.
-Replay memory is written once: each checkpoint adds the steps since the last one as a file of its own.
+A checkpoint is written into a folder of another name, which is then renamed; the previous one is removed afterwards.
+Replay memory is written once: each checkpoint adds a file with the steps since the last one.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "
 
 
 def random_state() -> dict[str, Any]:
-    """The process's random streams, for :func:`restore_random_state`."""
+    """Return the state of the process's random generators, for :func:`restore_random_state`."""
     return {
         "python": random.getstate(),
         "numpy": np.random.get_state(),  # noqa: NPY002 - SB3 draws from the global stream
@@ -49,21 +49,21 @@ def random_state() -> dict[str, Any]:
 
 
 def restore_random_state(state: dict[str, Any]) -> None:
-    """Let the process's random streams go on as they were."""
+    """Restore the state of the process's random generators."""
     random.setstate(state["python"])
     np.random.set_state(state["numpy"])  # noqa: NPY002 - SB3 draws from the global stream
     torch.set_rng_state(state["torch"])
 
 
 def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: bool, best_step: int | None) -> None:
-    """Write the ``last`` checkpoint, and a copy of what plays as ``best`` if it is that.
+    """Write the ``last`` checkpoint, and a copy of its policies as ``best`` if it is the best.
 
     Args:
-        run: whose checkpoint.
-        step: where it is in training.
-        write: writes all of it into a folder.
+        run: the run.
+        step: training step.
+        write: writes everything into a folder.
         best: whether these are the best models so far.
-        best_step: where the best ones were.
+        best_step: step of the best models.
     """
     draft = run.checkpoints / f"new-{step}"
     shutil.rmtree(draft, ignore_errors=True)
@@ -81,13 +81,13 @@ def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: 
 
 
 def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv, progress: dict[str, Any]) -> None:
-    """Write what :func:`load_agent` needs into the folder of a checkpoint.
+    """Write everything that :func:`load_agent` needs into the folder of a checkpoint.
 
     Args:
-        run: whose checkpoint; replay memory is beside its checkpoints.
-        folder: the checkpoint's.
+        run: the run; replay memory is stored beside its checkpoints.
+        folder: folder of the checkpoint.
         model, venv: the learner between two rollouts and its environments.
-        progress: what the training loop itself has to remember.
+        progress: state of the training loop.
     """
     save_learner(folder, model)
     state = {
@@ -102,23 +102,23 @@ def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv
 
 
 def save_state(folder: Path, state: dict[str, Any]) -> None:
-    """Write what a run needs to go on into the folder of a checkpoint, for :func:`load_state`."""
+    """Write the state for resuming into the folder of a checkpoint, for :func:`load_state`."""
     (folder / "state.pkl").write_bytes(pickle.dumps(state))
     seal_file(folder / "state.pkl")
 
 
 def load_state(folder: Path) -> dict[str, Any]:
-    """What :func:`save_state` wrote.
+    """Read the state written by :func:`save_state`.
 
     Raises:
-        DataError: it is not this user's file (:mod:`~chemlab.agents.seals`).
+        DataError: the file has no valid signature (:mod:`~chemlab.agents.seals`).
     """
     return dict(pickle.loads(read_sealed(folder / "state.pkl")))
 
 
 def _renamed(draft: Path, final: Path) -> None:
-    """A folder of that name is from before a crash, of the same step."""
-    # It must not be renamed before its content is on the disk.
+    """Rename a draft; an existing folder of that name is from before a crash at the same step."""
+    # Flush the content to disk before renaming.
     for file in draft.iterdir():
         sync_file(file)
     sync_folder(draft)
@@ -128,7 +128,7 @@ def _renamed(draft: Path, final: Path) -> None:
 
 
 def tidy(run: Run, last: int, best: int | None) -> None:
-    """Remove every checkpoint but these two, and drafts."""
+    """Remove every checkpoint except these two, and drafts."""
     keep = {f"last-{last}", f"best-{best}", "replay"}
     for folder in run.checkpoints.iterdir():
         if folder.is_dir() and folder.name not in keep:
@@ -140,13 +140,13 @@ def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
 
 
 def _save_replay(run: Run, model: Any) -> int:
-    """Write the rows that no file has yet; the number of rows there have ever been."""
+    """Write the rows that no file has yet; return the total number of rows so far."""
     buffer: ReplayBuffer = model.replay_buffer
     size, rows = buffer.buffer_size, int(model.num_timesteps // model.n_envs)
     files = _replay_files(run)
     written = max((stop for _, stop, _ in files), default=0)
     for _, stop, file in files:
-        if stop <= written - size:  # the last checkpoint does without it
+        if stop <= written - size:  # no longer needed by the last checkpoint
             file.unlink()
     start = max(written, rows - size)
     if start < rows:
@@ -158,7 +158,7 @@ def _save_replay(run: Run, model: Any) -> int:
 
 
 def _replay_files(run: Run) -> list[tuple[int, int, Path]]:
-    """(first row, row after the last, file), in order."""
+    """Return (first row, row after the last, file), in order."""
     found = []
     for file in (run.checkpoints / "replay").glob("*-*.npz"):
         start, _, stop = file.stem.partition("-")
@@ -180,25 +180,25 @@ def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
                     getattr(buffer, name)[at] = saved[name]
         expected = stop
     if expected != rows:
-        raise ValueError(f"{run.checkpoints / 'replay'}: has {expected} of {rows} rows; delete the run to begin anew")
+        raise ValueError(f"{run.checkpoints / 'replay'}: has {expected} of {rows} rows; delete the run to start again")
     buffer.pos, buffer.full = rows % size, rows >= size
 
 
 def load_agent(run: Run, folder: Path, algo: str, venv: ChemlabVecEnv) -> tuple[BaseAlgorithm, dict[str, Any]]:
-    """The learner of a ``last`` checkpoint with the environments as they were, and the loop's own memory.
+    """Load the learner of a ``last`` checkpoint with its environments and the state of the training loop.
 
-    The process's random streams go on as they were there.
+    The process's random generators are restored as well.
 
     Raises:
         ValueError: replay memory is missing.
-        DataError: the checkpoint is not this user's.
+        DataError: the checkpoint has no valid signature.
     """
     state = load_state(folder)
     model = load_learner(folder, algo, env=venv, force_reset=False)
     buffer = _replay(model)
     if buffer is not None:
         _load_replay(run, buffer, state["replay_rows"])
-    # Making the model has seeded everything anew: the streams come last.
+    # Creating the model has reseeded everything, so the generators are restored last.
     venv.set_state(state["environments"])
     if state.get("memory") is not None:
         model._last_lstm_states = state["memory"]  # type: ignore[attr-defined]

@@ -1,7 +1,7 @@
-"""Experience of learners that take turns: every agent's transitions run from one of its own turns to the next.
+"""Experience of learners that take turns: every agent's transitions extend from one of its own turns to the next.
 
-What an agent earns between two of its turns, whoever had them, belongs to the first. A bench's episode is an
-experiment: it ends with the experiment's score. The manager's is the laboratory's.
+Rewards of an agent between two of its turns belong to the first. A bench's episode is an experiment and ends with the
+experiment's score. The manager's episode is the laboratory's.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _NONE = -1
 
 
 class Experience:
-    """The transitions of one role, in the order in which they began: S streams (agent and laboratory) side by side.
+    """The transitions of one role in the order of their start: S streams (agent and laboratory) side by side.
 
     Args:
-        observation_space, action_space: the role's.
-        streams: S.
+        observation_space, action_space: spaces of the role.
+        streams: number of streams S.
     """
 
     def __init__(
@@ -34,7 +34,7 @@ class Experience:
         self._actions = () if isinstance(action_space, gymnasium.spaces.Discrete) else (action_space.shape or ())
         self._masked = int(action_space.n) if isinstance(action_space, gymnasium.spaces.Discrete) else 0
         self._open: IntArray = np.full(streams, _NONE, dtype=np.int64)
-        """[S] row of the stream's transition that its next turn will complete, or -1"""
+        """[S] row of the stream's open transition, which its next turn completes, or -1"""
         self._allocate(1024)
         self._rows = 0
 
@@ -50,7 +50,7 @@ class Experience:
         self.next_row: IntArray = np.full(rows, _NONE, dtype=np.int64)
 
     def arrays(self) -> list[npt.NDArray[Any]]:
-        """The columns, one row a transition."""
+        """Return the columns, one row per transition."""
         return [
             self.observation,
             self.mask,
@@ -76,7 +76,7 @@ class Experience:
         log_probability: FloatArray,
         tick: IntArray,
     ) -> None:
-        """A turn in each of ``streams`` [B]: it completes what was open there, and opens a transition.
+        """Add a turn in each of ``streams`` [B]: it completes the open transition there, and opens another.
 
         ``tick`` [B] is the laboratory's clock, for the elapsed ticks of a transition.
         """
@@ -104,13 +104,13 @@ class Experience:
             array[: len(kept)] = kept
 
     def earn(self, streams: IntArray, reward: FloatArray) -> None:
-        """Add to the rewards of what is open in ``streams`` [B]; a stream without an open transition earns nothing."""
+        """Add to the rewards of the open transitions of ``streams`` [B]; a stream without one is ignored."""
         rows = self._open[streams]
         known = rows != _NONE
         np.add.at(self.reward, rows[known], reward[known])
 
     def end(self, streams: IntArray, tick: IntArray) -> None:
-        """The episodes of ``streams`` [B] are over: nothing follows what is open there."""
+        """End the episodes of ``streams`` [B]: their open transitions are terminal."""
         rows = self._open[streams]
         known = rows != _NONE
         self.done[rows[known]] = True
@@ -118,19 +118,19 @@ class Experience:
         self._open[streams] = _NONE
 
     def abandon(self) -> None:
-        """What is open stays so: the episodes begin anew."""
+        """Leave open transitions incomplete: the episodes restart."""
         self._open[:] = _NONE
 
     def finished(self) -> IntArray:
-        """Rows whose transition is complete: the next turn of their stream is known, or that there is none."""
+        """Return the rows of complete transitions: the next turn of their stream is known, or the episode has ended."""
         complete = self.done[: self._rows] | (self.next_row[: self._rows] != _NONE)
         return np.flatnonzero(complete)
 
     def advantages(self, gamma: float, gae_lambda: float, by_ticks: bool) -> FloatArray:
-        """[rows] generalized advantage estimates along each stream.
+        """Return [rows] generalized advantage estimates along each stream.
 
-        What is still open is not estimated; the transition before it counts on its value. With ``by_ticks`` a step is
-        discounted by gamma to the power of the ticks it took (but by gamma at least), else by gamma.
+        Open transitions are not estimated; the preceding one bootstraps from their value. With ``by_ticks`` a step is
+        discounted by gamma to the power of its ticks (at least gamma once), else by gamma.
 
         Source: Schulman et al. (2016), eq. 16; Sutton, Precup and Singh (1999) for steps of different lengths.
         """
@@ -146,14 +146,14 @@ class Experience:
         return found
 
     def whole(self) -> IntArray:
-        """Rows of episodes that are over."""
+        """Return the rows of finished episodes."""
         ended = self.done[: self._rows].copy()
         for row in range(self._rows - 1, -1, -1):
             ended[row] |= self.next_row[row] != _NONE and ended[self.next_row[row]]
         return np.flatnonzero(ended)
 
     def forget(self) -> None:
-        """Drop what is complete; open transitions stay, and are completed by the next turns."""
+        """Drop complete transitions; open ones are kept and completed by the next turns."""
         kept = np.flatnonzero(~(self.done[: self._rows] | (self.next_row[: self._rows] != _NONE)))
         position = np.full(self._rows, _NONE, dtype=np.int64)
         position[kept] = np.arange(len(kept))
@@ -164,7 +164,7 @@ class Experience:
         self._rows = len(kept)
 
     def get_state(self) -> dict[str, Any]:
-        """Copies of what is open, for :meth:`set_state`; call :meth:`forget` first."""
+        """Return copies of the open transitions, for :meth:`set_state`; call :meth:`forget` first."""
         return {
             "rows": self._rows,
             "open": self._open.copy(),
@@ -172,7 +172,7 @@ class Experience:
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from a :meth:`get_state`."""
+        """Restore a :meth:`get_state`."""
         while len(self.value) < state["rows"]:
             self._allocate(2 * len(self.value))
         self._rows, self._open = state["rows"], state["open"].copy()

@@ -1,4 +1,4 @@
-"""Make a policy that needs numpy alone out of a training run's best checkpoint, and see that it is the same policy.
+"""Export of a training run's best checkpoint as a policy that needs only NumPy, with a check of equality.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -38,7 +38,9 @@ _TOLERANCE = 1e-5
 
 
 def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
-    """What SB3's own code makes of observations: Q values, log-probabilities, means, or (off policy) actions."""
+    """Return the outputs of SB3's own code for observations: Q values, log-probabilities, means, or (off policy)
+    actions.
+    """
     if hasattr(model.policy, "actor"):
         return np.asarray(model.predict(observation, deterministic=True)[0])
     with torch.no_grad():
@@ -53,7 +55,7 @@ def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
 
 
 def _observations(task: Task, advised: bool, members: int = 64) -> ObservationArray:
-    """Observations of random episodes, with what is played as the advice if there is any."""
+    """Return observations of random episodes, with the played action as the hint if there is one."""
     env = task.batch(members)
     policy = RandomPolicy((env.single_action_space.shape or (0,))[0], 0)
     nothing, everyone = np.zeros(members, dtype=np.int64), np.arange(members)
@@ -67,10 +69,10 @@ def _observations(task: Task, advised: bool, members: int = 64) -> ObservationAr
 
 
 def largest_difference(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
-    """Largest difference between what the two make of the same observations, relative where that is above 1.
+    """Return the largest difference between the outputs of both policies, relative for outputs above 1.
 
-    Of actions, and of what they are made from where that says more: Q values, log-probabilities, means before they are
-    clipped. Infinite if another discrete action is chosen and it is not a tie.
+    Actions are compared, and the quantities that determine them: Q values, log-probabilities, unclipped means. Infinite
+    if another discrete action is chosen without a tie.
     """
     if policy.card.memory:
         return _largest_in_sequence(model, policy, observation)
@@ -90,7 +92,7 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
 
 
 def _largest_in_sequence(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
-    """The same of policies with a memory, which see one observation after the other."""
+    """Return the same for policies with a memory, on sequences of observations."""
     original, nobody, worst = as_policy(model), np.zeros(1, dtype=np.int64), 0.0
     legal = np.ones((1, policy.card.action_size), dtype=np.int8) if policy.card.output == "argmax" else None
     for i, seen in enumerate(observation):
@@ -110,21 +112,20 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
 
     Args:
         folder: the run.
-        out: path of the two files, with or without a suffix; its name is the policy's name.
-        role: which of several that learned together. A bench is evaluated on its own then, with a laboratory's
-            vessels.
+        out: path of the two files, with or without a suffix; the file name is the policy's name.
+        role: role, if several were trained together. A bench is then evaluated on its own, with a laboratory's vessels.
 
     Raises:
         ValueError: the folder holds no run or no checkpoint, its bench has changed since, the role is missing or
-            nobody's, or the exported policy is not the same as SB3's to 1e-5 (which is only asked of a run of one's
-            own, or that one trusts).
+            unknown, or the exported policy differs from SB3's by more than 1e-5 (checked for the user's own runs, or
+            with untrusted code allowed).
     """
     run = Run(folder)
     config, best = run.config(), run.checkpoint("best")
     if config is None:
-        raise ValueError(f"{folder}: holds no training run (no config.json)")
+        raise ValueError(f"{folder}: contains no training run (no config.json)")
     if best is None:
-        raise ValueError(f"{folder}: holds no checkpoint (they are not under version control); run chemlab train again")
+        raise ValueError(f"{folder}: contains no checkpoint (not under version control); run chemlab train again")
     arguments = recorded_arguments(config, str(run.config_file))
     team = not isinstance(arguments, Single)
     if team != (role is not None) or (role is not None and not (best / f"{role}.safetensors").exists()):
@@ -145,7 +146,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
             raise ValueError(
                 f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
             )
-    # What is exported is played with masks, however it learned.
+    # The exported policy is played with masks, however it was trained.
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
     policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights)
     episodes = arguments.final_episodes
@@ -165,17 +166,19 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
 
 
 def _learner(best: Path, algo: str, role: str | None = None) -> Any:
-    """The learner itself, to compare with; None where it is a stranger's: its weights as they are have to do."""
+    """Return the learner, for the comparison; None for an untrusted run, whose exported weights are used as they
+    are.
+    """
     try:
         return load_learner(best, algo) if role is None else load_team(best)[role]
     except DataError:
-        if not any(best.glob("*.safetensors")):  # of a run of an older version there is nothing else
+        if not any(best.glob("*.safetensors")):  # runs of older versions have only the learner
             raise
         return None
 
 
 def _player(best: Path, arguments: Arguments, config: dict[str, Any], task: Task, model: Any) -> PretrainedPolicy:
-    """What plays in a checkpoint."""
+    """Return the policy of a checkpoint."""
     role = task.workplace.key
     if (best / f"{role}.safetensors").exists():
         policy = load_pretrained(best / role)
@@ -204,11 +207,11 @@ def recorded_arguments(config: dict[str, Any], where: str) -> Arguments:
 
     Args:
         config: its ``config.json``.
-        where: the file, for errors.
+        where: the file, for error messages.
 
     Raises:
-        DataError: they are not those of this version.
+        DataError: they are not of this version.
     """
     if not isinstance(config.get("arguments"), dict):
-        raise DataError(f"{where}: is of chemlab before 0.3; train it again")
+        raise DataError(f"{where}: was made by a version before 0.3; train it again")
     return training_arguments({**config["arguments"], "seed": config.get("seed")}, where)

@@ -1,6 +1,6 @@
-"""Behaviour cloning: a learner begins with what a policy that is already there does, and with its returns as values.
+"""Behaviour cloning: initialize a learner with a policy's actions, and its critic with the returns.
 
-Reinforcement learning then starts from a workflow instead of from random actions, among which whole workflows are rare.
+Reinforcement learning then starts from a complete workflow instead of random actions, which rarely complete one.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -27,19 +27,19 @@ from ..policies import Policy
 __all__ = ["fit", "imitate"]
 
 _SPREAD = 0.02
-"""Least standard deviation of a clone's continuous actions."""
+"""Minimum standard deviation of a clone's continuous actions."""
 
 _EPOCHS = 10
 _UPDATES = 1_100
-"""At least; few examples are gone through more often."""
+"""Minimum number of updates; few examples are used more often."""
 _BATCH = 256
 _SEQUENCES_BATCH = 2_048
-"""About how many turns a minibatch of whole episodes has."""
+"""Approximate number of turns in a minibatch of whole episodes."""
 _LEARNING_RATE = 1e-3
 _SEQUENCES_LEARNING_RATE = 3e-3
-"""Of whole episodes, of which a minibatch has more turns."""
+"""Learning rate for whole episodes, whose minibatches have more turns."""
 _ENTROPY = 0.03
-"""Keeps the clone from being certain where its examples happen to agree, so that it can still find better."""
+"""Entropy bonus, which keeps the clone from being deterministic where its examples agree, so that it can improve."""
 _VALUES = 0.5
 
 
@@ -53,24 +53,25 @@ def imitate(
     rounds: int = 1,
     spread: float = _SPREAD,
 ) -> float:
-    """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns they had.
+    """Fit an on-policy learner's actor to a policy's actions, and its critic to the discounted returns.
 
-    Whoever has only seen what follows the policy's own actions does not know what to do after a mistake of its own. So
-    after the first round the learner plays, and the policy says what it would have played (DAgger: Ross, Gordon and
-    Bagnell, 2011, https://proceedings.mlr.press/v15/ross11a.html); the learner is fitted to all rounds so far.
+    Behaviour cloning suffers from compounding errors. After the first round the learner therefore plays, and the policy
+    labels its turns (DAgger: Ross, Gordon and Bagnell, 2011, https://proceedings.mlr.press/v15/ross11a.html); the
+    learner is fitted to all rounds so far.
 
     Args:
         model: PPO, A2C, MaskablePPO or RecurrentPPO.
-        batch: where the policy plays, with ``autoreset_mode="SameStep"``; it is reset.
-        policy: whom to imitate.
-        steps: about how many of its turns to learn from; those of episodes that did not end are left out.
-        seed: of the episodes and of the order of minibatches.
-        advised: whether the learner sees the policy's advice (:mod:`chemlab.agents.advice`): it learns to follow it.
-        rounds: in how many parts.
-        spread: standard deviation that continuous actions have at least.
+        batch: batch in which the policy plays, with ``autoreset_mode="SameStep"``; it is reset.
+        policy: policy to imitate.
+        steps: approximate number of turns; those of unfinished episodes are left out.
+        seed: seed of the episodes and of the order of minibatches.
+        advised: whether the learner observes the policy's action (:mod:`chemlab.agents.advice`) and learns to follow
+            it.
+        rounds: number of rounds.
+        spread: minimum standard deviation of continuous actions.
 
     Returns:
-        Share of the turns in which the learner's most probable action is the policy's (of continuous actions: the mean
+        Share of the turns in which the learner's most probable action is the policy's (for continuous actions: the mean
         absolute difference).
     """
     remembers, hit, found = hasattr(model.policy, "lstm_actor"), 0.0, list[_Examples]()
@@ -94,16 +95,16 @@ def fit(
     lengths: IntArray | None = None,
     spread: float = _SPREAD,
 ) -> float:
-    """Fit an on-policy learner's actor to the actions of T turns, and its critic to the returns they had.
+    """Fit an on-policy learner's actor to the actions of T turns, and its critic to their returns.
 
     Args:
-        model: as for :func:`imitate`, and so is what is returned.
-        observations: [T, size] what was seen.
-        masks: [T, actions] what was legal; None where actions are continuous.
-        actions: [T] (discrete) or [T, numbers] what was played.
-        returns: [T] discounted return from that turn on.
-        seed: of the order of minibatches.
-        lengths: [E] turns of each episode, one after the other, for a learner that remembers; None for any other.
+        model: as for :func:`imitate`, like the returned value.
+        observations: [T, size] observations.
+        masks: [T, actions] legal actions; None for continuous actions.
+        actions: [T] (discrete) or [T, numbers] actions.
+        returns: [T] discounted returns from each turn on.
+        seed: seed of the order of minibatches.
+        lengths: [E] turns of each episode in order, for a recurrent learner; None for any other.
         spread: as for :func:`imitate`.
     """
     shown = _Turns(model, observations, masks, actions)
@@ -114,7 +115,7 @@ def fit(
     optimizer = torch.optim.Adam(network.parameters(), lr=shown.learning_rate, fused=True)
     minibatches = max(1, shown.count // shown.batch)
     epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
-    # What the examples agree on is found fast; thresholds between two actions only in small steps.
+    # Common features of the examples are learned fast; thresholds between two actions need small steps.
     falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * minibatches)
     for _ in range(epochs):
         for some in np.array_split(rng.permutation(shown.count), minibatches):
@@ -132,7 +133,7 @@ def fit(
         chosen = np.concatenate([shown.chosen(some) for some in parts])
         played = shown.actions[np.concatenate([shown.rows(some) for some in parts])]
         if hasattr(network, "log_std"):
-            # What is most likely; from the 1 that it begins with no optimizer of so few updates comes down to it.
+            # Set the maximum likelihood value: in so few updates the optimizer would not reach it from the initial 1.
             missing = np.sqrt(((chosen - played) ** 2).mean(axis=0))
             network.log_std.copy_(torch.as_tensor(np.log(np.maximum(missing, spread))))
     if np.issubdtype(played.dtype, np.integer):
@@ -141,7 +142,7 @@ def fit(
 
 
 class _Turns:
-    """What a learner is shown: T turns, each by itself.
+    """T turns as independent training examples.
 
     Args:
         model, observations, masks, actions: as for :func:`fit`.
@@ -161,27 +162,27 @@ class _Turns:
         self.count, self.batch, self.learning_rate = len(actions), _BATCH, _LEARNING_RATE
 
     def rows(self, some: IntArray) -> IntArray:
-        """The turns of some of ``count``."""
+        """Return the turns of some of ``count``."""
         return some
 
     def evaluated(self, some: IntArray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """(values, log-probabilities of what was played, entropies) of :meth:`rows`."""
+        """Return (values, log-probabilities of the played actions, entropies) of :meth:`rows`."""
         seen, played = torch.as_tensor(self._observations[some]), torch.as_tensor(self.actions[some])
         legal = {} if self._masks is None else {"action_masks": self._masks[some]}
         values, log_probability, entropy = self._network.evaluate_actions(seen, played, **legal)
         return values.flatten(), log_probability, entropy
 
     def chosen(self, some: IntArray) -> npt.NDArray[Any]:
-        """What the learner would play in :meth:`rows`."""
+        """Return the learner's actions in :meth:`rows`."""
         legal = {} if self._masks is None else {"action_masks": self._masks[some]}
         return np.asarray(self._network.predict(self._observations[some], deterministic=True, **legal)[0])
 
 
 class _Episodes(_Turns):
-    """The same of a learner that remembers: whole episodes.
+    """Whole episodes as training examples of a recurrent learner.
 
     Args:
-        lengths: [E] turns of each episode, one after the other.
+        lengths: [E] turns of each episode in order.
     """
 
     def __init__(
@@ -204,10 +205,10 @@ class _Episodes(_Turns):
         return np.concatenate([padded[there] for _, padded, there in self._groups(some)])
 
     def _groups(self, some: IntArray) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
-        """Some of the episodes, those of about one length together, so that few turns are computed that there are not.
+        """Yield groups of episodes of similar length, to limit padding.
 
         Yields:
-            episodes, [episodes * longest] turns, one episode after the other, and which of them there are.
+            Episodes, [episodes * longest] turns in order, and a mask of the real ones.
         """
         doublings = np.frexp(self._lengths[some])[1]
         for doubling in np.unique(doublings):
@@ -217,7 +218,7 @@ class _Episodes(_Turns):
             yield group, np.where(there, self._first[group, None] + turn, 0).ravel(), there.ravel()
 
     def _begun(self, some: IntArray) -> tuple[torch.Tensor, torch.Tensor]:
-        """What an LSTM remembers when these episodes begin: nothing."""
+        """Return the zero initial state of the LSTM for these episodes."""
         layers, _, size = self._network.lstm_hidden_state_shape
         nothing = torch.zeros(layers, len(some), size)
         return nothing, nothing
@@ -244,12 +245,12 @@ class _Episodes(_Turns):
 
 
 class _Examples(NamedTuple):
-    """T turns of whole episodes, one episode after the other.
+    """T turns of whole episodes in order.
 
     Attributes:
         seen: [T, size] observations.
         actions: [T] or [T, numbers].
-        returns: [T] discounted.
+        returns: [T] discounted returns.
         lengths: [E] turns of each episode.
         masks: [T, actions], or None.
     """
@@ -270,7 +271,7 @@ def _examples(
     gamma: float,
     advised: bool = False,
 ) -> _Examples:
-    """What a policy plays, or what it would play where a learner does."""
+    """Collect the actions of a policy, or its labels while a learner plays."""
     n, discrete = batch.num_envs, batch.single_action_space.shape == ()
     members, turns, shown = np.arange(n), np.zeros(n, dtype=np.int64), Advisor(policy)
     rows: list[tuple[Any, Any, Any]] = []
@@ -278,7 +279,7 @@ def _examples(
     ends: list[BoolArray] = []
     ended = np.zeros(n, dtype=np.bool_)
     observation, _ = batch.reset(seed=seed)
-    # A learner that knows no end runs into the laboratory's limits.
+    # A learner that never ends its episodes reaches the laboratory's limits.
     while len(rows) * n < steps or not (learner is None or ended.all()):
         mask = batch.action_masks().astype(np.int8) if discrete else None
         action = played = shown.advice(observation, mask, turns, members)

@@ -1,13 +1,13 @@
 """Train several roles of a laboratory together on Stable-Baselines3: a learner for each, one batch of laboratories.
 
-Heterogeneous spaces are no matter: agents of one kind share a learner, PPO where actions are continuous and MaskablePPO
-where they are discrete. Experience is collected turn by turn (:mod:`chemlab.agents.train.experience`), so that every
-role's reward, elapsed time and episodes are its own.
+Spaces may differ: agents of one kind share a learner, PPO for continuous actions and MaskablePPO for discrete ones.
+Experience is collected turn by turn (:mod:`chemlab.agents.train.experience`), so that every role has its own rewards,
+elapsed time and episodes.
 
 Two regimes: ``together`` (all learners are updated after every rollout) and ``in-turns`` (round-robin: one role learns
-for a while, the others play as they are).
+for a while, the others are fixed).
 
-Critics observe what their agent observes (IPPO), or the laboratory's true state, too (MAPPO); actors never do.
+Critics observe the agent's observation (IPPO), or the laboratory's true state as well (MAPPO); actors never do.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -63,7 +63,7 @@ __all__ = ["Team"]
 
 
 class _Spaces(VecEnv):
-    """What a learner needs to know of an environment: its spaces. Experience comes from elsewhere."""
+    """Provides an environment's spaces to a learner. Experience is collected elsewhere."""
 
     def __init__(self, observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> None:
         super().__init__(1, observation_space, action_space)
@@ -78,7 +78,7 @@ class _Spaces(VecEnv):
         raise NotImplementedError("experience is collected by the laboratory")
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         if attr_name == "render_mode":
@@ -96,7 +96,7 @@ class _Spaces(VecEnv):
 
 
 class _Learner:
-    """One role's learner, and the experience it learns from."""
+    """The learner of one role with its experience."""
 
     def __init__(self, model: Any, space: gymnasium.spaces.Box, actions: gymnasium.Space[Any], streams: int) -> None:
         self.model = model
@@ -107,7 +107,7 @@ class _Learner:
     def sample(
         self, observation: ObservationArray, mask: MaskArray | None
     ) -> tuple[npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any], npt.NDArray[Any]]:
-        """(action as drawn, action as played, value, log-probability) of a batch."""
+        """Return (sampled action, played action, value, log-probability) of a batch."""
         masks = {} if mask is None else {"action_masks": mask.astype(np.bool_)}
         with torch.no_grad():
             seen, _ = self.model.policy.obs_to_tensor(observation)
@@ -117,13 +117,13 @@ class _Learner:
         return action, played, value.numpy()[:, 0], log_probability.numpy()
 
     def update(self, gamma: float, gae_lambda: float, by_ticks: bool, remaining: float) -> int:
-        """Learn from what is complete, and forget it; returns the number of transitions."""
+        """Learn from complete transitions and drop them; return their number."""
         model, experience = self.model, self.experience
         rows = experience.finished()
-        if len(rows) < 2:  # advantages are normalized, which takes two
+        if len(rows) < 2:  # advantages are normalized, which requires two
             return 0
         advantages = experience.advantages(gamma, gae_lambda, by_ticks)[rows]
-        if len(rows) % model.batch_size == 1:  # and so does that of a minibatch
+        if len(rows) % model.batch_size == 1:  # the same holds for a minibatch
             rows, advantages = rows[:-1], advantages[:-1]
         masked = isinstance(model, MaskablePPO)
         kind = MaskableRolloutBuffer if masked else RolloutBuffer
@@ -147,10 +147,10 @@ class _Learner:
 
 
 class _Acting:
-    """A learner as the policy of one agent: it explores, and its turns become experience.
+    """A learner as the exploring policy of one agent, whose turns become experience.
 
-    Where ``shown`` is given, what that would play becomes experience; it plays itself, or ``tried`` does where that is
-    given, too. Where ``whole`` is, the learner's critic sees that, too.
+    If ``shown`` is given, its actions become experience and are played, or those of ``tried`` are played if that is
+    given as well. If ``whole`` is given, the learner's critic observes it as well.
     """
 
     def __init__(
@@ -187,11 +187,11 @@ class _Acting:
 
 
 class Team(Trainee):
-    """Roles of a laboratory in one batch of laboratories; a policy by name plays those that do not learn.
+    """Roles of a laboratory in one batch of laboratories; a policy by name plays the others.
 
     Raises:
-        DataError: unknown scenario.
-        ValueError: unknown role or reward mix, or the policies of the background do not fit.
+        DataError: the scenario is unknown.
+        ValueError: a role or reward mix is unknown, or the background policies do not fit.
     """
 
     arguments: Any
@@ -201,7 +201,7 @@ class Team(Trainee):
         self.steps, self._background = a.steps, a.background or "scripted"
         self.scenario = rewarded(a.scenario, a.rewards)
         labs = Laboratories(load_scenario(a.scenario), 1)
-        # A run may reward a role otherwise than the scenario does: it is the same task.
+        # A run may use another reward mix than the scenario: the task is the same.
         self._workplaces = {role_of(role.name): role.workplace for role in reversed(labs.roles)}
         labs = Laboratories(self.scenario, 1)
         self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
@@ -239,10 +239,10 @@ class Team(Trainee):
         return progress
 
     def make(self) -> None:
-        """Make the laboratories, and learners that have learned nothing yet."""
+        """Make the laboratories, and untrained learners."""
         a = self.arguments
         self.labs = labs = Laboratories(self.scenario, a.envs, split=a.split)
-        # A share of the laboratory's result comes long after the experiment: then an episode is the laboratory's.
+        # A share of the laboratory's result arrives long after the experiment: then an episode is the laboratory's.
         self._shared = self.scenario.rewards.bench_team > 0.0
         self._whole = GlobalState(labs) if isinstance(a, MAPPO) else None
         self.learners: dict[str, _Learner] = {}
@@ -287,23 +287,23 @@ class Team(Trainee):
         return model
 
     def _stream(self, number: int) -> Callable[[IntArray], IntArray]:
-        """Which stream of its role's experience an agent's laboratories are."""
+        """Return the function from an agent's laboratories to the streams of its role's experience."""
         agents = self.labs.agents
         place = sum(role_of(agent) == role_of(agents[number]) for agent in agents[:number])
         return lambda members: place * self.arguments.envs + members
 
     def _begin_anew(self, shown: str | None = None, tried: bool = False) -> None:
-        """New episodes.
+        """Start new episodes.
 
         Args:
-            shown: None: the learners play and explore. Else a policy by name plays in their place.
-            tried: the learners play without exploring, and that policy says what it would have played.
+            shown: None: the learners play and explore. Otherwise the policy of this name plays in their place.
+            tried: the learners play without exploring, and that policy labels their turns.
         """
         for learner in self.learners.values():
             learner.experience.abandon()
         self.labs.reset(self.labs.members)
         self._ended = np.zeros(len(self.labs.members), dtype=np.bool_)
-        """[N] laboratories that have been to an end since"""
+        """[N] laboratories in which an episode has ended since"""
         self._players = Players(
             self.labs, [self._player(number, shown, tried) for number in range(len(self.labs.agents))]
         )
@@ -318,16 +318,16 @@ class Team(Trainee):
         return agent_policy(self._background, labs, number, seed)
 
     def imitate(self, shown: str, turns: int, rounds: int = 1) -> dict[str, float]:
-        """Make every learner the clone of a policy that plays its role in these laboratories, which then begin anew.
+        """Clone a policy into every learner by playing its role in these laboratories, which then restart.
 
         Args:
-            shown: the policy, by name.
-            turns: of each role, about; of episodes that a round does not end nothing is learned.
-            rounds: in how many parts. After the first the learners play together, as long as the policy did, and on
-                until every laboratory has been to an end: mistakes make long episodes.
+            shown: name of the policy.
+            turns: approximate number of turns per role; unfinished episodes are left out.
+            rounds: number of rounds. After the first the learners play together, for as long as the policy did, and
+                until an episode has ended in every laboratory, because mistakes make long episodes.
 
         Returns:
-            By role, how well it is hit (see :func:`~.imitate.imitate`).
+            Accuracy by role (see :func:`~.imitate.imitate`).
         """
         hit: dict[str, float] = {}
         first = 0
@@ -347,7 +347,7 @@ class Team(Trainee):
         return hit
 
     def _fewest_turns(self) -> int:
-        """Of episodes that are over, in the role that has had the fewest."""
+        """Return the number of turns in finished episodes of the role with the fewest."""
         return min(len(learner.experience.whole()) for learner in self.learners.values())
 
     def _clone(self, learner: _Learner) -> float:
@@ -360,7 +360,7 @@ class Team(Trainee):
         return fit(model, e.observation[rows], masks, actions, returns, a.seed, spread=a.bc_std)
 
     def collect(self) -> None:
-        """One rollout: every laboratory plays ``rollout`` rounds, and begins anew where its episode ends."""
+        """Play one rollout: every laboratory plays ``rollout`` rounds, with new episodes when one ends."""
         labs = self.labs
         for _ in range(self.arguments.rollout):
             self._players.play_pass(labs.members, self._after)
@@ -371,7 +371,7 @@ class Team(Trainee):
                 labs.reset(over)
 
     def _after(self, number: int, members: IntArray) -> None:
-        """Everybody's share of a turn; experiments and episodes that it ended."""
+        """Record the rewards of a turn, and the experiments and episodes that it ended."""
         labs = self.labs
         status = labs.state.status[members]
         for other, agent in enumerate(labs.agents):
@@ -387,7 +387,7 @@ class Team(Trainee):
                 experience.end(streams[ended], labs.state.ticks[members[ended]])
 
     def update(self, learning: list[str], remaining: float) -> int:
-        """Let some roles learn from the rollout; the others' experience of it is forgotten."""
+        """Update some roles from the rollout; the other roles' experience is dropped."""
         a, turns = self.arguments, 0
         for role, learner in self.learners.items():
             if role in learning:
@@ -466,7 +466,7 @@ class Team(Trainee):
         """See :class:`~chemlab.agents.train.loop.Trainee`: there is nothing to release."""
 
     def get_state(self) -> dict[str, Any]:
-        """Everything that changes but the learners' networks."""
+        """Return everything that changes except the learners' networks."""
         return {
             "laboratories": self.labs.snapshot(),
             "experience": {role: learner.experience.get_state() for role, learner in self.learners.items()},
@@ -474,15 +474,17 @@ class Team(Trainee):
         }
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Go on from a :meth:`get_state`."""
+        """Restore a :meth:`get_state`."""
         self.labs.restore(state["laboratories"])
         for role, learner in self.learners.items():
             learner.experience.set_state(state["experience"][role])
         self._players.set_memory(state["memories"])
 
     def _begin_from(self, text: str) -> None:
-        """Start from the best models of another run of several roles, or of runs of one role: a folder with folders of
-        the roles' names, or ``ROLE=FOLDER``, separated by commas."""
+        """Start from the best models of another run of several roles, or of single-role runs.
+
+        The text names a folder with folders of the roles' names, or ``ROLE=FOLDER``, separated by commas.
+        """
         pairs = [part.partition("=") for part in text.split(",")]
         named = {role: Path(folder) for role, equals, folder in pairs if equals}
         unknown = [role for role in named if role not in self.learners]

@@ -162,7 +162,7 @@ class _Purging(TensorBoardOutputFormat):
 
     def __init__(self, folder: Path, step: int) -> None:
         self._folder = folder
-        # The point at the checkpoint's own step has been logged; a hidden one would be a gap.
+        # The point at the checkpoint's own step has been logged; purging it would leave a gap.
         with naming(folder):
             self.writer = SummaryWriter(str(folder), purge_step=step + 1 if step else 0)
         self._is_closed = False
@@ -183,7 +183,7 @@ def _tensorboard(run: Run, step: int) -> Iterator[Logger]:
     others = threading.excepthook
 
     def told(error: threading.ExceptHookArgs) -> None:
-        # TensorBoard's thread writes the file; what it could not write is an error of the next call, too.
+        # TensorBoard's thread writes the file; its errors are reported by the next call.
         if type(error.thread).__name__ != "_AsyncWriterThread":
             others(error)
 
@@ -276,7 +276,7 @@ def _result(run: Run, config: RunConfig, trainee: Trainee, progress: Progress) -
     episodes = trainee.arguments.final_episodes
     best = run.checkpoint("best")
     assert best is not None, "the last round is followed by an evaluation and a checkpoint"
-    assert progress.best_step is not None, "as the best one was"
+    assert progress.best_step is not None, "the best checkpoint has been set"
     last = trainee.scores(episodes, RESULT_SEED)
     trainee.take(best)
     found = trainee.scores(episodes, RESULT_SEED)

@@ -1,4 +1,4 @@
-"""What a learner of Stable-Baselines3's has learned, as a policy that needs numpy alone.
+"""Policy network of a Stable-Baselines3 learner as a policy that needs only NumPy.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -29,16 +29,15 @@ _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
 def learned_policy(model: Any, workplace: Workplace, **card: Any) -> PretrainedPolicy:
-    """A learner's policy network; it is played with masks if it learned with masks.
+    """Return a learner's policy network; it is played with masks if it was trained with masks.
 
     Args:
         model: the learner.
-        workplace: what it operates.
-        card: what its :class:`~chemlab.agents.pretrained.Card` says besides.
+        workplace: its bench or manager.
+        card: further fields of its :class:`~chemlab.agents.pretrained.Card`.
 
     Raises:
-        ValueError: a network that is not made of fully connected layers with tanh or ReLU between them, or whose
-            weights are not finite.
+        ValueError: the network has layers other than fully connected ones with tanh or ReLU, or weights are not finite.
     """
     weights, activation, output = _network_of(model)
     own: dict[str, Any] = {"activation": activation, "output": output, "masked": _has_masks(model)}
@@ -52,13 +51,13 @@ def _has_masks(model: Any) -> bool:
 
 
 def save_learned(folder: Path, model: Any, workplace: Workplace, config: RunConfig, **card: Any) -> None:
-    """Write what a learner plays into a checkpoint, as ``ROLE.safetensors`` and ``ROLE.json``.
+    """Write a learner's policy into a checkpoint as ``ROLE.safetensors`` and ``ROLE.json``.
 
     Args:
-        folder: the checkpoint's.
+        folder: folder of the checkpoint.
         model, workplace: see :func:`learned_policy`.
-        config: of the run.
-        card: what the card says besides: ``goals``, ``starts``, ``step``, ``command``, ``evaluation``, ``background``.
+        config: configuration of the run.
+        card: further fields of the card: ``goals``, ``starts``, ``step``, ``command``, ``evaluation``, ``background``.
     """
     role = workplace.key
     own = {name: getattr(config, name) for name in ("env_id", "algo", "label", "seed", "versions")}
@@ -67,10 +66,10 @@ def save_learned(folder: Path, model: Any, workplace: Workplace, config: RunConf
 
 
 def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, str]:
-    """Weights, activation and output (as on a :class:`~chemlab.agents.pretrained.Card`) of a learner.
+    """Return weights, activation and output (as on a :class:`~chemlab.agents.pretrained.Card`) of a learner.
 
     Raises:
-        ValueError: a network that is not made of fully connected layers with tanh or ReLU between them.
+        ValueError: the network has layers other than fully connected ones with tanh or ReLU.
     """
     policy = model.policy
     if hasattr(policy, "q_net"):  # DQN
@@ -96,7 +95,7 @@ def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, st
     if hasattr(policy, "lstm_actor"):
         ih, hh, *biases = (p.detach().numpy() for p in policy.lstm_actor.parameters())
         weights |= dict(zip(LSTM, (ih.copy(), hh.copy(), sum(biases)), strict=True))
-    if hasattr(policy, "quantile_net"):  # it plays the action with the best mean of its quantiles: a linear layer, too
+    if hasattr(policy, "quantile_net"):  # the best mean of quantiles: also a linear layer
         last, actions = len(linear) - 1, int(model.action_space.n)
         for part in ("weight", "bias"):
             values = weights[f"{last}.{part}"]

@@ -1,4 +1,4 @@
-"""One agent, a bench's or a laboratory's, that learns with an algorithm of Stable-Baselines3 or sb3-contrib.
+"""Training of one agent, of a bench or a laboratory, with an algorithm of Stable-Baselines3 or sb3-contrib.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -39,11 +39,11 @@ _SETTINGS = {
     "epochs": "n_epochs",
     "exploration_final": "exploration_final_eps",
 }
-"""Names of Stable-Baselines3's settings by those of arguments."""
+"""Names of Stable-Baselines3's settings by those of the arguments."""
 
 
 def _learner(arguments: Single, venv: ChemlabVecEnv, total: int) -> BaseAlgorithm:
-    """Make a learner that has learned nothing yet."""
+    """Make an untrained learner."""
     a = arguments
     settings = {theirs: getattr(a, ours) for ours, theirs in _SETTINGS.items() if hasattr(a, ours)}
     settings["train_freq" if isinstance(a, Replay) else "n_steps"] = a.rollout
@@ -63,7 +63,7 @@ def _learner(arguments: Single, venv: ChemlabVecEnv, total: int) -> BaseAlgorith
 
 
 class _Ended(BaseCallback):
-    """Keeps the returns of the episodes that end."""
+    """Collects the returns of the episodes that end."""
 
     def __init__(self, total: int) -> None:
         super().__init__()
@@ -71,7 +71,7 @@ class _Ended(BaseCallback):
         self.returns: list[float] = []
 
     def _on_training_start(self) -> None:
-        # DQN's exploration falls over the whole run; SB3 is given one rollout at a time.
+        # DQN's exploration schedule spans the whole run, but SB3 receives one rollout at a time.
         self.model._total_timesteps = self._total
 
     def _on_step(self) -> bool:
@@ -81,11 +81,11 @@ class _Ended(BaseCallback):
 
 
 class Agent(Trainee):
-    """A learner of Stable-Baselines3 and its environments.
+    """A Stable-Baselines3 learner with its environments.
 
     Raises:
         ValueError: an argument does not fit the task.
-        DataError: unknown scenario, bench, goal or starting states.
+        DataError: the scenario, bench, goal or kind of initial states is unknown.
     """
 
     arguments: Single
@@ -153,7 +153,7 @@ class Agent(Trainee):
             self._stage = stage
         ended, first = _Ended(self.steps), not progress.step
         self.model.set_logger(self.logger)
-        # The loop, between rounds, writes what is logged.
+        # The training loop writes the log between rounds.
         self.model.learn(self._rollout, ended, log_interval=None, reset_num_timesteps=first)  # type: ignore[arg-type]
         return self._rollout, ended.returns
 

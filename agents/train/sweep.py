@@ -37,8 +37,7 @@ from .tasks import task_fingerprint
 __all__ = ["STATES", "Planned", "Status", "plan", "run_sweep", "status_of"]
 
 STATES: tuple[str, ...] = ("done", "running", "waiting", "interrupted", "failed", "other")
-"""``interrupted`` has a checkpoint and waits; ``other`` is a folder that holds a run with other arguments, or of
-a scenario that has changed since."""
+"""``interrupted`` has a checkpoint and waits; ``other`` is a folder with other arguments or a changed scenario."""
 
 _OWN = ("name", "seeds")
 _LISTS = ("env_id", "scenario", "preset", "algo")
@@ -59,13 +58,13 @@ class Planned:
 
     @property
     def log(self) -> Path:
-        """What the process said."""
+        """Log file of the process."""
         return self.run.path / "log.txt"
 
 
 @dataclass(frozen=True)
 class Status:
-    """How a run is doing; ``mean`` is the result's, or the last evaluation's so far."""
+    """State of a run; ``mean`` is that of the result, or of the last evaluation so far."""
 
     state: str
     step: int
@@ -75,11 +74,11 @@ class Status:
 
 
 def plan(file: Path, out: Path) -> list[Planned]:
-    """The runs of a sweep file, in the order in which they are run: the first seed of everything comes first.
+    """Return the runs of a sweep file in the order of execution: the first seed of every combination comes first.
 
     Raises:
         DataError: the file is missing or not TOML.
-        ValueError: an unknown key or value, or two runs with one folder.
+        ValueError: a key or value is unknown, or two runs have one folder.
     """
     content = read_toml(file)
     unknown = [key for key in content if key not in ("defaults", "runs")]
@@ -113,7 +112,7 @@ def plan(file: Path, out: Path) -> list[Planned]:
 
 
 def _folder(arguments: Arguments, label: str, where: str) -> Path:
-    """Where a run stands, below the folder of results and nowhere else."""
+    """Return a run's folder, which must be below the folder of results."""
     folder = arguments.folder(label)
     if len(folder.parts) != 3 or not all(_FOLDER.fullmatch(part) for part in folder.parts):
         raise DataError(
@@ -138,7 +137,7 @@ def _seeds(value: Any, where: str) -> list[int]:
 
 
 def status_of(planned: Planned) -> Status:
-    """How a run is doing, from its folder.
+    """Return the state of a run from its folder.
 
     Raises:
         ValueError: a file there is damaged.
@@ -170,17 +169,17 @@ def _unfinished(planned: Planned, step: int, mean: float | None, otherwise: str)
 def run_sweep(
     runs: list[Planned], executor: Executor, watch: Callable[[list[Status]], None], interval: float = 0.5
 ) -> list[Status]:
-    """Run what is not finished; returns how each run ended.
+    """Execute unfinished runs; return the final state of every run.
 
-    Runs that another process trains are left to it and waited for. Closing the executor ends runs; the next sweep goes
-    on with them.
+    Runs that another process trains are left to it and awaited. Closing the executor ends runs; the next sweep resumes
+    them.
 
     Args:
         runs: see :func:`plan`.
-        executor: of commands, see :func:`chemlab.agents.executors.executor`. Wherever it runs them, it has the runs'
-            folders.
-        watch: is shown every run's status now and then.
-        interval: seconds between looks.
+        executor: executor of commands, see :func:`chemlab.agents.executors.executor`; its workers must have access to
+            the runs' folders.
+        watch: called with every run's state at intervals.
+        interval: seconds between checks.
 
     Raises:
         ValueError: a file of a run is damaged.
@@ -191,7 +190,7 @@ def run_sweep(
 
     def look(fresh: set[str]) -> list[Status]:
         for one in runs:
-            # Finished runs' files do not change: there may be hundreds of them.
+            # Files of finished runs do not change, and there may be hundreds of them.
             if one.name not in known or one.name in fresh or known[one.name].state in ("running", "waiting"):
                 known[one.name] = status_of(one)
         return [known[one.name] for one in runs]
@@ -202,7 +201,7 @@ def run_sweep(
             one = active.pop(future)
             fresh.add(one.name)
             code = _exit_code(future)
-            if code == RunBusy.exit_code:  # another sweep's process was a moment earlier
+            if code == RunBusy.exit_code:  # another sweep's process was slightly earlier
                 queue.append(one)
             elif code != 0:
                 write_text(one.run.failed_file, to_text({"exit_code": code, "log": one.log.name}))
@@ -220,7 +219,7 @@ def run_sweep(
 
 
 def _words(one: Planned) -> list[str]:
-    """The command that trains a run."""
+    """Return the command that trains a run."""
     words = ["train", one.arguments.scenario, *one.arguments.flags(), "--out", str(one.run.path), "--quiet"]
     return [*words, "--trust"] if may_run(otherwise=False) else words
 
@@ -229,4 +228,4 @@ def _exit_code(ended: Future[int]) -> int:
     try:
         return ended.result()
     except WorkerLost:
-        return -9  # as of one that was killed
+        return -9  # like a killed process

@@ -1,4 +1,4 @@
-"""What there is to train: a bench on its own, or one role of a laboratory in which policies play the others."""
+"""Training tasks: a bench on its own, or one role of a laboratory in which policies play the others."""
 
 from __future__ import annotations
 
@@ -31,31 +31,30 @@ __all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "rewarded", "task
 
 
 class Task(ABC):
-    """What a training run is about."""
+    """Base class of training tasks."""
 
     scenario: Scenario
     agent: str
-    """Who learns: a bench by its key, or an agent of a laboratory by its id."""
+    """Learning agent: a bench's key, or the name of an agent of a laboratory."""
     goals: tuple[str, ...]
     workplace: Workplace
     background: str | None = None
-    """Who plays the other roles, where there are any."""
+    """Policies of the other roles, if there are any."""
 
     @property
     def fingerprint(self) -> str:
-        """Equal fingerprints are equal tasks."""
+        """Hash of the task; equal tasks have equal hashes."""
         return fingerprint(self.workplace)
 
     @abstractmethod
     def batch(self, members: int) -> BenchVectorEnv | FocalVectorEnv:
-        """A batch to train in, which resets its members in the same step."""
+        """Return a batch for training, which resets its members in the same step."""
 
     def prepare(self, batch: Any, shares: Mapping[str, float] | None) -> None:
-        """Let a share of the episodes of a :meth:`batch` begin half way (see
-        :meth:`~chemlab.lab.engine.Laboratories.prepare`).
+        """Set the initial-state distribution of a :meth:`batch` (see :meth:`~chemlab.lab.engine.Laboratories.prepare`).
 
         Raises:
-            ValueError: a bench on its own has no half way, or a bench or share is wrong.
+            ValueError: the task is a bench on its own, or a bench or share is invalid.
             DataError: no such vessels have been recorded for the scenario.
         """
         if shares is not None:
@@ -63,42 +62,42 @@ class Task(ABC):
 
     @abstractmethod
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
-        """[G, episodes] what a policy comes to, for each goal, with the seeds ``seed``, ``seed + 1``, ..."""
+        """Return [G, episodes] a policy's returns for each goal, with the seeds ``seed``, ``seed + 1``, ..."""
 
     @abstractmethod
     def policy(self, name: str) -> Policy:
-        """A policy for this task by name.
+        """Make a policy for this task by name.
 
         Raises:
-            ValueError: unknown name, or nothing that fits.
+            ValueError: the name is unknown, or nothing fits.
         """
 
     def advisor(self, name: str) -> Advisor:
-        """Who advises the agent that learns.
+        """Make the advisor of the learning agent.
 
         Raises:
-            ValueError: unknown name, or it is not a laboratory's manager that learns.
+            ValueError: the name is unknown, or the learning agent is not a laboratory's manager.
         """
         if self.workplace.key != MANAGER_ROLE:
             raise ValueError(f"hints: are for a laboratory's manager; {self.agent} learns here")
         return Advisor(self.policy(name), self.workplace.action_count)
 
     def advised(self, policy: Policy, advice: str | None) -> Policy:
-        """A policy with an advisor of its own by name, where it has one; errors as :meth:`advisor`."""
+        """Wrap a policy with its own advisor by name, if it has one; errors as for :meth:`advisor`."""
         return policy if advice is None else AdvisedPolicy(policy, self.advisor(advice))
 
     def warning(self) -> str | None:
-        """What whoever trains for this should know before, if anything."""
+        """Return a warning to the user before training, if there is one."""
         return None
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
-        """The scripted policy's mean for each goal, or None for a kind of bench that has none."""
+        """Return the scripted policy's mean for each goal; None for a kind of bench without one."""
         if isinstance(self.workplace, Bench) and not is_scripted(self.workplace):
             return None
         return self.by_goal(self.policy("scripted"), episodes, seed)
 
     def by_goal(self, policy: Policy, episodes: int, seed: int) -> dict[str, float]:
-        """A policy's mean for each goal."""
+        """Return a policy's mean for each goal."""
         means = self.returns(policy, episodes, seed).mean(axis=1)
         return {goal: float(mean) for goal, mean in zip(self.goals, means, strict=True)}
 
@@ -117,10 +116,10 @@ class BenchTask(Task):
 
     Args:
         scenario, bench, goals, starts: as for :class:`~chemlab.envs.bench_env.BenchEnv`.
-        splits: worlds to train in, and to evaluate in.
+        splits: splits of worlds for training and for evaluation.
 
     Raises:
-        DataError: unknown scenario, bench, goal or starting states.
+        DataError: the scenario, bench, goal or kind of initial states is unknown.
     """
 
     def __init__(
@@ -160,7 +159,7 @@ class BenchTask(Task):
         return bench_policy(name, self.workplace)
 
     def warning(self) -> str | None:
-        """See :class:`Task`: the scenario may say nothing of what a single bench begins with."""
+        """See :class:`Task`; warns if the scenario declares no initial state of the single bench."""
         start, given = self.workplace.spec.start, given_as(self.scenario)
         if self._source.starts == "lab" or start.contents or start.goal_mol or start.companion:
             return None
@@ -173,18 +172,18 @@ class BenchTask(Task):
 
 
 class LaboratoryTask(Task):
-    """One role of a laboratory; what it comes to is the laboratory's score for the manager, its own return for others.
+    """One role of a laboratory; its return is the raw score for the manager, and the agent's own return for others.
 
     Args:
-        scenario: a shipped name, a path, or a loaded scenario.
-        agent: id of the agent that learns.
-        background: who plays the others, by name.
+        scenario: a bundled name, a path, or a loaded scenario.
+        agent: name of the learning agent.
+        background: policies of the others, by name.
         goals: laboratory goals to evaluate (default: all).
-        splits: worlds to train in, and to evaluate in.
+        splits: splits of worlds for training and for evaluation.
 
     Raises:
-        DataError: unknown scenario.
-        ValueError: unknown agent, policy or goal.
+        DataError: the scenario is unknown.
+        ValueError: the agent, a policy or a goal is unknown.
     """
 
     def __init__(
@@ -238,11 +237,11 @@ class LaboratoryTask(Task):
 
 
 def task_of(card: Card) -> Task:
-    """Where a card's evaluation was played: a bench on its own where it says how experiments began, else a laboratory.
+    """Return the task of a card's evaluation: a bench on its own if it states initial states, else a laboratory.
 
     Raises:
-        DataError: unknown scenario, bench, goal or starting states.
-        ValueError: unknown policy in the background.
+        DataError: the scenario, bench, goal or kind of initial states is unknown.
+        ValueError: a background policy is unknown.
     """
     goals = tuple(card.goals)
     if card.bench != MANAGER_ROLE and (card.background is None or card.starts != "paper"):
@@ -282,8 +281,8 @@ def find_task(arguments: Single) -> Task:
     scenario = load_scenario(a.scenario).configured(actions=a.actions)
     if a.bench is not None:
         if a.background is not None:
-            raise ValueError(f"background: {a.bench} is a bench on its own, given {a.background!r}")
+            raise ValueError(f"background: {a.bench} is a single bench without other roles, given {a.background!r}")
         return BenchTask(scenario, a.bench, a.goals, a.starts, splits)
     if a.starts != "paper":
-        raise ValueError(f"starts: a laboratory begins with the scenario's own shelf, given {a.starts!r}")
+        raise ValueError(f"starts: only for single benches, not for a laboratory; given {a.starts!r}")
     return LaboratoryTask(scenario, a.agent, a.background or "scripted", a.goals, splits)

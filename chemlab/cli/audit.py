@@ -1,4 +1,4 @@
-"""The command audit: what a scenario requires of its agents, its best open-loop plan, its difficulty."""
+"""The command audit: requirements of a scenario, its best open-loop plan, and its difficulty."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ __all__: list[str] = []
 
 audit = typer.Typer(
     cls=DefaultGroup,
-    help="Measure what a scenario requires of its agents (`chemlab audit SCENARIO`), a plan, or a difficulty.",
+    help="Measure the requirements of a scenario (`chemlab audit SCENARIO`), an open-loop plan, or a difficulty.",
     no_args_is_help=True,
 )
 app.add_typer(audit, name="audit")
@@ -45,14 +45,14 @@ app.add_typer(audit, name="audit")
 @audit.command()
 def measures(
     scenario: ScenarioArgument,
-    budget: Annotated[str, typer.Option(help="How much is played: small (two minutes) or full (thirty).")] = "small",
+    budget: Annotated[str, typer.Option(help="Number of episodes: small (two minutes) or full (thirty).")] = "small",
     keep: Annotated[
         Path | None,
-        typer.Option(help="Folder for the results of finished parts: the same command goes on from there."),
+        typer.Option(help="Folder of finished parts, from which the same command resumes."),
     ] = None,
     processes: ProcessesOption = None,
     address: AddressOption = None,
-    output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the findings as JSON.")] = None,
+    output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the results as JSON.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Measure the value of observations, instruments, benches and planning, against an open-loop plan.
@@ -88,9 +88,7 @@ def _show(found: dict[str, Any]) -> None:
     """Print the measures, the acceptance criteria and a verdict."""
     from ..agents.evaluate.audit import CRITERIA, measure_rows, verdict
 
-    title = (
-        f"{found['scenario']}: {found['budget_episodes']} episodes, reference {found['policy']}; 0 random, 1 knows all"
-    )
+    title = f"{found['scenario']}: {found['budget_episodes']} episodes, reference {found['policy']}; 0 random, 1 oracle"
     show_table(title, ("measure", "value [95 % interval]", "by"), measure_rows(found))
     words = {True: "met", False: "not met", None: "does not apply"}
     criteria = [(name, CRITERIA[name], words[met]) for name, met in found["criteria"].items()]
@@ -106,21 +104,21 @@ def plan(
         typer.Option(callback=current_policy, help="Policy of the benches, as --policy of `chemlab run`."),
     ] = "scripted",
     budget: Annotated[
-        str, typer.Option(help="Most plans tried: small (10,000), full (100,000) or a number.")
+        str, typer.Option(help="Maximum number of plans tried: small (10,000), full (100,000) or a number.")
     ] = "small",
     seed: SeedOption = 0,
     episodes: EpisodesOption = 100,
     output: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Also write the plans, to be played with --policy BENCHES,manager=plan:FILE."),
+        typer.Option("--out", "-o", help="Also write the plans; play them with --policy BENCHES,manager=plan:FILE."),
     ] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Search for the best open-loop plan of the manager, one for each combination of goals.
 
-    A scenario that requires observations has better policies. The score is over episodes with seeds 0, 1, ..., which
-    the search does not use.
+    In a scenario that requires observations, other policies score higher. The score is over episodes with seeds 0, 1,
+    ..., which the search does not use.
     """
     with readable_errors():
         from ..agents.evaluate.plans import plan_budget, search_plan
@@ -167,15 +165,15 @@ def _tell(search: PlanSearch, found: PlanFile) -> None:
 @audit.command()
 def difficulty(
     scenario: ScenarioArgument,
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the scripted agents, for each goal.")] = 20,
-    plans: Annotated[int, typer.Option(min=0, help="Constant plans tried for each goal; 0: none is searched.")] = 100,
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes of the scripted agents per goal.")] = 20,
+    plans: Annotated[int, typer.Option(min=0, help="Open-loop plans tried per goal; 0: no search.")] = 100,
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure how hard a scenario's chemistry is: steps, yield and selectivity, boiling points, scores.
+    """Measure the difficulty of a scenario's chemistry: steps, yield and selectivity, boiling points, scores.
 
-    Yield and selectivity are those of the best constant conditions of the reaction bench: a temperature, and whether
-    reagents are put in at once or slowly.
+    Yield and selectivity are those of the best constant conditions of the reaction bench: a temperature, and an
+    addition of reagents at once or slowly.
     """
     with readable_errors():
         from ..config.loading import load_scenario
@@ -203,4 +201,4 @@ def difficulty(
             )
         )
     head = ("goal", "steps", "yield", "selectivity", "at", "boils apart", "scripted", "constant plan")
-    show_table(f"{spec.name}: how hard its goals are", head, shown, right=(1, 2, 3, 6, 7))
+    show_table(f"{spec.name}: difficulty of its goals", head, shown, right=(1, 2, 3, 6, 7))

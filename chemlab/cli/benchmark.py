@@ -1,4 +1,4 @@
-"""The command benchmark: everybody on the same worlds, on one scale."""
+"""The command benchmark: all policies in the same worlds, on one scale."""
 
 from __future__ import annotations
 
@@ -28,34 +28,34 @@ __all__: list[str] = []
 @app.command()
 def benchmark(
     scenario: Annotated[
-        list[str] | None, typer.Argument(help="Scenarios: shipped names or paths. Default: all that draw worlds.")
+        list[str] | None, typer.Argument(help="Scenarios: bundled names or paths. Default: all with hidden parameters.")
     ] = None,
     policy: Annotated[
         list[str] | None,
         typer.Option(
             help="Besides random, plan and oracle: names as for `chemlab run`, a training run, or a folder of "
-            "runs of which only the seed differs, or records of what people have played; repeat the option. "
+            "runs that differ in their seeds only, or records of human play; repeatable. "
             "Default: scripted, pretrained, trained."
         ),
     ] = None,
     split: SplitOption = "test",
     seeds: Annotated[int, typer.Option(min=1, help="Replications: worlds and, of runs, training seeds.")] = 5,
-    budget: Annotated[str, typer.Option(help="How much is played, as for `chemlab audit`: small or full.")] = "small",
+    budget: Annotated[str, typer.Option(help="Number of episodes, as for `chemlab audit`: small or full.")] = "small",
     baseline: Annotated[
-        str, typer.Option(callback=current_policy, help="The row that improvement is measured over.")
+        str, typer.Option(callback=current_policy, help="Baseline of the probability of improvement.")
     ] = "scripted",
-    records: Annotated[int, typer.Option(min=0, help="Episodes of each row and scenario that are recorded.")] = 1,
+    records: Annotated[int, typer.Option(min=0, help="Recorded episodes per row and scenario.")] = 1,
     processes: ProcessesOption = None,
     address: AddressOption = None,
     output: Annotated[
-        Path, typer.Option("--out", "-o", help="Folder: findings, leaderboard, records, and parts to go on from.")
+        Path, typer.Option("--out", "-o", help="Output folder, from which the same command resumes.")
     ] = Path("benchmark"),
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Play the benchmark's protocol: everybody in the same worlds, scores from 0 (random) to 1 (knows the world).
+    """Play the benchmark's protocol: all policies in the same worlds, normalized scores from 0 (random) to 1 (oracle).
 
-    The same command goes on where it was broken off. The folder's leaderboard keeps the lines of other commands.
+    The same command resumes an interrupted benchmark. The folder's leaderboard keeps the rows of other commands.
     """
     with readable_errors():
         from ..agents.evaluate import benchmark as protocol
@@ -72,7 +72,7 @@ def benchmark(
         names = dict.fromkeys([baseline, *(policy or protocol.DEFAULT_ROWS)])
         rows = protocol.find_rows([name for name in names if name not in always])
         check_folder(output)
-        leaderboard_lines(output / "leaderboard.json")  # before anything is played
+        leaderboard_lines(output / "leaderboard.json")  # validated before anything is played
         with counting() as progress, executor(address, processes) as jobs:
             total = protocol.part_count(specs, rows, chosen, seeds, split)
             task = progress.add_task("parts", total=total)
@@ -101,7 +101,7 @@ def _show(found: dict[str, Any]) -> None:
         ]
         for row in found["rows"]
     ]
-    title = f"{found['budget_episodes']} episodes a scenario, split {found['split']}; 0 random, 1 knows the world"
+    title = f"{found['budget_episodes']} episodes per scenario, split {found['split']}; 0 random, 1 oracle"
     show_table(title, ("policy", *names), words, right=range(1, len(names) + 1))
     over = [
         (
@@ -115,7 +115,7 @@ def _show(found: dict[str, Any]) -> None:
     ]
     head = ("policy", "scenarios", "interquartile mean", "mean", f"P(better than {found['baseline']})", "hours")
     show_table(f"{found['seeds']} replications; [{found['confidence']:.0%} intervals]", head, over, right=range(1, 6))
-    # The whole of it, with why each of the known ones does not fit, is in benchmark.json.
+    # benchmark.json has all cells, with the reason why each known one does not fit.
     reasons = [(n, p, c["reason"].partition(" (")[0]) for n in names for p, c in cells[n].items() if c["value"] is None]
     if reasons:
         show_table("not played", ("scenario", "policy", "why"), reasons)

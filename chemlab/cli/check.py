@@ -15,10 +15,10 @@ __all__: list[str] = []
 
 @app.command()
 def check(scenario: ScenarioArgument, trust: TrustOption = False, as_json: JsonOption = False) -> None:
-    """Check that a scenario, with the benches, operations and instruments that it names, behaves as agents expect.
+    """Check that a scenario, with the benches, operations and instruments that it names, conforms to the interfaces.
 
-    Plays random legal actions and tests spaces, limits, seeds, copies, conservation, records, and that all
-    environments agree. Ends with 0 if every check passes and with 1 if one fails.
+    Plays random legal actions and tests spaces, limits, seeds, copies, conservation, records, and the agreement of all
+    environments. Exits with 0 if every check passes, and with 1 if one fails.
     """
     with readable_errors():
         from ..config.loading import load_scenario

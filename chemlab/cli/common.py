@@ -55,7 +55,7 @@ def readable_errors() -> Iterator[None]:
     """Print mistakes of users, files and disks as one line, with exit code 2 or the error's own; no traceback."""
     try:
         yield
-    except BrokenPipeError:  # whoever read our output has seen enough: click ends quietly
+    except BrokenPipeError:  # the reader of our output has closed the pipe: click exits quietly
         raise
     except (DataError, ImportError, OSError, ValueError) as error:  # an ImportError names the missing extra
         if _shown["traceback"]:
@@ -63,7 +63,7 @@ def readable_errors() -> Iterator[None]:
         err.print(f"[red]error[/red]: {plain(_message(error))}")
         raise typer.Exit(getattr(error, "exit_code", 2)) from error
     except ArithmeticError as error:
-        # Reactions that are too stiff; a division by zero or the like is a defect of ours, and shows where it is.
+        # Too stiff reactions; other arithmetic errors are defects of chemlab and show their traceback.
         if _shown["traceback"] or type(error) is not ArithmeticError:
             raise
         err.print(f"[red]error[/red]: {plain(str(error))}")
@@ -71,7 +71,7 @@ def readable_errors() -> Iterator[None]:
 
 
 def _message(error: Exception) -> str:
-    """One line; of what the system says, the file first."""
+    """Format an error as one line, for system errors with the file first."""
     if isinstance(error, OSError) and error.strerror:
         files = [str(file) for file in (error.filename, error.filename2) if file is not None]
         if not files and _was_printing(error):
@@ -115,7 +115,7 @@ def _current_command(args: list[str]) -> list[str]:
 
 
 class DefaultGroup(TyperGroup):
-    """Commands of which the first one is meant where none is named."""
+    """A group whose first command is the default."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         if args and args[0] not in (*self.commands, "-h", "--help"):
@@ -124,17 +124,17 @@ class DefaultGroup(TyperGroup):
 
 
 class _Commands(TyperGroup):
-    """The commands; whatever one of them ends with can be read."""
+    """The root group; every error of a command is readable."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         args = _current_command(args)
-        # As a path, nothing would be the current folder.
+        # As a path, an empty string would be the current folder.
         for before, word in zip(["", *args], args, strict=False):
             option = before if word == "" else word[:-1]
             if word == "" or re.fullmatch("--[a-z-]+=", word):
                 given = f"{option}: " if option.startswith("-") else ""
-                raise typer.BadParameter(f"{given}must not be empty; give a value, or leave it out for the default")
-        with readable_errors():  # of --help, whose text is printed here
+                raise typer.BadParameter(f"{given}must not be empty; give a value, or omit it for the default")
+        with readable_errors():  # for --help, whose text is printed here
             parsed: list[str] = super().parse_args(ctx, args)
         return parsed
 
@@ -152,7 +152,7 @@ app = typer.Typer(
 )
 
 ScenarioArgument = Annotated[
-    str, typer.Argument(help="A shipped scenario (see `chemlab list`) or a path to a TOML file.")
+    str, typer.Argument(help="A bundled scenario (see `chemlab list`) or a path to a TOML file.")
 ]
 
 
@@ -173,16 +173,16 @@ PolicyOption = Annotated[
         "agent after commas: pretrained,manager=random.",
     ),
 ]
-EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes; each has the next seed.")]
+EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes, with consecutive seeds.")]
 SeedOption = Annotated[int, typer.Option(min=0, help="Seed of the first episode.")]
 SplitOption = Annotated[
     str,
-    typer.Option(help="Worlds, of a scenario that draws some: train, validation, test, or private:SALT of your own."),
+    typer.Option(help="Split of worlds with hidden parameters: train, validation, test, or private:SALT."),
 ]
 
 
 def _trust(ctx: typer.Context, value: bool) -> bool:
-    """While the command runs, what :func:`_options` has forbidden is allowed if it was given the flag."""
+    """Allow untrusted code for the duration of the command if the flag is given."""
     if value:
         ctx.with_resource(strangers_code(True))
     return value
@@ -193,15 +193,13 @@ TrustOption = Annotated[
     typer.Option(
         "--trust",
         callback=_trust,
-        help="Run what files of other people bring along: parts that a scenario names (module:Name, file.py:Name), "
-        "checkpoints of runs that are not yours.",
+        help="Allow untrusted code: parts that a scenario names (module:Name, file.py:Name), "
+        "checkpoints of other users' runs.",
     ),
 ]
 ProcessesOption = Annotated[
     int | None,
-    typer.Option(
-        "--processes", "--jobs", min=1, help="Jobs at a time. Default: one for each core, here or of the cluster."
-    ),
+    typer.Option("--processes", "--jobs", min=1, help="Number of concurrent jobs. Default: one per core."),
 ]
 AddressOption = Annotated[
     str | None,
@@ -209,19 +207,17 @@ AddressOption = Annotated[
         help="Where jobs run: auto or HOST:PORT of a Ray cluster (extra ray), or slurm (extra slurm). Default: here."
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON on standard output and nothing else.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print only JSON on standard output.")]
 
 
 @app.callback(invoke_without_command=True)
 def _options(
     ctx: typer.Context,
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
-    traceback: Annotated[
-        bool, typer.Option("--traceback", help="Where an error is shown, show where it comes from, too.")
-    ] = False,
+    traceback: Annotated[bool, typer.Option("--traceback", help="Show tracebacks of errors.")] = False,
 ) -> None:
     _shown["traceback"] = traceback
-    # Of every command, also of one that has no --trust.
+    # For every command, including those without --trust.
     ctx.with_resource(strangers_code(False))
     if version:
         typer.echo(__version__)
@@ -229,7 +225,7 @@ def _options(
 
 
 def prepare(scenario: str, quiet: bool, split: str = "train") -> tuple[Scenario, raw_env]:
-    """Load the scenario, say so, and build its laboratory."""
+    """Load the scenario, print its name, and build its laboratory."""
     from ..config.loading import load_scenario
 
     spec = load_scenario(scenario)
@@ -259,26 +255,26 @@ def chosen_agents(agents: Sequence[str], wanted: Iterable[str], what: str) -> li
 
 
 def check_apart_from(path: Path, *read: str | Path) -> None:
-    """See that a result replaces none of the files that a command reads.
+    """Check that a result overwrites none of the files that a command reads.
 
     Args:
-        path: of the result.
-        read: paths, or words with paths in them: scenarios and policies as a command takes them.
+        path: path of the result.
+        read: paths, or words with paths in them: scenarios and policies as given to a command.
 
     Raises:
-        ValueError: it would; the message names the file.
+        ValueError: it would overwrite one; the message names the file.
     """
     words = [word for one in read for word in ([str(one)] if isinstance(one, Path) else re.split("[,=]", one))]
-    # A word without a suffix is a name, though a file may be called so.
+    # A word without a suffix is a name, even if such a file exists.
     check_apart([path], [file for word in words if (file := Path(word.removeprefix("plan:"))).suffix])
 
 
 def check_result(path: Path, *read: str | Path) -> None:
-    """See that a result can be written, and replaces none of the files that the command reads.
+    """Check that a result can be written and overwrites none of the files that the command reads.
 
     Raises:
-        ValueError: it cannot, or would (see :func:`check_apart_from`).
-        OSError: no file can be called so.
+        ValueError: it cannot be written, or would overwrite one (see :func:`check_apart_from`).
+        OSError: the name is not possible.
     """
     check_apart_from(path, *read)
     check_target(path)

@@ -1,4 +1,4 @@
-"""The command crossplay: managers with benches that they have not learned with."""
+"""The command crossplay: managers with unseen partners."""
 
 from __future__ import annotations
 
@@ -31,30 +31,30 @@ def crossplay(
     manager: Annotated[
         list[str] | None,
         typer.Option(
-            help="Names as for `chemlab run`, a training run, or a folder of runs, each of which is one; repeat the "
-            "option. Default: scripted, scripted:unsafe, scripted@0.1 (a random action at one turn in ten)."
+            help="Managers: names as for `chemlab run`, a training run, or a folder of runs; repeatable. "
+            "Default: scripted, scripted:unsafe, scripted@0.1 (a random action at one turn in ten)."
         ),
     ] = None,
-    benches: Annotated[list[str] | None, typer.Option(help="The same for the benches.")] = None,
+    benches: Annotated[list[str] | None, typer.Option(help="Policies of the benches, given likewise.")] = None,
     split: SplitOption = "test",
-    budget: Annotated[str, typer.Option(help="How much is played, as for `chemlab audit`: small or full.")] = "small",
+    budget: Annotated[str, typer.Option(help="Number of episodes, as for `chemlab audit`: small or full.")] = "small",
     keep: Annotated[
         Path | None,
         typer.Option(
-            help="Folder for the results of finished parts: the same command goes on from there. An audit's, or "
-            "PARTS/SCENARIO of a benchmark, has the scale already."
+            help="Folder of finished parts, from which the same command resumes. That of an audit, or "
+            "PARTS/SCENARIO of a benchmark, contains the scale."
         ),
     ] = None,
     processes: ProcessesOption = None,
     address: AddressOption = None,
-    output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the findings as JSON.")] = None,
+    output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the results as JSON.")] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Play each manager with each set of benches, and measure what learned policies lose with partners they never met.
+    """Play each manager with each set of benches, and measure the loss of learned policies with unseen partners.
 
-    Partners that they learned with are played, too, where they are not named. Scores are the benchmark's, from 0
-    (random) to 1 (knows the world), in the same worlds.
+    The partners of their training are included if they are not named. Scores are normalized as in the benchmark, from 0
+    (random) to 1 (oracle), in the same worlds.
     """
     with readable_errors():
         from ..agents.evaluate.crossplay import PARTNERS, crossplay_count, find_players
@@ -95,7 +95,7 @@ def _show(found: dict[str, Any]) -> None:
     for name in (player["name"] for player in found["managers"]):
         own = [cells[name, other] for other in names]
         rows.append((name, *(interval_text(cell, 2) + " *" * cell["together"] for cell in own)))
-    title = f"{found['scenario']}: {found['budget_episodes']} episodes, split {found['split']}; * have learned together"
+    title = f"{found['scenario']}: {found['budget_episodes']} episodes, split {found['split']}; * trained together"
     show_table(title, ("manager", *letters.values()), rows, right=range(1, len(names) + 1))
     drops = [
         (
@@ -111,4 +111,4 @@ def _show(found: dict[str, Any]) -> None:
             drops,
             right=(1, 2, 3),
         )
-    page.print("0 is random play, 1 a planner that knows each episode's world.")
+    page.print("0 is random play, 1 the oracle.")

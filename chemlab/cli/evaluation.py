@@ -35,7 +35,7 @@ RESULT_COLUMNS: tuple[str, ...] = (
     "ticks",
     "spill, vent, metal fire",
 )
-"""Headings of the results of laboratories."""
+"""Column heads of the results of laboratories."""
 
 
 @app.command()
@@ -48,32 +48,32 @@ def evaluate(
         list[str] | None,
         typer.Option(
             help="scripted, random, pretrained, a bundled policy, or the path of a training run, a checkpoint or "
-            "exported weights; repeat the option. Laboratories accept more, see `chemlab run`. Default: scripted and "
+            "exported weights; repeatable. Laboratories accept more, see `chemlab run`. Default: scripted and "
             "random."
         ),
     ] = None,
-    bench: Annotated[str | None, typer.Option(help="A bench of the scenario; without: the whole laboratory.")] = None,
+    bench: Annotated[str | None, typer.Option(help="A bench of the scenario. Default: the whole laboratory.")] = None,
     goal: Annotated[
         list[str] | None,
         typer.Option(
             help="A goal; repeat the option. Default: all of a bench; in a laboratory each episode draws its goals."
         ),
     ] = None,
-    starts: Annotated[str, typer.Option(help="Starting states of a single bench: paper, lab or both.")] = "paper",
-    episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 100,
+    starts: Annotated[str, typer.Option(help="Initial states of a single bench: paper, lab or both.")] = "paper",
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes per goal.")] = 100,
     seed: SeedOption = 0,
     split: SplitOption = "train",
-    baseline: Annotated[str, typer.Option(help="The policy that improvement is measured over.")] = "scripted",
+    baseline: Annotated[str, typer.Option(help="Baseline of the probability of improvement.")] = "scripted",
     processes: Annotated[
-        int | None, typer.Option(min=1, help="Jobs at a time. Default: one, or, of a cluster, one for each core.")
+        int | None, typer.Option(min=1, help="Number of concurrent jobs. Default: one, or on a cluster one per core.")
     ] = None,
     address: AddressOption = None,
     output: Annotated[
         Path | None,
-        typer.Option("--out", "-o", help="Also write everything, with each episode's return, as JSON, one line each."),
+        typer.Option("--out", "-o", help="Also write all results, with each episode's return, as JSON lines."),
     ] = None,
     update: Annotated[
-        Path | None, typer.Option(help="Write the rows of laboratories into this Markdown file's results.")
+        Path | None, typer.Option(help="Write the rows of laboratories into the table of this Markdown file.")
     ] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
@@ -101,7 +101,7 @@ def evaluate(
                 target.check(name)
         total = len({baseline, *policies}) * sum(len(goal or target.default_goals) for target in chosen) * episodes
         found = []
-        # Most evaluations are over before other processes would have started.
+        # Most evaluations end before other processes would have started.
         with counting() as progress, executor(address, processes or (1 if address is None else None)) as jobs:
             task = progress.add_task("episodes", total=total)
             for target in chosen:
@@ -125,7 +125,7 @@ def evaluate(
 
 
 def _cells(target: Mapping[str, Any], row: Mapping[str, Any]) -> tuple[str, ...]:
-    """A policy's results in a laboratory in words, by ``RESULT_COLUMNS``."""
+    """Return the cells of a policy's results in a laboratory, by ``RESULT_COLUMNS``."""
     means = row["measures"]
     return (
         target["scenario"],
@@ -137,7 +137,7 @@ def _cells(target: Mapping[str, Any], row: Mapping[str, Any]) -> tuple[str, ...]
 
 
 def _update(page: Path, cells: Sequence[tuple[str, ...]], whole: bool) -> None:
-    """Write rows between a Markdown file's marks; rows of other scenarios stay unless the table is made as a whole."""
+    """Write rows between a Markdown file's marks; rows of other scenarios are kept unless the table is complete."""
     text, start, stop = check_marks(page, "results")
     found = {} if whole else {_row_of(line): line for line in text[start:stop].splitlines() if line.startswith("| `")}
     found |= {(name, played): f"| `{name}` | {' | '.join((played, *others))} |" for name, played, *others in cells}
@@ -146,19 +146,19 @@ def _update(page: Path, cells: Sequence[tuple[str, ...]], whole: bool) -> None:
 
 
 def _row_of(line: str) -> tuple[str, str]:
-    """Scenario and policy of a line of the table."""
+    """Return scenario and policy of a table row."""
     scenario, policy, *_ = (cell.strip() for cell in line.strip("|").split("|"))
     return scenario.strip("`"), policy
 
 
 def _show(results: dict[str, Any]) -> None:
-    """Print an evaluation: over all goals, then by goal."""
+    """Print an evaluation over all goals, then by goal."""
     from ..agents.evaluate.statistics import interval_text
 
     target, rows = results["target"], results["policies"]
     names = [row["policy"] for row in rows]
     what = f"{target['scenario']}, bench {target['bench']}" if target["bench"] else f"{target['scenario']}, laboratory"
-    title = f"{what}: {results['episodes_per_goal']} episodes a goal; [{results['confidence']:.0%} intervals]"
+    title = f"{what}: {results['episodes_per_goal']} episodes per goal; [{results['confidence']:.0%} intervals]"
     whole = []
     for row in rows:
         mean, middle, gain = (interval_text(row[key]) for key in ("mean", "interquartile_mean", "difference"))

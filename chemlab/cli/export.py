@@ -35,14 +35,14 @@ app.add_typer(export, name="export")
 @export.command()
 def policy(
     run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
-    to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; its name is the policy's name.")],
-    role: Annotated[str | None, typer.Option(help="Which of several roles that learned together.")] = None,
+    to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; the file name is the policy's name.")],
+    role: Annotated[str | None, typer.Option(help="Role, if several learned together.")] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Make a policy that needs no PyTorch out of a run's best checkpoint: NAME.safetensors and NAME.json.
+    """Export a run's best checkpoint as a policy without PyTorch: NAME.safetensors and NAME.json.
 
-    It is played beside the original on observations of the bench, and refused if it is not the same to 1e-5.
+    It is compared with the original on observations of the bench, and rejected if outputs differ by more than 1e-5.
     """
     with readable_errors():
         from ..agents.train.export import export_run
@@ -64,16 +64,16 @@ def policy(
 @export.command()
 def demos(
     files: Annotated[list[Path], typer.Argument(help="Records of one scenario (see `chemlab play --record`).")],
-    name: Annotated[str, typer.Option("--name", "-o", help="The datasets' name: they become NAME/AGENT-v0.")],
-    agent: Annotated[list[str] | None, typer.Option(help="An agent; repeat the option. Default: all.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace datasets that are there already.")] = False,
+    name: Annotated[str, typer.Option("--name", "-o", help="Name of the datasets NAME/AGENT-v0.")],
+    agent: Annotated[list[str] | None, typer.Option(help="An agent; repeatable. Default: all.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing datasets.")] = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Make demonstrations of records: a Minari dataset for each agent, to learn from.
+    """Export records as demonstrations: one Minari dataset per agent.
 
-    An episode is the laboratory's for the manager, and an experiment for a bench's agent. Observations come from
-    playing the records again; records that do not hold what happens are refused. Needs the extra `data`.
+    An episode is the laboratory's for the manager, and an experiment for a bench's agent. Observations are recomputed
+    by replay; records that fail verification are rejected. Needs the extra `data`.
     """
     from ..agents.demonstrations import write_datasets
 
@@ -94,11 +94,11 @@ def starts(
     episodes: Annotated[int, typer.Option(min=1, help="Episodes for each goal.")] = 6,
     seed: SeedOption = 0,
     output: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Where to write (default: where it is looked for).")
+        Path | None, typer.Option("--out", "-o", help="Output file (default: the file that environments read).")
     ] = None,
     trust: TrustOption = False,
 ) -> None:
-    """Record the vessels that reach each bench in laboratory runs, for environments with starts='lab'."""
+    """Record the vessels that reach each bench in laboratory episodes, for environments with starts='lab'."""
     from rich.progress import Progress
 
     with Progress(console=err, transient=True) as progress:

@@ -37,7 +37,7 @@ __all__: list[str] = []
 
 @app.command("list")
 def list_scenarios(as_json: JsonOption = False) -> None:
-    """List the scenarios that come with chemlab, and the syntheses."""
+    """List the bundled scenarios and syntheses."""
     from ..config.loading import load_scenario, scenario_names, synthesis_names
 
     scenarios = [load_scenario(name) for name in scenario_names()]
@@ -57,7 +57,7 @@ def list_scenarios(as_json: JsonOption = False) -> None:
         ]
         typer.echo(json.dumps(rows, indent=2))
         return
-    first = "Scenarios (play one: chemlab run NAME; what is in it: chemlab describe NAME)"
+    first = "Scenarios (play one: chemlab run NAME; describe it: chemlab describe NAME)"
     for title, listed in ((first, scenarios), ("Syntheses, played likewise", syntheses)):
         cells = [(s.name, ", ".join(s.benches), len(s.lab_goals), s.summary) for s in listed]
         show_table(title, ("name", "benches", "goals", "summary"), cells, right=(2,))
@@ -68,14 +68,14 @@ def describe(
     scenario: ScenarioArgument,
     agent: Annotated[
         list[str] | None,
-        typer.Option(help="Whose observation and actions, number by number: an agent (rxn_0), a kind (rxn) or all."),
+        typer.Option(help="List observations and actions of an agent (rxn_0), a kind (rxn) or all."),
     ] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Tell what is in a scenario: agents, vessels, stock, prices, limits, rewards; of an agent all it sees and may do.
+    """Describe a scenario: agents, vessels, stock, prices, limits, rewards; with --agent, observations and actions.
 
-    JSON has everything of every agent, or with --agent of those.
+    JSON output contains everything about every agent, or about those of --agent.
     """
     from ..lab import describe as facts
 
@@ -92,14 +92,14 @@ def describe(
 
 
 def _show(title: str, facts: FactTable) -> None:
-    """A table of facts, with names as they are."""
+    """Print a table of facts."""
     if facts.note:
         title = f"{title}; {facts.note}"
     show_table(title, facts.head, [[cell.replace("`", "") for cell in row] for row in facts.rows], facts.right)
 
 
 def _show_scenario(labs: Laboratories) -> None:
-    """Everything but the agents' spaces."""
+    """Print everything except the agents' spaces."""
     from ..lab import describe as facts
 
     spec = labs.scenario
@@ -107,11 +107,11 @@ def _show_scenario(labs: Laboratories) -> None:
     page.print(plain(" ".join(facts.goal_words(spec)).replace("`", "")))
     page.print()
     _show(
-        f"Agents (all that one sees and may do: chemlab describe {spec.argument} --agent NAME)",
+        f"Agents (observations and actions of one: chemlab describe {spec.argument} --agent NAME)",
         facts.agent_table(labs),
     )
     _show("Benches", facts.bench_table(labs))
-    _show(f"Shelf of {spec.shelf.slots} slots, at the beginning", facts.vessel_table(spec))
+    _show(f"Shelf of {spec.shelf.slots} slots, initial state", facts.vessel_table(spec))
     _show("Stock (prices in units of the score: 1 is the theoretical maximum, pure)", facts.stock_table(spec))
     if spec.instruments:
         _show("Instruments", facts.instrument_table(labs))
@@ -157,7 +157,7 @@ def _play(
 
 
 def _recorders(env: raw_env, policy: str, seeds: range, record: Path | None, force: bool) -> dict[int, Recorder]:
-    """A recorder for every seed's episode, by seed; a file that is in the way is found before anything is played."""
+    """Return a recorder per seed; an existing file is reported before anything is played."""
     from ..record import Recorder
 
     if record is None:
@@ -178,11 +178,11 @@ def run(
     record: Annotated[
         Path | None,
         typer.Option(
-            help="Write the episode's record here (see `chemlab verify` and `chemlab replay`); of several episodes, "
-            "NAME-SEED.EXT each. An episode that is broken off stays as FILE.part."
+            help="Write the episode's record here (see `chemlab verify` and `chemlab replay`); for several episodes, "
+            "NAME-SEED.EXT each. An interrupted episode stays as FILE.part."
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace records that are there already.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite existing records.")] = False,
     trust: TrustOption = False,
 ) -> None:
     """Play episodes: print every agent's actions and their outcomes, then the results."""
@@ -206,7 +206,7 @@ def run(
 
 
 class _Account:
-    """Tells an episode turn by turn: manager decisions and outcomes in full, equal bench actions folded."""
+    """Prints an episode turn by turn: manager decisions and outcomes in full, runs of equal bench actions folded."""
 
     def __init__(self, env: raw_env) -> None:
         self._env = env
@@ -226,7 +226,7 @@ class _Account:
             self._last, self._times, self._since = (turn.agent, said), 1, turn.tick
         notes = []
         if turn.info["illegal_action"]:
-            notes.append("[yellow]not possible now: the turn is lost[/yellow]")
+            notes.append("[yellow]invalid action: it had no effect[/yellow]")
         events = named_events(labs.scenario, turn.info)
         notes += [f"[red]safety: {plain(words)}[/red]" for words in event_words(events)]
         score = turn.info["score"] if turn.agent != labs.manager.name and turn.info["experiment_over"] else None
@@ -265,7 +265,7 @@ class _Account:
         self._last, self._times = None, 0
 
     def close(self, result: EpisodeResult, number: int, episodes: int) -> None:
-        """The episode's end, in words."""
+        """Print the result of the episode."""
         self._flush()
         outcome, _, score = result.words().rpartition("; ")
         out.print(f"episode {number}/{episodes} (seed {result.seed}): {plain(outcome)}; [bold]{plain(score)}[/bold]\n")

@@ -34,7 +34,7 @@ __all__: list[str] = []
 
 
 def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int) -> dict[str, tuple[str, Policy]]:
-    """(name, policy) of who plays the other roles."""
+    """Return (name, policy) of the other roles."""
     from ..agents.policies import agent_policy, make_policies
 
     pretrained = name == "pretrained"
@@ -50,7 +50,7 @@ def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int)
 
 
 class _Told:
-    """Tells people what has come of a turn: of their own all that its agent is told, of others' only that it was."""
+    """Prints the outcome of turns to people: in full for their own agents, only the fact for others."""
 
     def __init__(self, env: raw_env, people: Sequence[str]) -> None:
         self._env, self._people = env, people
@@ -66,7 +66,7 @@ class _Told:
             self._others[turn.agent] = self._others.get(turn.agent, 0) + 1
             return
         self.flush()
-        notes = ["not possible: the turn is lost"] if turn.info["illegal_action"] else []
+        notes = ["invalid action: it had no effect"] if turn.info["illegal_action"] else []
         notes += [f"safety: {words}" for words in event_words(named_events(labs.scenario, turn.info))]
         if turn.info["experiment_over"] and turn.agent != labs.manager.name:
             notes.append(self._over(turn.agent))
@@ -79,7 +79,7 @@ class _Told:
         return f"experiment over: {self._env.infos[agent]['score']:+.3f} {meaning}"
 
     def _decided(self, turn: PlayedTurn) -> None:
-        """What a manager's decision means for people at the benches, and what it has read."""
+        """Print the consequences of a manager's decision for people at the benches, and its readings."""
         from ..lab.text import reading_words
 
         labs = self._env.laboratories
@@ -91,7 +91,7 @@ class _Told:
             page.print(plain(f"  {reading_words(labs, int(arguments[0]), str(arguments[1]))}"))
 
     def flush(self) -> None:
-        """Say who else has acted in the meantime."""
+        """Print which other agents have acted in the meantime."""
         if self._others:
             counts = ", ".join(f"{agent} {count}x" for agent, count in self._others.items())
             page.print(f"  (meanwhile: {counts})", style="dim")
@@ -103,24 +103,25 @@ def play(
     scenario: ScenarioArgument,
     role: Annotated[
         list[str] | None,
-        typer.Option(help="Whom you play: an agent (rxn_0), a kind (rxn) or all; repeat the option. Default: manager."),
+        typer.Option(help="Your role: an agent (rxn_0), a kind (rxn) or all; repeatable. Default: manager."),
     ] = None,
     background: Annotated[
-        str, typer.Option(help="Who plays the others: scripted, scripted:unsafe, random or pretrained.")
+        str, typer.Option(help="Policy of the other roles: scripted, scripted:unsafe, random or pretrained.")
     ] = "scripted",
     seed: SeedOption = 0,
     split: SplitOption = "train",
-    goal: Annotated[str | None, typer.Option(help="The laboratory's goal. Default: the scenario draws one.")] = None,
+    goal: Annotated[str | None, typer.Option(help="Goal of the laboratory. Default: drawn by the scenario.")] = None,
     record: Annotated[
         Path | None,
-        typer.Option(help="Write the episode's record here; of an episode that you leave early, FILE.part."),
+        typer.Option(help="Write the episode's record here; for an unfinished episode, FILE.part."),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a record that is there already.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing record.")] = False,
     trust: TrustOption = False,
 ) -> None:
     """Play one or more roles yourself in the terminal; policies play the others.
 
-    At each of your turns you see what that role's agent sees, no more. Type ? for help and q to leave.
+    At each of your turns, the observation of that role's agent is shown, and nothing else. Type ? for help and q to
+    leave.
     """
     from ..agents.episodes import play_episode
     from ..agents.human import HumanPolicy, Left
@@ -157,14 +158,14 @@ def play(
 
 
 def _ask() -> Callable[[str], str]:
-    """How people are asked; a prompt may have brackets, which are no markup."""
-    with suppress(ImportError):  # where there is one, lines can be edited and called back
+    """Return the prompt function; prompts may contain brackets without markup."""
+    with suppress(ImportError):  # if available, lines can be edited and recalled
         import readline  # noqa: F401
     return lambda prompt: page.input(prompt, markup=False)
 
 
 def _leave(reason: BaseException, part: Path | None) -> None:
-    """End before the episode does."""
+    """Leave before the end of the episode."""
     interrupted = isinstance(reason, KeyboardInterrupt)
     kept = f"; the record so far: {part}" if part is not None and part.exists() else ""
     out.print(plain(f"\n{'interrupted' if interrupted else reason}{kept}"))

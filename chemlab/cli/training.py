@@ -1,4 +1,4 @@
-"""Commands about learning: train, sweep, export."""
+"""Commands on training: train, sweep, export."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ __all__: list[str] = []
 
 
 class _Account:
-    """A bar with the time left and the latest return, or, where nobody watches, a line for each evaluation."""
+    """A progress bar with the remaining time and the latest return; without a terminal, a line per evaluation."""
 
     def __init__(self, progress: Progress | None) -> None:
         self._progress = progress
@@ -41,7 +41,7 @@ class _Account:
         self._steps = 0
 
     def _say(self, text: str) -> None:
-        # A line is there at once, so that a log shows where a run is.
+        # Print a line at once, so that a log shows the run's folder.
         console = self._progress.console if self._progress is not None else err
         console.print(text)
 
@@ -72,7 +72,7 @@ class _Account:
 
 
 def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunResult]) -> None:
-    """Train with an account of it on standard error, then say what came of it."""
+    """Train with progress on standard error, then print the result."""
     from ..agents.runs import Run
 
     known = Run(folder).result_file.exists()
@@ -86,13 +86,13 @@ def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunR
             with Progress(*columns, *clocks, console=err) as progress:
                 result = run(_Account(progress))
     except KeyboardInterrupt:
-        err.print(f"stopped; the same command goes on from the last checkpoint in {plain(folder)}")
+        err.print(f"stopped; the same command resumes from the last checkpoint in {plain(folder)}")
         raise typer.Exit(130) from None
     if as_json:
         typer.echo(json.dumps({**asdict(result), "folder": str(folder)}))
         return
     if known:
-        out.print(f"{plain(folder)} is finished; nothing is run again")
+        out.print(f"{plain(folder)} is finished; nothing to do")
     out.print(_outcome(result))
     out.print(f"best checkpoint (step {result.best_step:,}) and everything else: {plain(folder)}")
 
@@ -210,13 +210,13 @@ def train(
     ],
     config: Annotated[
         Optional[Path],  # noqa: UP045 - read at run time
-        typer.Option("--config", help="TOML file with any of these arguments; flags win.", show_default=False),
+        typer.Option("--config", help="TOML file with any of these arguments; flags come first.", show_default=False),
     ] = None,
     folder: Annotated[
         Optional[Path],  # noqa: UP045
         typer.Option("--out", help="The run's folder. Default: runs/TASK/ALGO/seed-SEED.", show_default=False),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar; a line for each evaluation.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="No progress bar; one line per evaluation.")] = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -248,11 +248,11 @@ def sweep(
     processes: ProcessesOption = None,
     address: AddressOption = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of results.")] = Path("results"),
-    status: Annotated[bool, typer.Option("--status", help="Show what is done and run nothing.")] = False,
+    status: Annotated[bool, typer.Option("--status", help="Show the state of the sweep and run nothing.")] = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Train everything in a sweep file; what is finished is not run again, what was interrupted goes on."""
+    """Train all runs of a sweep file; finished runs are skipped, interrupted ones resumed."""
     with readable_errors():
         from ..agents.executors import executor
         from ..agents.train.sweep import plan, run_sweep, status_of
@@ -261,15 +261,15 @@ def sweep(
         if status:
             found = [status_of(one) for one in runs]
         else:
-            from ..agents.train import learn as training  # noqa: F401 - without the extra, say so once and not in every log
+            from ..agents.train import learn as training  # noqa: F401 - report a missing extra only once
 
-            # A sweep that is told to stop takes its runs along, as one that is interrupted does.
+            # Terminating a sweep terminates its runs, as an interruption does.
             signal.signal(signal.SIGTERM, signal.default_int_handler)
             try:
                 with executor(address, processes, commands=True) as jobs:
                     found = run_sweep(runs, jobs, lambda _: None) if as_json else _live(runs, jobs)
             except KeyboardInterrupt:
-                err.print("stopped; the same command goes on")
+                err.print("stopped; the same command resumes")
                 raise typer.Exit(130) from None
     if as_json:
         rows = [{"run": one.name, **asdict(now)} for one, now in zip(runs, found, strict=True)]
@@ -281,7 +281,7 @@ def sweep(
 
 
 def _live(runs: list[Planned], jobs: Executor) -> list[Status]:
-    """Run it with a table that is kept up to date, or, where nobody watches, a line whenever a run's state changes."""
+    """Run with a live table; without a terminal, print a line for each change of a run's state."""
     from ..agents.train.sweep import run_sweep
 
     if out.is_terminal:
@@ -301,7 +301,7 @@ def _live(runs: list[Planned], jobs: Executor) -> list[Status]:
 
 
 def _table(runs: list[Planned], found: list[Status], every: bool = False) -> Table:
-    """All runs, or only those that say something: running, failed, the latest done, the next in the queue."""
+    """Return a table of all runs, or only of running, failed, last finished and next queued ones."""
     counts = {state: sum(now.state == state for now in found) for state in dict.fromkeys(s.state for s in found)}
     table = Table(title=", ".join(f"{count} {state}" for state, count in counts.items()), box=SIMPLE)
     for name in ("run", "state", "step", "of", "mean return", ""):

@@ -74,7 +74,7 @@ def check_charges(spec: Scenario, known: Mapping[str, Material], family: Reactio
         charge = sum(mol * known[name].charge for name, mol in vessel.contents.items())
         if abs(charge) > _NEUTRAL * sum(mol * abs(known[name].charge) for name, mol in vessel.contents.items()):
             raise DataError(
-                f"{where}: {key}.contents: must be neutral; the charge is {charge:+.4g} mol; add the ions that"
+                f"{where}: {key}.contents: must be neutral; the charge is {charge:+.4g} mol; add the ions that "
                 "balance it, or salts"
             )
         if isinstance(vessel, StartSpec) and vessel.goal_mol:

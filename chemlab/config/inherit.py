@@ -176,7 +176,7 @@ def _merged(under: Mapping[str, Any], own: Mapping[str, Any], where: str, path: 
             if below and not value:
                 name = ".".join(part if re.fullmatch(r"[\w-]+", part, re.ASCII) else f"'{part}'" for part in here)
                 raise DataError(
-                    f"{where}: {name}: an empty table has no effect; omit it, or remove the base's"
+                    f"{where}: {name}: an empty table has no effect; omit it, or remove the base's "
                     f'with remove = ["{name}"]'
                 )
             value = _merged(below, value, where, here)

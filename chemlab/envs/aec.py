@@ -74,13 +74,13 @@ def env(
     split: str | None = None,
     actions: str | None = None,
 ) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
-    """The laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
+    """Return the laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
     laboratory = raw_env(scenario, render_mode, rewards, split, actions)
     return OrderEnforcedLaboratory(laboratory)
 
 
 class OrderEnforcedLaboratory(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
-    """PettingZoo's wrapper, which names what is in it."""
+    """PettingZoo's order-enforcing wrapper, with a readable name."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} around {self.env!r}>"
@@ -110,16 +110,16 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self._one_action = np.zeros(1, dtype=np.int64)
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-        """Begin an episode.
+        """Start an episode.
 
         Args:
-            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+            seed: starts a series of episodes that depends on the seed alone; None: the next episode of the series (the
                 first reset draws a seed).
-            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
-                ``{"world": seed or values}`` for a world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
+            options: ``{"goal": name}`` sets one of the scenario's laboratory goals instead of drawing it, ``{"world":
+                seed or values}`` sets the world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
 
         Raises:
-            ValueError: unknown goal, a world that there is not, or a seed that is not an integer of at least 0; nothing
+            ValueError: the goal is unknown, the world is invalid, or the seed is not a non-negative integer; nothing
                 has changed.
         """
         self._begin(seed, options)
@@ -147,7 +147,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self._last_turn[agent] = ticks
 
     def step(self, action: Any) -> None:
-        """The selected agent's turn.
+        """Play the selected agent's turn.
 
         Raises:
             ValueError: the action is outside the agent's space; the message names agent, expected and given, and
@@ -164,7 +164,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
             return
         number, labs = self._number[agent], self.laboratories
         if type(action) is int and 0 <= action < labs.action_counts[number]:
-            checked = self._one_action  # most turns: no array has to be made
+            checked = self._one_action  # the common case, without allocating an array
             checked[0] = action
         else:
             checked = labs.checked(number, action)
@@ -185,7 +185,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         if status == RUNNING:
             self._give_turn()
         else:
-            for name in self.agents:  # a limit is an end as well: see chemlab.roles.manager_state
+            for name in self.agents:  # a limit terminates as well: see chemlab.roles.manager_state
                 self.terminations[name] = True
                 infos[name]["elapsed_ticks"] = labs.state.ticks.item(0) - self._last_turn[name]
             self.agent_selection = labs.manager.name
@@ -196,7 +196,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self._show()
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
-        """Legal actions of the selected agent, as sb3-contrib's MaskablePPO asks for them.
+        """Return the legal actions of the selected agent, in the format of sb3-contrib's MaskablePPO.
 
         Raises:
             ValueError: the selected agent's actions are continuous.

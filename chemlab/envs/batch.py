@@ -1,4 +1,4 @@
-"""Many laboratories at once, every agent present: arrays in, arrays out."""
+"""Batched laboratories with all agents: arrays in, arrays out."""
 
 from __future__ import annotations
 
@@ -81,11 +81,11 @@ class BatchedLaboratory:
         ]
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Box:
-        """Observation space of one agent in one laboratory."""
+        """Return the observation space of one agent in one laboratory."""
         return self.laboratories.observation_space(self.possible_agents.index(agent))
 
     def action_space(self, agent: str) -> gymnasium.Space[Any]:
-        """Action space of one agent in one laboratory."""
+        """Return the action space of one agent in one laboratory."""
         return self.laboratories.action_space(self.possible_agents.index(agent))
 
     @property
@@ -95,32 +95,32 @@ class BatchedLaboratory:
 
     @property
     def state_channels(self) -> list[Channel]:
-        """What :meth:`state` holds, in order; see :mod:`chemlab.envs.global_state`."""
+        """Channels of :meth:`state` in order; see :mod:`chemlab.envs.global_state`."""
         return self._whole.channels
 
     def state(self, members: IntArray | None = None) -> ObservationArray:
-        """[B, size] everything there is to know of laboratories (default: all), which no agent sees, for centralised
-        critics.
+        """Return [B, size] the true states of laboratories (default: all), for centralised critics.
 
-        Where an episode has just ended, it is of the one that has begun since (without ``autoreset``: of its end).
+        For an episode that has just ended, it is the state of the next one (without ``autoreset``: of its end).
         """
         return self._whole.see(self.laboratories.members if members is None else members)
 
     def reset(
         self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, ObservationArray], dict[str, Arrays]]:
-        """Begin episodes in every laboratory, or in those of ``options["reset_mask"]`` [N].
+        """Start episodes in every laboratory, or in those of ``options["reset_mask"]`` [N].
 
         Args:
-            seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins).
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: the next episode of its
+                series).
             options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Returns:
             Observations [N, size] and infos by agent, as from :meth:`step`.
 
         Raises:
-            ValueError: unknown option, goal or world, a mask or seeds of the wrong length, or a seed that is not an
-                integer of at least 0; nothing has changed.
+            ValueError: an option, goal or world is unknown, a mask or seeds have the wrong length, or a seed is not a
+                non-negative integer; nothing has changed.
         """
         mask, seeds, goal, world = parsed_reset(
             seed, options, self.num_envs, self.scenario.lab_goals, self._begun, self._random
@@ -128,13 +128,13 @@ class BatchedLaboratory:
         labs, members = self.laboratories, np.flatnonzero(mask)
         if world is not None:
             labs.worlds.check(world)
-        self._begun = False  # until it is done: after an interruption only a reset of all helps
+        self._begun = False  # until it is finished: after an interruption only a reset of all members helps
         for member in members.tolist():
             member_seed = seeds[member]
             if member_seed is not None:
                 labs.seed(member, member_seed)
         self._restart(members, goal, world)
-        self._turns[:, members] = True  # rows of masks may be an interrupted step's: all are written
+        self._turns[:, members] = True  # an interrupted step may have left rows of masks: all are written
         self._look()
         found = self._seen(), self._infos(self._told(members[:0], begun=True))
         self._begun = True
@@ -153,11 +153,11 @@ class BatchedLaboratory:
         npt.NDArray[np.bool_],
         dict[str, Arrays],
     ]:
-        """One round in every laboratory: the manager's action where it has the turn, else one tick.
+        """Play one round in every laboratory: the manager's action if it has the turn, else one tick.
 
         Args:
-            actions: of every agent that has the turn anywhere: [N] integers or [N, n] numbers; rows of laboratories
-                where it does not have the turn are ignored.
+            actions: actions of every agent with the turn anywhere: [N] integers or [N, n] numbers; rows of laboratories
+                in which it does not have the turn are ignored.
 
         Returns:
             Observations [N, size] by agent; rewards [N] by agent; whether each laboratory's episode has terminated [N]
@@ -189,7 +189,7 @@ class BatchedLaboratory:
                 checked.append(checked_actions(agent, actions[agent], self.num_envs, space, turn))
             else:
                 raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
-        self._begun = False  # until it is done, as in reset
+        self._begun = False  # until it is finished, as in reset
         labs.act_round(members, checked)
         rewards = dict(zip(self.possible_agents, labs.state.rewards.copy(), strict=True))
         ended = labs.state.status != RUNNING
@@ -212,7 +212,7 @@ class BatchedLaboratory:
         return found
 
     def _look(self) -> None:
-        """Bring turns, observations and masks up to date."""
+        """Update turns, observations and masks."""
         labs, members = self.laboratories, self.laboratories.members
         before = self._turns.copy()
         labs.turns(members, self._turns)
@@ -237,8 +237,9 @@ class BatchedLaboratory:
         return {agent: array.copy() if self.copy else array for agent, array in pairs}
 
     def _told(self, over: IntArray, begun: bool = False) -> list[Arrays]:
-        """What every agent is told of the round, before the episodes of ``over``, which it has ended, begin anew; or of
-        episodes that have only ``begun``."""
+        """Return every agent's infos of the round before the episodes of ``over`` restart, or of episodes that have
+        ``begun``.
+        """
         labs, state = self.laboratories, self.laboratories.state
         acted = np.zeros_like(self._turns) if begun else self._turns
         scores = np.full_like(state.scores, np.nan) if begun else state.scores.copy()
@@ -246,7 +247,7 @@ class BatchedLaboratory:
             scores[labs.manager.index, over] = labs.result(over)
         ended, cost = np.isfinite(scores), state.cost.copy()
         scores[~ended] = 0.0
-        # An experiment may begin with an accident, in a round in which its agent has not acted.
+        # An experiment may start with a safety event in a round in which its agent has not acted.
         eventful = acted | (cost > 0.0)
         elapsed = state.ticks - self._last_turn
         told: list[Arrays] = []
@@ -259,7 +260,7 @@ class BatchedLaboratory:
         return told
 
     def _infos(self, told: list[Arrays]) -> dict[str, Arrays]:
-        """Everybody's infos: what they are ``told`` of the round, whose turn it is next, and what is legal."""
+        """Return the complete infos: those of the round, next turns, and masks."""
         turns, ticks = self._turns.copy(), self.laboratories.state.ticks
         np.copyto(self._last_turn, ticks, where=turns)
         infos: dict[str, Arrays] = {}

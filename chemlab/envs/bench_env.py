@@ -69,8 +69,8 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
     """One bench of a scenario as a Gymnasium environment; see this module's documentation for arguments and infos.
 
     Raises:
-        DataError: unknown scenario, bench, goal or starting states.
-        ValueError: unknown render mode.
+        DataError: the scenario, bench, goal or kind of initial states is unknown.
+        ValueError: the render mode is unknown.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's class attribute
@@ -102,23 +102,23 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
 
     @property
     def action_meanings(self) -> list[str]:
-        """What each action (or each number of a continuous action) does."""
+        """Description of each action, or of each number of a continuous action."""
         return self.bench.action_meanings
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
-        """Begin an experiment.
+        """Start an experiment.
 
         Args:
-            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+            seed: starts a series of episodes that depends on the seed alone; None: the next episode of the series (the
                 first reset draws a seed).
-            options: ``{"goal": name}`` asks for a goal instead of drawing it, ``{"world": seed or values}`` for a world
-                (see :meth:`chemlab.lab.hidden.Worlds.begin`).
+            options: ``{"goal": name}`` sets the goal instead of drawing it, ``{"world": seed or values}`` sets the
+                world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
 
         Raises:
-            ValueError: unknown option or goal, a world that there is not, or a seed that is not an integer of at least
-                0; nothing has changed.
+            ValueError: an option or goal is unknown, the world is invalid, or the seed is not a non-negative integer;
+                nothing has changed.
         """
         seed = checked_seed(seed)
         options = options or {}
@@ -129,7 +129,7 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         if world is not None:
             self.batch.worlds.check(world)
         super().reset(seed=seed)
-        self._over = True  # until it is done: after an interruption only a reset helps
+        self._over = True  # until it is finished: after an interruption only a reset helps
         if seed is not None or not self._seeded:
             self.batch.seed(0, int(self.np_random.integers(2**63)) if seed is None else seed)
             self._seeded = True
@@ -140,7 +140,7 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         return found
 
     def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One action of the experiment.
+        """Play one action of the experiment.
 
         Raises:
             ValueError: the action is outside the action space (nothing has changed).
@@ -153,13 +153,13 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
             raise gymnasium.error.ResetNeeded(
                 "the experiment is over, has not begun, or a step was interrupted or failed: call reset()"
             )
-        self._over = True  # until it is done, as in reset
+        self._over = True  # until it is finished, as in reset
         batch.act(checked)
         cost, reward = self._consequences
         cost[0], reward[0] = 0.0, 0.0
         self.bench.consequences(batch.shelf, batch.experiments, batch.members, cost, reward)
         total = float(reward[0])
-        # The last observation and mask are still of the running experiment: look first.
+        # The last observation and mask are of the running experiment: read them first.
         observation, info = self._observe(), self._info(float(cost[0]))
         over = bool(batch.experiments.ended[0])
         if over:
@@ -177,8 +177,8 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
     def _info(self, cost: float = 0.0, stepped: bool = True) -> dict[str, Any]:
         experiments = self.batch.experiments
         info: dict[str, Any] = {
-            # Of NumPy's types, as TorchRL's reader of infos wants them; its booleans are arrays without an axis, as
-            # Gymnasium's vector environments take them for objects otherwise.
+            # NumPy types, as required by TorchRL; booleans are zero-dimensional arrays, because Gymnasium's vector
+            # environments treat NumPy booleans as objects.
             "cost": np.float64(cost),
             "events": experiments.events[0].copy() if stepped else np.zeros(len(self.bench.scenario.safety_events)),
             "illegal_action": np.array(experiments.illegal[0]),
@@ -190,7 +190,7 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         return info
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
-        """Legal actions, as sb3-contrib's MaskablePPO asks for them.
+        """Return the legal actions, in the format of sb3-contrib's MaskablePPO.
 
         Raises:
             ValueError: the bench's actions are continuous.
@@ -200,12 +200,12 @@ class BenchEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         return np.asarray(self.batch.mask()[0], dtype=np.bool_)
 
     def get_state(self) -> State:
-        """Copies of everything that changes, for :meth:`set_state` (planning, debugging)."""
+        """Return copies of everything that changes, for :meth:`set_state` (planning, debugging)."""
         flags = np.array([self._over, self._seeded])
         return [*(array.copy() for array in self.batch.arrays()), flags]
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made environment; returns the observation.
+        """Restore a :meth:`get_state` of this or of an identical environment; return the observation.
 
         Raises:
             ValueError: it is of another environment; nothing changes.
@@ -253,10 +253,10 @@ class BenchVectorEnv(BatchEnv):
         ValueError: a number is out of bounds, or a render mode is given.
     """
 
-    # Of the class: Gymnasium closes even an environment whose arguments were refused before it was made.
+    # A class attribute, because Gymnasium closes even an environment whose constructor failed.
     _pool: ThreadPoolExecutor | None = None
     _pool_process = 0
-    """Number of the process whose threads those are: a forked child has none of them."""
+    """Id of the process of those threads; a forked child has none of them."""
 
     def __init__(
         self,
@@ -295,7 +295,7 @@ class BenchVectorEnv(BatchEnv):
         self.threads = min(threads, num_envs)
         self._waiting: list[Future[Any]] = []
         bounds = np.linspace(0, num_envs, self.threads + 1).astype(int)
-        # Each thread has its own members and its own scratch; everything else is rows that only it touches.
+        # Each thread has its own members and scratch, and touches only its own rows.
         self._chunks = [
             (np.arange(low, high), self.bench if i == 0 else self.bench.separate_scratch())
             for i, (low, high) in enumerate(itertools.pairwise(bounds))
@@ -326,7 +326,7 @@ class BenchVectorEnv(BatchEnv):
         return [own, *(future.result() for future in self._join())]
 
     def _join(self) -> list[Future[Any]]:
-        """Wait for the other threads' part of a step, also of one that was interrupted."""
+        """Wait for the other threads' part of a step, including an interrupted one."""
         wait(self._waiting)
         done, self._waiting = self._waiting, []
         return done
@@ -334,7 +334,7 @@ class BenchVectorEnv(BatchEnv):
     def _step_chunk(
         self, members: npt.NDArray[np.int64], bench: Any, actions: npt.NDArray[Any]
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:
-        """Step one thread's members; returns those that ended and, with SAME_STEP, their last observations."""
+        """Step one thread's members; return the ended ones and, with SAME_STEP, their last observations."""
         batch = self.batch
         shelf, experiments = batch.shelf, batch.experiments
         low, high = int(members[0]), int(members[-1]) + 1
@@ -353,7 +353,7 @@ class BenchVectorEnv(BatchEnv):
         batch.act(actions[rows], acting, bench)
         self._rewards[rows], self._costs[rows] = 0.0, 0.0
         bench.consequences(shelf, experiments, acting, self._costs, self._rewards)
-        # A reset in the same step forgets these there.
+        # A reset in the same step overwrites these.
         self._illegal[rows], self._events[rows] = experiments.illegal[rows], experiments.events[rows]
         ended = acting[experiments.ended[rows]]
         last = np.zeros((0, self._observations.shape[1]), dtype=np.float32)
@@ -365,7 +365,7 @@ class BenchVectorEnv(BatchEnv):
                 self._score(bench, ended)
                 batch.reset(ended, None, bench)
             else:
-                # The last observation is still of the running experiment: look first.
+                # The last observation is of the running experiment: read it first.
                 self._look(members, bench)
                 self._score(bench, ended)
                 self._pending[ended] = True
@@ -387,7 +387,7 @@ class BenchVectorEnv(BatchEnv):
 
     @property
     def action_meanings(self) -> list[str]:
-        """What each action (or each number of a continuous action) does."""
+        """Description of each action, or of each number of a continuous action."""
         return self.bench.action_meanings
 
     def _more_arrays(self) -> State:
@@ -401,5 +401,5 @@ class BenchVectorEnv(BatchEnv):
         self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        # Threads cannot be pickled or copied; they are started again when needed.
+        # Threads cannot be pickled or copied; they are restarted when needed.
         return {**vars(self), "_pool": None, "_waiting": []}

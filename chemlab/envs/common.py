@@ -1,4 +1,4 @@
-"""What the AEC and the parallel environment share: one laboratory, its spaces, its episodes' beginnings."""
+"""Common parts of the AEC and the parallel environment: one laboratory, its spaces, and resets."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ __all__ = ["OneLaboratory"]
 
 
 class OneLaboratory(Rendered):
-    """One laboratory as a PettingZoo environment sees it, whichever of the two interfaces it has."""
+    """One laboratory as a PettingZoo environment, independent of the interface."""
 
     def __init__(
         self,
@@ -60,32 +60,32 @@ class OneLaboratory(Rendered):
 
     @abstractmethod
     def _allocate(self) -> None:
-        """Make the arrays that the interface reuses in every step."""
+        """Allocate the arrays that the interface reuses in every step."""
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of {self.scenario.name}: {', '.join(self.possible_agents)}>"
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Box:
-        """The agent's observation space (always the same object)."""
+        """Return the agent's observation space (always the same object)."""
         return self.observation_spaces[agent]
 
     def action_space(self, agent: str) -> gymnasium.Space[Any]:
-        """The agent's action space (always the same object)."""
+        """Return the agent's action space (always the same object)."""
         return self.action_spaces[agent]
 
     def observe(self, agent: str) -> npt.NDArray[np.float32]:
-        """What the agent sees now; a bench without an experiment sees zeros."""
+        """Return the agent's current observation; zeros for a bench without an experiment."""
         seen: npt.NDArray[np.float32] = self.laboratories.observe(self._number[agent], self._members)[0]
         return seen
 
     def state(self) -> npt.NDArray[np.float32]:
-        """[size] everything there is to know, which no agent sees, in [0, 1]: see :attr:`state_channels`."""
+        """Return [size] the true state in [0, 1]: see :attr:`state_channels`."""
         whole: npt.NDArray[np.float32] = self._whole.see(self._members)[0]
         return whole
 
     @property
     def state_channels(self) -> list[Channel]:
-        """What :meth:`state` holds, in order; see :mod:`chemlab.envs.global_state`."""
+        """Channels of :meth:`state` in order; see :mod:`chemlab.envs.global_state`."""
         return self._whole.channels
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
@@ -93,7 +93,7 @@ class OneLaboratory(Rendered):
         options = options or {}
         unknown = set(options) - {"goal", "world"}
         if unknown:
-            # PettingZoo's api_test passes options of its own, so these cannot be an error.
+            # PettingZoo's api_test passes its own options, so unknown ones cannot be an error.
             gymnasium.logger.warn(f"reset options: known: goal, world; ignored: {', '.join(sorted(map(str, unknown)))}")
         goal, world = options.get("goal"), options.get("world")
         if goal is not None:
@@ -109,8 +109,10 @@ class OneLaboratory(Rendered):
         self.agents = self.possible_agents[:]
 
     def _info(self, agent: int, acted: bool = True) -> dict[str, Any]:
-        """An agent's info, always of the same keys, types and shapes: what its last turn led to, if it has just
-        ``acted``, and the mask of one that does not have the turn."""
+        """Return an agent's info with fixed keys, types and shapes.
+
+        It has the consequences of its last turn if it has just ``acted``, and the mask of an agent without the turn.
+        """
         role = self.laboratories.roles[agent]
         info = {
             "cost": self.laboratories.state.cost.item(agent, 0),
@@ -127,11 +129,13 @@ class OneLaboratory(Rendered):
         return info
 
     def _add_scores(self, infos: list[dict[str, Any]]) -> None:
-        """Tell whose experiment has ended in the last turn or round, and the manager whose episode has."""
+        """Add the ends and scores of experiments in the last turn or round, and the end of the episode for the
+        manager.
+        """
         labs = self.laboratories
         if labs.experiment_ended:
             for info, score in zip(infos, labs.scores[0].tolist(), strict=True):
-                if score == score:  # NaN where none of its own has ended
+                if score == score:  # NaN if no experiment of the agent has ended
                     info["experiment_over"], info["score"] = True, score
         if labs.state.status.item(0) != RUNNING:
             own = infos[labs.manager.index]

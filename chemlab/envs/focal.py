@@ -60,8 +60,9 @@ if TYPE_CHECKING:
 __all__ = ["FocalEnv", "FocalVectorEnv", "Policies"]
 
 Policies = Mapping[str, Any] | Callable[[Laboratories], Mapping[str, Any]]
-"""Who plays the other agents: anything :func:`~chemlab.envs.players.as_policy` takes, by agent id; or a function
-that makes these for the laboratories."""
+"""Policies of the other agents by name, as accepted by :func:`~chemlab.envs.players.as_policy`, or a function that
+makes them for the laboratories.
+"""
 
 
 class FocalVectorEnv(BatchEnv):
@@ -110,7 +111,7 @@ class FocalVectorEnv(BatchEnv):
             raise ValueError(f"policies: {self.scenario.name} has {', '.join(labs.agents)}; given {', '.join(unknown)}")
         missing = [name for name in labs.agents if name != agent and name not in given]
         if missing:
-            raise ValueError(f"policies: nobody plays {', '.join(missing)}; given {', '.join(given) or 'none'}")
+            raise ValueError(f"policies: missing for {', '.join(missing)}; given {', '.join(given) or 'none'}")
         self._players = Players(labs, [as_policy(given[name], name) if name != agent else None for name in labs.agents])
         limits = self.scenario.limits
         super().__init__(
@@ -134,7 +135,7 @@ class FocalVectorEnv(BatchEnv):
 
     @property
     def action_meanings(self) -> list[str]:
-        """What each action (or each number of a continuous action) does."""
+        """Description of each action, or of each number of a continuous action."""
         return self.laboratories.roles[self.focal].action_meanings
 
     def _seed_member(self, member: int, seed: int) -> None:
@@ -150,7 +151,7 @@ class FocalVectorEnv(BatchEnv):
         self._look()
 
     def _restart(self, members: IntArray, goal: str | None, world: World | None = None) -> None:
-        """New episodes, played on to the agent's first turn; nothing before it is the agent's."""
+        """Start new episodes and play up to the agent's first turn; earlier rewards do not count."""
         self._players.begin(members, lambda waiting: self.laboratories.reset(waiting, goal, world))
         self._clear(members)
         self._last_turn[members] = self.laboratories.state.ticks[members]
@@ -173,10 +174,10 @@ class FocalVectorEnv(BatchEnv):
         labs.act(self.focal, acting, actions[acting])
         self._illegal[acting] = labs.illegal(self.focal)[acting]
         self._collect(acting)
-        # The others play until the agent has the turn again or all is over.
+        # The others play until the agent has the turn again or all episodes are over.
         self._players.play_on(acting, lambda number, group: self._collect(group))
         self._events[acting] = labs.safety_totals[acting] - before
-        # Not a matrix product: the last digit of that depends on how many rows there are.
+        # Not a matrix product, whose last digit depends on the number of rows.
         self._lab_costs[acting] = (self._events[acting] * self._event_weights).sum(axis=1)
         ticks, status = labs.state.ticks, labs.state.status
         self._elapsed[acting] = ticks[acting] - self._last_turn[acting]
@@ -200,7 +201,7 @@ class FocalVectorEnv(BatchEnv):
         return [(ended, last)]
 
     def _step_results(self) -> State:
-        """What a step has come to, which an episode that begins in the same step must not touch."""
+        """Return the results of a step, which a reset in the same step must not change."""
         return [
             self._rewards,
             self._costs,
@@ -212,7 +213,7 @@ class FocalVectorEnv(BatchEnv):
         ]
 
     def _collect(self, members: IntArray) -> None:
-        """Add up what the last turn, whoever's it was, meant for the agent."""
+        """Add the consequences of the last turn of any agent to the agent's results."""
         labs, focal = self.laboratories, self.focal
         self._rewards[members] += labs.state.rewards[focal][members]
         self._costs[members] += labs.cost[members, focal]
@@ -232,13 +233,13 @@ class FocalVectorEnv(BatchEnv):
         return {"lab_cost": self._lab_costs.copy(), "elapsed_ticks": self._elapsed.copy()}
 
     def get_state(self) -> State:
-        """Copies of everything that changes, policies' memories included, for :meth:`set_state`."""
+        """Return copies of everything that changes, including policies' memories, for :meth:`set_state`."""
         memories = np.empty(1, dtype=object)
         memories[0] = self._players.get_memory()
         return [*super().get_state(), memories]
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations.
+        """Restore a :meth:`get_state` of this or of an identical batch; return the observations.
 
         Raises:
             ValueError: it is of another batch; nothing changes.
@@ -288,23 +289,23 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
 
     @property
     def action_meanings(self) -> list[str]:
-        """What each action (or each number of a continuous action) does."""
+        """Description of each action, or of each number of a continuous action."""
         return self.batch.action_meanings
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
-        """Begin an episode, played on to the agent's first turn.
+        """Start an episode and play up to the agent's first turn.
 
         Args:
-            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+            seed: starts a series of episodes that depends on the seed alone; None: the next episode of the series (the
                 first reset draws a seed).
-            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
-                ``{"world": seed or values}`` for a world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
+            options: ``{"goal": name}`` sets one of the scenario's laboratory goals instead of drawing it, ``{"world":
+                seed or values}`` sets the world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
 
         Raises:
-            ValueError: unknown option or goal, a world that there is not, or a seed that is not an integer of at least
-                0; nothing has changed.
+            ValueError: an option or goal is unknown, the world is invalid, or the seed is not a non-negative integer;
+                nothing has changed.
         """
         seed = checked_seed(seed)
         unknown = set(options or {}) - {"goal", "world"}
@@ -316,7 +317,7 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         return observations[0], self._info(infos)
 
     def step(self, action: Any) -> tuple[npt.NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """One turn of the agent; the others then play on to its next one.
+        """Play one turn of the agent; the others then play up to its next one.
 
         Raises:
             ValueError: the action is outside the action space (nothing has changed).
@@ -329,13 +330,13 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
 
     def _info(self, infos: dict[str, Any]) -> dict[str, Any]:
         own = {name: values for name, values in infos.items() if not name.startswith("_")}
-        # Booleans as arrays without an axis: Gymnasium's vector environments take NumPy's single ones for objects.
+        # Booleans are zero-dimensional arrays, because Gymnasium's vector environments treat NumPy booleans as objects.
         info = {name: np.array(values[0]) if values.dtype == np.bool_ else values[0] for name, values in own.items()}
         info.update(self.laboratories.roles[self.batch.focal].accounts(0))
         return info
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
-        """Legal actions, as sb3-contrib's MaskablePPO asks for them.
+        """Return the legal actions, in the format of sb3-contrib's MaskablePPO.
 
         Raises:
             ValueError: the agent's actions are continuous.
@@ -344,11 +345,11 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         return masks
 
     def get_state(self) -> State:
-        """Copies of everything that changes, policies' memories included, for :meth:`set_state`."""
+        """Return copies of everything that changes, including policies' memories, for :meth:`set_state`."""
         return self.batch.get_state()
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made environment; returns the observation."""
+        """Restore a :meth:`get_state` of this or of an identical environment; return the observation."""
         observation: npt.NDArray[np.float32] = self.batch.set_state(state)[0]
         return observation
 

@@ -35,7 +35,7 @@ class GlobalState:
 
     def __init__(self, laboratories: Laboratories) -> None:
         self._laboratories = laboratories
-        self._known = laboratories.shelf.chemistry.world()  # as the data files have it: one scale for all worlds
+        self._known = laboratories.shelf.chemistry.world()  # of the data files: one scale for all worlds
         self._litres = self._known.molar_volume
         self.channels = [
             Channel(part.name, part.values[0].size, part.unit, part.low, part.high, part.meaning)
@@ -46,11 +46,11 @@ class GlobalState:
         self.space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
 
     def see(self, members: IntArray) -> ObservationArray:
-        """[B, size] the state of the laboratories ``members``."""
+        """Return [B, size] the states of the laboratories ``members``."""
         out = np.empty((len(members), *self.space.shape), dtype=np.float32)
         at = 0
-        with np.errstate(under="ignore"):  # traces are 0
-            for part in self._parts(members):  # one by one: small enough for the processor's cache
+        with np.errstate(under="ignore"):  # traces underflow to 0
+            for part in self._parts(members):  # one by one, so that the arrays fit into the processor's cache
                 values = part.values.reshape(len(members), -1)
                 scaled = (values - part.low) * (1.0 / (part.high - part.low))
                 out[:, at : at + values.shape[1]] = scaled
@@ -94,7 +94,7 @@ class GlobalState:
         labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.state
         first = np.where(rules.first_stock > 0.0, rules.first_stock, 1.0)[rules.stocked]
         stock = labs.shelf.stock[members][:, rules.stocked] / first
-        # Where a slot is empty, its history is none.
+        # An empty slot has no history.
         age = np.where(state.age[members] < 0, rules.tick_limit, state.age[members])
         standing = sum(sum(vessel.contents.values()) for vessel in labs.scenario.shelf.vessel)
         everything = float(rules.first_stock.sum()) + standing

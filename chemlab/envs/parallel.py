@@ -1,21 +1,19 @@
-"""The laboratory as a PettingZoo parallel environment: one manager action, or one tick, a step.
+"""The laboratory as a PettingZoo parallel environment: a step is one manager action or one tick.
 
 | Import | `from chemlab.laboratory import parallel_env` |
 |---|---|
 | Agents, observations, actions | as in AEC (see `chemlab.envs.aec`) |
 | Masks | `info["action_mask"]` of every agent with discrete actions, always |
 
-### Turns
-Every agent is present in every step. While the manager has the turn the step is its action; after its `wait`, every
-step is one tick, in which every busy bench acts, in the scenario's order, until an experiment ends. Whoever does not
-have the turn (`info["has_turn"]` is False) has a mask that allows one action only, `wait` for the manager and `end` for
-a bench, and what it plays is ignored: it may be left out. The dynamics are those of the AEC environment: the same
-actions give the same rewards and states. Masks are of the tick's beginning: an action that another bench has made
-impossible in the same tick (it took the last of a bottle) is a lost turn, as any other.
+### Turns Every agent is present in every step. While the manager has the turn, a step is its action. After its `wait`,
+every step is one tick, in which every busy bench acts in the scenario's order, until an experiment ends. An agent
+without the turn (`info["has_turn"]` is False) has a mask with one action only, `wait` for the manager and `end` for a
+bench; its action is ignored and may be omitted. The dynamics are those of the AEC environment: equal actions give equal
+rewards and states. Masks refer to the beginning of the tick: an action that another bench makes impossible in the same
+tick (by taking the last of a bottle) is invalid.
 
-### Infos
-As in AEC, of the step, and `has_turn` (in the next one). `elapsed_ticks` is the time since the agent last had the turn,
-or since the episode's beginning.
+### Infos As in AEC for the step, and `has_turn` (in the next one). `elapsed_ticks` is the number of ticks since the
+agent last had the turn, or since the beginning of the episode.
 
 ### Version history
 - v0: first version.
@@ -69,16 +67,16 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, npt.NDArray[np.float32]], dict[str, dict[str, Any]]]:
-        """Begin an episode.
+        """Start an episode.
 
         Args:
-            seed: begins a series of episodes, which depends on the seed alone; without one, its next episode begins (a
+            seed: starts a series of episodes that depends on the seed alone; None: the next episode of the series (the
                 first reset draws a seed).
-            options: ``{"goal": name}`` asks for one of the scenario's laboratory goals instead of drawing it,
-                ``{"world": seed or values}`` for a world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
+            options: ``{"goal": name}`` sets one of the scenario's laboratory goals instead of drawing it, ``{"world":
+                seed or values}`` sets the world (see :meth:`chemlab.lab.hidden.Worlds.begin`).
 
         Raises:
-            ValueError: unknown goal, a world that there is not, or a seed that is not an integer of at least 0; nothing
+            ValueError: the goal is unknown, the world is invalid, or the seed is not a non-negative integer; nothing
                 has changed.
         """
         self._begin(seed, options)
@@ -97,10 +95,10 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """The manager's action, or one tick.
+        """Play the manager's action, or one tick.
 
         Args:
-            actions: an action of every agent that has the turn; the others' are ignored.
+            actions: actions of all agents with the turn; others are ignored.
 
         Raises:
             ValueError: an action is missing or outside its space (the message names the agent, what was expected and
@@ -136,7 +134,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         return (
             observations,
             rewards,
-            dict.fromkeys(names, over),  # a limit is an end as well: see chemlab.roles.manager_state
+            dict.fromkeys(names, over),  # a limit terminates as well: see chemlab.roles.manager_state
             dict.fromkeys(names, False),
             found,
         )
@@ -144,7 +142,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
     def _seen(
         self, infos: list[dict[str, Any]]
     ) -> tuple[dict[str, npt.NDArray[np.float32]], dict[str, dict[str, Any]]]:
-        """Everybody's observations and, filled in, infos."""
+        """Return all observations and complete infos."""
         labs, members, names = self.laboratories, self._members, self.possible_agents
         labs.turns(members, self._turns)
         ticks = labs.state.ticks.item(0)

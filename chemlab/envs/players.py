@@ -1,4 +1,4 @@
-"""What a policy is, whoever made it: a batch of observations and masks in, a batch of actions out."""
+"""Interface of a policy: a batch of observations and masks in, a batch of actions out."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ _MOST_TRIES = 1000
 
 
 class Policy(Protocol):
-    """A policy for one role, evaluated on a batch; it sees what an RL agent sees and the public scenario.
+    """A policy for one role, evaluated on a batch; it has an agent's observation and the public scenario.
 
-    It may also have ``seed(member, seed)``, which starts a member's random stream afresh; an environment that it plays
-    in calls it for every episode, so that none depends on those before. It may have ``get_memory()`` and
-    ``set_memory(memory)``, with a copy of what it remembers, so that an environment it plays in can be put back.
+    An optional ``seed(member, seed)`` restarts a member's random stream; environments call it for every episode, so
+    that episodes are independent. Optional ``get_memory()`` and ``set_memory(memory)`` return and restore a copy of its
+    memory, so that an environment that it plays in can be restored.
     """
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """Actions for a batch.
+        """Return the actions for a batch.
 
         Args:
-            observation: [B, size].
-            mask: [B, actions] legal actions, or None where actions are continuous.
-            step: [B] how many turns the agent has had in this experiment (the manager: in this episode). At 0 a
-                policy with a memory forgets.
-            members: [B] which member of the batch each row is, for policies with a memory.
+            observation: [B, size] observations.
+            mask: [B, actions] legal actions, or None for continuous actions.
+            step: [B] number of turns of the agent in this experiment (the manager: in this episode). At 0, a policy
+                with a memory clears it.
+            members: [B] environment index of each row, for policies with a memory.
 
         Returns:
-            [B] int64 actions, or [B, n] float64 where actions are continuous.
+            [B] int64 actions, or [B, n] float64 for continuous actions.
         """
         ...  # a protocol has no body
 
@@ -58,12 +58,12 @@ class _Called:
         actions = self._function(observation, mask)
         try:
             return np.asarray(actions)
-        except ValueError:  # lists of different lengths: whoever checks the actions names the agent
+        except ValueError:  # lists of different lengths: the check of actions names the agent
             return np.asarray(actions, dtype=object)
 
 
 class Memory:
-    """What a policy keeps of each member of a batch: some arrays, zeros when an experiment (or episode) begins.
+    """Memory of a policy for each member of a batch: arrays that are zero at the start of an experiment or episode.
 
     Args:
         sizes: length of each array.
@@ -73,30 +73,30 @@ class Memory:
         self._arrays = [np.zeros((0, size)) for size in sizes]
 
     def recall(self, step: IntArray, members: IntArray) -> list[npt.NDArray[np.float64]]:
-        """[B, size] each array of the members; see :meth:`Policy.act`."""
+        """Return [B, size] of each array for the members; see :meth:`Policy.act`."""
         lacking = int(members.max()) + 1 - len(self._arrays[0])
         if lacking > 0:
             self._arrays = [np.concatenate([a, np.zeros((lacking, a.shape[1]))]) for a in self._arrays]
         return [np.where(step[:, None] == 0, 0.0, array[members]) for array in self._arrays]
 
     def keep(self, members: IntArray, *values: npt.NDArray[Any]) -> None:
-        """Remember values [B, size] of the members."""
+        """Store values [B, size] of the members."""
         for array, own in zip(self._arrays, values, strict=True):
             array[members] = own
 
     def copy(self) -> list[npt.NDArray[np.float64]]:
-        """Everything, for :meth:`put_back`."""
+        """Return a copy of all arrays for :meth:`put_back`."""
         return [array.copy() for array in self._arrays]
 
     def put_back(self, arrays: Sequence[npt.NDArray[np.float64]]) -> None:
-        """Remember what was there at a :meth:`copy`."""
+        """Restore a :meth:`copy`."""
         self._arrays = [array.copy() for array in arrays]
 
 
 class _RecurrentModel:
     """A model of sb3-contrib's ``RecurrentPPO`` as a policy; plays its most probable action.
 
-    Sb3-contrib hands it no masks; one whose observations end with them gets them there.
+    sb3-contrib passes no masks; models whose observations end with the mask receive it there.
     """
 
     def __init__(self, model: Any) -> None:
@@ -130,7 +130,7 @@ class _RecurrentModel:
 
 
 class _Model:
-    """A trained model with Stable-Baselines3's ``predict``, as a policy; masks are handed to models that take them."""
+    """A trained model with Stable-Baselines3's ``predict`` as a policy; models that accept masks receive them."""
 
     def __init__(self, model: Any, deterministic: bool = True) -> None:
         self._model, self._deterministic = model, deterministic
@@ -146,12 +146,12 @@ class _Model:
 
 
 def as_policy(given: Any, agent: str = "") -> Policy:
-    """Anything that can play, as a :class:`Policy`.
+    """Convert an object to a :class:`Policy`.
 
     Args:
-        given: a policy, a model with Stable-Baselines3's ``predict`` (sb3-contrib's maskable ones get the mask), or a
-            function of (observation [B, size], mask [B, actions] or None) that returns a batch of actions.
-        agent: whom it plays, for the error message.
+        given: a policy, a model with Stable-Baselines3's ``predict`` (sb3-contrib's maskable ones receive the mask), or
+            a function of (observation [B, size], mask [B, actions] or None) that returns a batch of actions.
+        agent: name of its agent, for the error message.
 
     Raises:
         TypeError: it is none of these.
@@ -171,17 +171,16 @@ def as_policy(given: Any, agent: str = "") -> Policy:
 
 
 def _nothing(number: int, members: IntArray) -> None:
-    """After a turn."""
+    """Do nothing after a turn."""
 
 
 class Players:
-    """Policies of the agents of some laboratories; where an agent has none, somebody else moves it.
+    """Policies of the agents of some laboratories; agents without a policy are played by the caller.
 
     Args:
-        laboratories: where they play.
-        policies: of every agent, in order, or None.
-        act: plays some agent's actions in some laboratories: (number, members [B], actions [B, ...]); default:
-            :meth:`Laboratories.act`.
+        laboratories: the laboratories.
+        policies: policy of every agent in order, or None.
+        act: plays an agent's actions: (index, members [B], actions [B, ...]); default: :meth:`Laboratories.act`.
     """
 
     def __init__(
@@ -194,7 +193,7 @@ class Players:
         self._played = np.array([policy is not None for policy in policies])
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Start one laboratory's random streams of the policies that have any afresh."""
+        """Restart the random streams of one laboratory's policies."""
         whole = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         for policy, sequence in zip(self._policies, whole.spawn(len(self._policies)), strict=True):
             start = getattr(policy, "seed", None)
@@ -202,8 +201,10 @@ class Players:
                 start(member, sequence)
 
     def renew(self, members: IntArray) -> None:
-        """Start the random streams afresh in laboratories [B] whose episodes have just begun, but for the first ones
-        after a seed: those begin as :meth:`seed` says."""
+        """Restart the random streams in laboratories [B] whose episodes have just begun.
+
+        First episodes after a seed are excluded, because :meth:`seed` has set their streams.
+        """
         if not any(hasattr(policy, "seed") for policy in self._policies):
             return
         episodes = self._labs.episodes
@@ -211,36 +212,38 @@ class Players:
             self.seed(member, episodes.sequence(member))
 
     def get_memory(self) -> list[Any]:
-        """What every policy remembers, for :meth:`set_memory`."""
+        """Return the memory of every policy, for :meth:`set_memory`."""
         return [getattr(policy, "get_memory", lambda: None)() for policy in self._policies]
 
     def set_memory(self, memory: Sequence[Any]) -> None:
-        """Let every policy remember what it did at a :meth:`get_memory`."""
+        """Restore the memory of a :meth:`get_memory`."""
         for policy, own in zip(self._policies, memory, strict=True):
             remind = getattr(policy, "set_memory", None)
             if remind is not None:
                 remind(own)
 
     def decide(self, number: int, members: IntArray) -> npt.NDArray[Any]:
-        """Actions [B, ...] of an agent that has a policy, in some laboratories [B] that give it the turn.
+        """Return actions [B, ...] of an agent with a policy, in laboratories [B] in which it has the turn.
 
         Raises:
             ValueError: the policy's actions are outside its agent's space; the message names the agent.
         """
         labs, policy = self._labs, self._policies[number]
-        assert policy is not None, "whom somebody else moves decides nothing here"
+        assert policy is not None, "agents without a policy cannot decide"
         seen, mask = labs.observe(number, members), labs.mask(number, members)
-        with np.errstate(under="ignore"):  # what is next to impossible to a policy is 0
+        with np.errstate(under="ignore"):  # tiny probabilities underflow to 0
             actions = policy.act(seen, mask, labs.turns_had(number)[members], members)
         return checked_actions(labs.agents[number], actions, len(members), labs.action_space(number))
 
     def play_pass(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:
-        """Let every agent play once, in order, in those laboratories that give it the turn: a manager's action and the
-        tick that may follow it. Policies of one agent are evaluated on all of these laboratories together.
+        """Let every agent play once, in order, in the laboratories in which it has the turn.
+
+        This is a manager's action and the tick that may follow it. Policies of one agent are evaluated on all of these
+        laboratories together.
 
         Args:
-            members: [B] laboratories that play.
-            after: called after every turn with the agent's number and the laboratories it was in.
+            members: [B] environment indices.
+            after: called after every turn with the agent index and the environment indices.
 
         Raises:
             ValueError: a policy's actions are outside its agent's space; the message names the agent.
@@ -271,12 +274,13 @@ class Players:
     def begin(
         self, members: IntArray, reset: Callable[[IntArray], None], after: Callable[[int, IntArray], None] = _nothing
     ) -> None:
-        """New episodes, played on to the first turn of an agent without a policy; those in which it never has one are
-        played over.
+        """Start new episodes and play up to the first turn of an agent without a policy.
+
+        Episodes without such a turn are played to the end and replaced.
 
         Args:
-            members: [B] laboratories.
-            reset: begins an episode in some of them.
+            members: [B] environment indices.
+            reset: starts an episode in some of them.
             after: as for :meth:`play_pass`.
 
         Raises:

@@ -1,8 +1,8 @@
-"""Environments by their names in Gymnasium's and PettingZoo's registries.
+"""Registration of the environments with Gymnasium and PettingZoo.
 
-A registry is filled as soon as its library is imported, before or after chemlab. ``import chemlab`` alone imports
-neither, which takes several times as long as all else that a command such as ``chemlab --help`` needs. Gymnasium has
-loaded no plugins by entry points since its version 1.0, so an import hook does it.
+A registry is filled as soon as its library is imported, before or after chemlab. ``import chemlab`` itself imports
+neither, because that takes several times as long as everything else that a command such as ``chemlab --help`` needs.
+Gymnasium has loaded no plugins by entry points since version 1.0, so an import hook is used.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _BENCHES: dict[str, dict[str, str]] = {
 
 
 def _register_laboratory() -> None:
-    """Make the laboratory known to PettingZoo's registries, which are there from PettingZoo 1.27 on."""
+    """Register the laboratory with PettingZoo, which has registries from version 1.27 on."""
     with contextlib.suppress(ImportError):
         from pettingzoo import aec_registry, parallel_registry, register
 
@@ -44,8 +44,10 @@ def _register_laboratory() -> None:
 
 
 def _register_views() -> None:
-    """Make the single-bench environments, and the laboratory as one of its agents sees it, known to Gymnasium; entry
-    points are strings, so nothing heavy is imported."""
+    """Register the single-bench and single-agent environments with Gymnasium.
+
+    Entry points are strings, so nothing heavy is imported.
+    """
     from gymnasium.envs.registration import register, registry
 
     views: dict[str, tuple[str, str, dict[str, str]]] = {
@@ -68,7 +70,7 @@ _REGISTRIES: dict[str, Callable[[], None]] = {"gymnasium": _register_views, "pet
 
 
 class _ThenRegister:
-    """Loader of a library that registers the environments once the library has been executed."""
+    """Loader of a library that registers the environments after the library has been executed."""
 
     def __init__(self, loader: Any, register: Callable[[], None]) -> None:
         self._loader, self._register = loader, register
@@ -79,7 +81,7 @@ class _ThenRegister:
         return getattr(self._loader, name)
 
     def exec_module(self, module: ModuleType) -> None:
-        """Execute the library, which keeps its own loader, and register."""
+        """Execute the library with its own loader, then register."""
         module.__loader__ = self._loader
         if module.__spec__ is not None:
             module.__spec__.loader = self._loader
@@ -88,14 +90,14 @@ class _ThenRegister:
 
 
 class _Registering:
-    """Finder of the libraries that have registries, as the finders after it find them.
+    """Finder of the libraries with registries, which delegates to the finders after it.
 
-    To be asked for a library changes nothing here: it may be looked for and not imported
+    Finding a library has no side effects, because it may be looked up without being imported
     (``importlib.util.find_spec``), or be imported again.
     """
 
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
-        """The specification of a library with a registry; None of anything else."""
+        """Return the specification of a library with a registry; None for anything else."""
         register = _REGISTRIES.get(name)
         if register is None or self not in sys.meta_path:
             return None
@@ -111,7 +113,7 @@ class _Registering:
 
 
 def register_environments() -> None:
-    """Fill the registries: at once where a library has been imported, else when it is."""
+    """Fill the registries: at once for imported libraries, otherwise on their import."""
     for name, register in _REGISTRIES.items():
         if name in sys.modules:
             register()

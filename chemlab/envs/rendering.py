@@ -1,4 +1,4 @@
-"""Rendering, the same for every environment: text, a picture, or the same picture in a window."""
+"""Rendering common to every environment: text, a picture, or the picture in a window."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 __all__ = ["RENDER_MODES", "Rendered"]
 
 RENDER_MODES = ("ansi", "rgb_array", "rgb_array_true", "human")
-"""``rgb_array_true`` shows true contents where a scenario has hidden parameters; the others what people would see."""
+"""Render modes. ``rgb_array_true`` shows true contents even with hidden parameters; the others show what a person
+would see.
+"""
 
 
 class Rendered:
-    """What an environment needs to be looked at; it says what its text and its scene are."""
+    """Mixin of environments with rendering; subclasses provide text and scene."""
 
     metadata: dict[str, Any]
     render_mode: str | None
@@ -34,14 +36,14 @@ class Rendered:
 
     @abstractmethod
     def _text(self) -> str:
-        """What the render mode ``ansi`` shows."""
+        """Return the text of the render mode ``ansi``."""
 
     @abstractmethod
     def _scene(self) -> Scene:
-        """The present scene, with true contents."""
+        """Return the current scene, with true contents."""
 
     def _show(self) -> None:
-        """After every reset and step: a window follows by itself."""
+        """Update the window after every reset and step."""
         if self.render_mode == "human":
             self.render()
 
@@ -70,6 +72,6 @@ class Rendered:
         return frame
 
     def close(self) -> None:
-        """Close the window, if there is one."""
+        """Close the window if there is one."""
         if self._viewer is not None:
             self._viewer.close()

@@ -1,4 +1,4 @@
-"""Batches of members that begin and end on their own: what every batched environment of chemlab has in common."""
+"""Common parts of all batched environments: members that start and end independently."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ State = list[npt.NDArray[Any]]
 
 @kernel
 def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
-    """Whether every number of a one- or two-dimensional array lies in [low, high] (NaN does not)."""
+    """Return True if every number of a one- or two-dimensional array is in [low, high] (False for NaN)."""
     flat = values.reshape(values.size)
     inside = True
     for i in range(flat.shape[0]):
@@ -44,14 +44,14 @@ def checked_actions(
     space: gymnasium.Space[Any],
     rows: npt.NDArray[np.bool_] | None = None,
 ) -> npt.NDArray[Any]:
-    """A batch of actions as int64 [B] or float64 [B, n].
+    """Return a batch of actions as int64 [B] or float64 [B, n].
 
     Args:
-        agent: whose actions they are, for the error message.
-        actions: what was given.
-        count: B.
+        agent: name of the agent, for the error message.
+        actions: the given actions.
+        count: batch size B.
         space: action space of a member.
-        rows: [B] whose actions count; the others' may be any numbers.
+        rows: [B] rows that count; others may have any values.
 
     Raises:
         ValueError: an action is outside the space, or the batch has another shape.
@@ -60,7 +60,7 @@ def checked_actions(
         values = np.asarray(actions)
     except ValueError:  # lists of different lengths
         values = np.empty((), dtype=object)
-    # Kernels take plain arrays, whatever layout, width and byte order was given.
+    # Kernels need native contiguous arrays, whatever layout, width and byte order is given.
     if isinstance(space, gymnasium.spaces.Discrete):
         last = int(space.n) - 1
         if values.dtype.kind in "iu" and values.shape == (count,):
@@ -84,21 +84,23 @@ def parsed_reset(
     begun: bool,
     random: np.random.Generator,
 ) -> tuple[npt.NDArray[np.bool_], list[int | None], str | None, World | None]:
-    """What a batch's ``reset`` was asked for: (members to reset [N], a seed for each or None, a goal or None, a world
-    or None).
+    """Parse the arguments of a batch's ``reset``.
 
     Args:
-        seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins); without
-            one, members that have never been seeded get one from ``random``.
+        seed: s seeds member i with s + i; a sequence gives each member its own (None: the next episode of its series);
+            without a seed, members that have never been seeded get one from ``random``.
         options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}``.
-        count: N.
-        goals: goals that may be asked for.
+        count: number of members N.
+        goals: possible goals.
         begun: whether the batch has been reset before.
         random: source of seeds.
 
+    Returns:
+        Members to reset [N], a seed or None for each, a goal or None, a world or None.
+
     Raises:
-        ValueError: unknown option or goal, a mask or seeds of the wrong length, or a seed that is not an integer of at
-            least 0.
+        ValueError: an option or goal is unknown, a mask or seeds have the wrong length, or a seed is not a non-negative
+            integer.
     """
     options = options or {}
     if set(options) - {"reset_mask", "goal", "world"} or options.get("goal", goals[0]) not in goals:
@@ -122,7 +124,7 @@ def parsed_reset(
 
 
 def _plain(argument: Any) -> Any:
-    """Return an argument of an environment as plain data that means the same, where there is such."""
+    """Return an environment's argument as equivalent plain data if possible."""
     if isinstance(argument, Scenario):
         return plain_scenario(argument)
     if isinstance(argument, Path):
@@ -133,21 +135,21 @@ def _plain(argument: Any) -> Any:
 
 
 class BoundedSpec:
-    """Completes the ``spec`` of an environment: ``max_episode_steps``, and arguments as plain data.
+    """Completes an environment's ``spec`` with ``max_episode_steps`` and plain arguments.
 
-    The bound on episodes follows from the scenario, so it cannot stand in Gymnasium's registry. It is one more than an
-    episode can have: where clients put a time limit there, or ``gymnasium.make`` one by the spec, no end becomes a
-    truncation. With plain arguments ``spec.to_json()`` works, which Minari keeps a dataset's environment as: a path
-    becomes text; a loaded scenario its name or path, or, where neither gives the same scenario, its content.
+    The bound on episodes depends on the scenario, so it cannot be in Gymnasium's registry. It is one more than the
+    longest episode, so that time limits of clients or of ``gymnasium.make`` never truncate one. With plain arguments
+    ``spec.to_json()`` works, in which Minari stores a dataset's environment: a path becomes text; a loaded scenario its
+    name or path, or its content if neither gives the same scenario.
     """
 
     max_episode_steps: int
-    """One more than the steps of any episode."""
+    """One more than the maximum number of steps of an episode."""
     _spec: EnvSpec | None = None
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Gymnasium's specification, of environments that its ``make`` has made."""
+        """Gymnasium's specification, for environments made by ``gymnasium.make``."""
         return self._spec
 
     @spec.setter
@@ -161,21 +163,21 @@ class BoundedSpec:
 
 
 class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
-    """N members with spaces of their own, in one set of arrays; subclasses say what a step of a member is.
+    """Base class of batches: N members with the same spaces in one set of arrays; subclasses define a member's step.
 
     Args:
-        num_envs: N.
-        agent: id of the agent that acts, for error messages.
-        goals: goals that ``options["goal"]`` may ask for.
-        kinds: number of kinds of safety event.
-        longest: steps of the longest possible episode.
-        observation_space, action_space: of a member.
+        num_envs: number of members N.
+        agent: name of the acting agent, for error messages.
+        goals: possible values of ``options["goal"]``.
+        kinds: number of kinds of safety events.
+        longest: maximum number of steps of an episode.
+        observation_space, action_space: spaces of a member.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
-        copy: whether returned arrays are copies; without, the next step overwrites them.
-        render_mode: accepted for Gymnasium's sake; batches do not render, so it must be None.
-        max_episode_steps: accepted for Gymnasium's sake; batches do not cut episodes short, so it must be more than
+        copy: whether returned arrays are copies; if False, the next step overwrites them.
+        render_mode: for compatibility with Gymnasium; must be None, because batches do not render.
+        max_episode_steps: for compatibility with Gymnasium; batches do not truncate episodes, so it must exceed
             ``longest``.
 
     Raises:
@@ -200,12 +202,12 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
     ) -> None:
         if max_episode_steps is not None and max_episode_steps <= longest:
             raise ValueError(
-                f"max_episode_steps: a batch's episodes take up to {longest} steps and are not cut short, given "
-                f"{max_episode_steps}; leave it out, or make single environments (vectorization_mode='sync')"
+                f"max_episode_steps: a batch's episodes take up to {longest} steps and are not truncated, given "
+                f"{max_episode_steps}; omit it, or make single environments (vectorization_mode='sync')"
             )
         if render_mode is not None:
             raise ValueError(
-                f"render_mode: must be None, as batches do not render, given {render_mode!r}; leave it out, or make "
+                f"render_mode: must be None, as batches do not render, given {render_mode!r}; omit it, or make "
                 "single environments (vectorization_mode='sync')"
             )
         self.max_episode_steps = longest + 1
@@ -219,7 +221,7 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         self.observation_space = gymnasium.vector.utils.batch_space(observation_space, num_envs)
         self.action_space = gymnasium.vector.utils.batch_space(action_space, num_envs)
         self.action_count = int(action_space.n) if isinstance(action_space, gymnasium.spaces.Discrete) else 0
-        """Number of discrete actions; 0 where they are continuous."""
+        """Number of discrete actions; 0 for continuous actions."""
         self.copy = copy
         self._goal_names = tuple(goals)
         self._observations = np.zeros((num_envs, *observation_space.shape), dtype=np.float32)
@@ -233,32 +235,36 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         self._pending = np.zeros(num_envs, dtype=np.bool_)
         self._begun = False
 
-    # -- what a subclass says -----------------------------------------------------------------------------------
+    # -- methods of subclasses ----------------------------------------------------------------------------------
 
     @abstractmethod
     def _seed_member(self, member: int, seed: int) -> None:
-        """Start the member's random streams afresh."""
+        """Restart the member's random streams."""
 
     @abstractmethod
     def _begin(self, members: IntArray, goal: int | None, world: World | None) -> None:
-        """Begin episodes and look at them."""
+        """Start episodes and observe them."""
 
     @property
     @abstractmethod
     def _worlds(self) -> Worlds:
-        """The members' worlds."""
+        """Worlds of the members."""
 
     @abstractmethod
     def _play(self, actions: npt.NDArray[Any]) -> list[tuple[IntArray, npt.NDArray[np.float32]]]:
-        """Play checked actions in every member, with autoreset, and fill the batch's arrays (``_scores``: NaN where
-        there is none); returns members that have ended and, with SAME_STEP, their last observations."""
+        """Play checked actions in every member with autoreset, and fill the batch's arrays (``_scores``: NaN without a
+        score).
+
+        Returns:
+            Members that have ended and, with SAME_STEP, their last observations.
+        """
 
     @abstractmethod
     def _more_arrays(self) -> State:
-        """The subclass's own arrays that change."""
+        """Return the subclass's own arrays that change."""
 
     def _more_infos(self) -> dict[str, npt.NDArray[Any]]:
-        """The subclass's own infos, by name."""
+        """Return the subclass's own infos by name."""
         return {}
 
     # -- Gymnasium's interface ----------------------------------------------------------------------------------
@@ -266,22 +272,23 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[npt.NDArray[np.float32], dict[str, Any]]:
-        """Begin episodes in every member, or in those of ``options["reset_mask"]`` [N].
+        """Start episodes in every member, or in those of ``options["reset_mask"]`` [N].
 
         Args:
-            seed: s seeds member i with s + i; a sequence gives each member its own (None: its next episode begins).
+            seed: s seeds member i with s + i; a sequence gives each member its own (None: the next episode of its
+                series).
             options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}`` (of all members).
 
         Raises:
-            ValueError: unknown option, goal or world, a mask or seeds of the wrong length, or a seed that is not an
-                integer of at least 0; nothing has changed.
+            ValueError: an option, goal or world is unknown, a mask or seeds have the wrong length, or a seed is not a
+                non-negative integer; nothing has changed.
         """
         mask, seeds, goal, world = parsed_reset(
             seed, options, self.num_envs, self._goal_names, self._begun, self.np_random
         )
         if world is not None:
             self._worlds.check(world)
-        self._begun = False  # until it is done: after an interruption, or where a policy or model fails, a reset helps
+        self._begun = False  # until it is finished: after an interruption or a failing policy or model, a reset helps
         super().reset(seed=int(seed) if isinstance(seed, (int, np.integer)) else None)
         for member in np.flatnonzero(mask):
             member_seed = seeds[member]
@@ -298,10 +305,10 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
     def step(
         self, actions: Any
     ) -> tuple[npt.NDArray[np.float32], FloatArray, npt.NDArray[np.bool_], npt.NDArray[np.bool_], dict[str, Any]]:
-        """One action in every member.
+        """Play one action in every member.
 
         Args:
-            actions: [N] integers, or [N, n] numbers in [0, 1] where actions are continuous.
+            actions: [N] integers, or [N, n] numbers in [0, 1] for continuous actions.
 
         Raises:
             ValueError: an action is outside the action space (nothing has changed).
@@ -313,12 +320,12 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
             raise gymnasium.error.ResetNeeded(
                 f"{self.agent}: episodes are over, have not begun, or a step was interrupted or failed: call reset()"
             )
-        self._begun = False  # until it is done, as in reset
+        self._begun = False  # until it is finished, as in reset
         finals = self._play(checked)
         infos = self._infos()
         ended = self._terminated.copy()
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            # Not zeros_like(), which writes all of it: most rows may stay as they are.
+            # Not zeros_like(), which would write all rows although most stay unchanged.
             final = np.zeros(self._observations.shape, dtype=self._observations.dtype)
             for members, observations in finals:
                 final[members] = observations
@@ -342,12 +349,12 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         }
         if self.action_count:
             infos["action_mask"] = self._returned(self._masks)
-        # Gymnasium: who has it.
+        # Gymnasium's masks of members that have an info.
         infos.update({f"_{name}": np.ones(self.num_envs, dtype=np.bool_) for name in infos})
         return infos
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
-        """[N, actions] legal actions now.
+        """Return [N, actions] the current legal actions.
 
         Raises:
             ValueError: the bench's actions are continuous.
@@ -371,11 +378,11 @@ class BatchEnv(BoundedSpec, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], 
         return [*self._more_arrays(), *extra]
 
     def get_state(self) -> State:
-        """Copies of everything that changes, for :meth:`set_state`."""
+        """Return copies of everything that changes, for :meth:`set_state`."""
         return [*(array.copy() for array in self._state_arrays()), np.array([self._begun])]
 
     def set_state(self, state: State) -> npt.NDArray[np.float32]:
-        """Go on from a :meth:`get_state`, of this or of an equally made batch; returns the observations.
+        """Restore a :meth:`get_state` of this or of an identical batch; return the observations.
 
         Raises:
             ValueError: it is of another batch; nothing changes.

@@ -1,4 +1,4 @@
-"""Telling what happens in a laboratory as the lines of a record, and writing them while it happens."""
+"""Recording of laboratory episodes, line by line while they are played."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ __all__ = ["Play", "Recorder", "Witness", "environment_here"]
 
 
 class Play(NamedTuple):
-    """What one agent was shown and did."""
+    """Observation hash and action of one agent."""
 
     agent: int
     """Index of the agent."""
@@ -38,15 +38,15 @@ class Play(NamedTuple):
 
 
 def _known_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Those options of a reset that an episode depends on."""
+    """Return the options of a reset that affect an episode."""
     given = {key: options[key] for key in ("goal", "world") if options.get(key) is not None}
     return {key: int(value) if isinstance(value, np.integer) else value for key, value in given.items()}
 
 
 class Witness:
-    """Says what happens in one laboratory as the lines of a record; made right after the laboratory's reset.
+    """Describes the events in one laboratory as the lines of a record; created right after the laboratory's reset.
 
-    Recording and verifying are both this: what is written, and what it is compared with.
+    Recording writes its lines, and verification compares them with a file.
     """
 
     def __init__(self, laboratories: Laboratories, member: int) -> None:
@@ -61,7 +61,7 @@ class Witness:
         shelf = laboratories.shelf
         own = [array for role in laboratories.roles for array in role.arrays(member)]
         parts = [shelf.vessels[member], shelf.stock[member], shelf.waste[member], *own]
-        # Views, which stay: that they are looked up once makes a turn cheaper by a tenth.
+        # Persistent views, which make a turn cheaper by a tenth.
         self._parts = [memoryview(part) if part.flags.c_contiguous else part for part in parts if part.size]
 
     def _streams(self) -> dict[str, int]:
@@ -77,12 +77,12 @@ class Witness:
         environment: Mapping[str, str],
         version: str = __version__,
     ) -> dict[str, Any]:
-        """What the episode begins with: the first line, of which a laboratory cannot know what is given here."""
+        """Return the first line; the arguments are what a laboratory itself does not know."""
         labs = self._labs
         split: dict[str, Any] = {}
         hidden: dict[str, Any] = {}
         if labs.worlds.active:
-            # The salt of a private split is nobody else's; its worlds are told by their numbers.
+            # The salt of a private split is secret; its worlds are identified by their numbers.
             split = {"split": labs.worlds.split.name.partition(":")[0]}
             hidden["world"] = {"number": labs.worlds.number(self._m), "values": labs.worlds.values(self._m)}
         hidden |= self._hidden()
@@ -108,14 +108,14 @@ class Witness:
         }
 
     def turn(self, tick: int, plays: Sequence[Play]) -> dict[str, Any]:
-        """What a turn (or a round of several agents) led to, right after it."""
+        """Return the line of a turn (or a round of several agents) right after it."""
         labs, m = self._labs, self._m
         line: dict[str, Any] = {"turn": self.turns, "tick": tick, "play": {}}
         lost, events = [], {}
         for play in plays:
             agent = labs.agents[play.agent]
             action = np.asarray(play.action)
-            # Of the action as the simulator takes it: a policy's float32 is what it is as float64.
+            # The action as the simulator uses it: a policy's float32 as float64.
             recorded = action.astype(np.float64).tolist() if action.dtype.kind == "f" else action.tolist()
             line["play"][agent] = [seen_hash(play.observation, play.mask), recorded]
             if labs.illegal(play.agent)[m]:
@@ -143,7 +143,7 @@ class Witness:
         return line
 
     def _hidden(self) -> dict[str, Any]:
-        """What has changed of what no agent sees."""
+        """Return the changes of the hidden state."""
         labs, m = self._labs, self._m
         vessels: dict[str, Any] = {}
         now = labs.shelf.vessels[m]
@@ -172,11 +172,11 @@ class Witness:
 
     @property
     def over(self) -> bool:
-        """Whether the episode is over."""
+        """True once the episode is over."""
         return bool(self._labs.state.status[self._m] != RUNNING)
 
     def closing(self) -> dict[str, Any]:
-        """What the episode came to."""
+        """Return the last line, the result of the episode."""
         labs, m = self._labs, self._m
         totals = zip(labs.scenario.safety_events, labs.safety_totals[m].tolist(), strict=True)
         result = {
@@ -194,12 +194,12 @@ class Witness:
 
 
 def _is_at(file: BinaryIO, path: Path) -> bool:
-    """Whether an open file is the one at a path."""
+    """Return True if an open file is the one at a path."""
     return os.path.samestat(os.fstat(file.fileno()), path.stat())
 
 
 def environment_here() -> dict[str, str]:
-    """What numbers could depend on besides chemlab."""
+    """Return versions and platform that numbers may depend on."""
     return {
         "python": platform.python_version(),
         "numpy": np.__version__,
@@ -214,22 +214,22 @@ def environment_here() -> dict[str, str]:
 class Recorder:
     """Writes the episodes of one laboratory to a file each.
 
-    Use it as a context manager, or call :meth:`close`. ``begin`` comes after the laboratory's reset, ``turn`` after
-    every turn; the record is finished by the turn that ends the episode. One that is left before that stays
-    ``FILE.part``, readable as far as it goes.
+    Use it as a context manager, or call :meth:`close`. Call ``begin`` after the laboratory's reset, and ``turn`` after
+    every turn; the turn that ends the episode finishes the record. An unfinished record stays ``FILE.part``, readable
+    up to its last line.
 
     Args:
-        path: the record; nothing may be there, unless ``force``.
-        laboratories: where the episode is played.
-        member: which of them.
-        policies: names of who plays each agent, for information.
-        rounds: turns are rounds, in which all busy benches act on what they saw when the tick began (parallel API).
+        path: path of the record; must not exist, unless ``force``.
+        laboratories: laboratories of the episode.
+        member: environment index.
+        policies: names of each agent's policy, for information.
+        rounds: whether turns are rounds, in which busy benches act on observations of the tick's start (parallel API).
         force: replace the file at ``path``.
         held: keep the record in memory until the episode is over or the recorder is closed, because the first line has
             the seed and the true contents.
 
     Raises:
-        ValueError: ``path`` is there already, or is no file that can be written.
+        ValueError: ``path`` exists already, or cannot be written.
     """
 
     def __init__(
@@ -246,7 +246,7 @@ class Recorder:
         self.part = self.path.parent / f"{self.path.name}.part"
         self._labs, self._member = laboratories, member
         self._rounds, self._force = rounds, force
-        # A path from the command line may have bytes that are no text.
+        # A path from the command line may contain undecodable bytes.
         self._policies = {
             agent: name.encode(errors="surrogateescape").decode(errors="replace")
             for agent, name in (policies or {}).items()
@@ -257,7 +257,7 @@ class Recorder:
         self._tick = 0
         for there in (self.path, self.part):
             if there.is_file() and not force:
-                raise ValueError(f"{there}: is already there; give another name, or --force to replace it")
+                raise ValueError(f"{there}: already exists; give another name, or use --force to overwrite it")
             check_target(there)
 
     def __enter__(self) -> Recorder:
@@ -269,14 +269,14 @@ class Recorder:
         self.close()
 
     def begin(self, seed: int | None = None, options: Mapping[str, Any] | None = None) -> None:
-        """Begin the record of an episode; the laboratory has just been reset.
+        """Start the record of an episode right after the laboratory's reset.
 
         Args:
-            seed: what it was seeded with; None where its random streams went on, which the record then begins with.
-            options: those of the reset.
+            seed: seed of the reset; None if the random streams continued, whose states the record then contains.
+            options: options of the reset.
 
         Raises:
-            DataError: a policy's name or the seed is longer than a record may have it.
+            DataError: a policy's name or the seed exceeds a record's limit.
             OSError: the file cannot be written.
             ValueError: another process is recording there.
         """
@@ -291,7 +291,7 @@ class Recorder:
             self._policies,
             environment_here(),
         )
-        validated(Header, opening, f"{self.path}: header")  # what could not be read again is not written either
+        validated(Header, opening, f"{self.path}: header")  # values that could not be read back are not written
         self.part.parent.mkdir(parents=True, exist_ok=True)
         if self._held is None:
             self._file = self._opened()
@@ -299,14 +299,14 @@ class Recorder:
         self._write(opening)
 
     def _opened(self) -> BinaryIO:
-        """Open the file for this record alone.
+        """Open the file for exclusive use.
 
         Raises:
             ValueError: another process is recording there.
         """
         file = self.part.open("ab" if self._force else "xb")
         try:
-            # The process that held the lock may have moved the file to its final name by now.
+            # The process that held the lock may have renamed the file by now.
             if not (locked(file.fileno()) and self.part.exists() and _is_at(file, self.part)):
                 raise ValueError(f"{self.part}: another process is recording there; wait for it or give another name")
             file.truncate(0)
@@ -316,13 +316,13 @@ class Recorder:
         return file
 
     def turn(self, plays: Sequence[Play]) -> None:
-        """Write a turn that has just been played (a round, where the recorder is one of rounds).
+        """Write a turn that has just been played (a round if the recorder is one of rounds).
 
         Args:
-            plays: who acted, in the agents' order.
+            plays: the actions, in the agents' order.
         """
         if self._witness is None or (self._file is None and not self._held):
-            raise ValueError(f"{self.path}: begin() comes first, and nothing after the end of the episode")
+            raise ValueError(f"{self.path}: call begin() first, and turn() only before the end of the episode")
         self._write(self._witness.turn(self._tick, plays))
         self._tick = int(self._labs.state.ticks[self._member])
         if self._witness.over:
@@ -330,23 +330,23 @@ class Recorder:
             self._finish()
 
     def _finish(self) -> None:
-        """Give the whole record its final name."""
+        """Rename the finished record."""
         self._release()
         assert self._file is not None
         with naming(self.part):
             os.fsync(self._file.fileno())
-        if os.name != "posix":  # elsewhere an open file keeps its name
+        if os.name != "posix":  # other systems cannot rename an open file
             self.close()
         if self.path.exists() and not self._force:
             self.close()
-            raise ValueError(f"{self.path}: somebody else has put a file there; the record is {self.part}")
-        # Before the file is closed, which ends the lock: another process must not empty it in between.
+            raise ValueError(f"{self.path}: the file was created by another process; the record is {self.part}")
+        # Before closing, which releases the lock: another process must not truncate it in between.
         self.part.replace(self.path)
         self.close()
         sync_folder(self.path.parent)
 
     def _release(self) -> None:
-        """Write what was held back."""
+        """Write the lines held in memory."""
         held, self._held = self._held, None
         if held:
             self._file = self._opened()

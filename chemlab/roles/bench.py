@@ -1,4 +1,4 @@
-"""What every bench has: positions, observation channels, actions, a score; and the arrays of its experiments."""
+"""Interface of benches: positions, observation channels, actions, score, and the arrays of experiments."""
 
 from __future__ import annotations
 
@@ -65,10 +65,10 @@ __all__ = [
 CAMERA_PIXELS = 100
 
 _ROUNDING_MOL = 1e-9
-"""By which amounts that somebody's own code leaves may be below 0."""
+"""Negative amounts down to this value left by user-defined code count as rounding errors."""
 
 STIR, HEAT = range(2)
-"""Actuators of a bench that may err."""
+"""Actuators of a bench that may be degraded."""
 
 
 @dataclass(frozen=True)
@@ -85,19 +85,19 @@ class Channel:
 
 @dataclass(frozen=True)
 class Observation(Part):
-    """A part of an observation vector that a scenario adds: on a bench, or for the manager.
+    """A user-defined part of an observation vector, of a bench or of the manager.
 
     Attributes:
-        channel: what it is: ``channel(bench) -> Channel``; the manager's ``channel(laboratories)``.
-        see: its values, in [0, 1]: ``see(bench, shelf, experiments, members) -> [B, size]``, of experiments that are
-            running; the manager's ``see(laboratories, members)``.
+        channel: its channel: ``channel(bench) -> Channel``; for the manager ``channel(laboratories)``.
+        see: its values in [0, 1]: ``see(bench, shelf, experiments, members) -> [B, size]`` for running experiments; for
+            the manager ``see(laboratories, members)``.
     """
 
     channel: Callable[[Any], Channel]
     see: Callable[..., FloatArray]
 
     def declared(self, name: str, *owner: Any) -> Channel:
-        """Its channel.
+        """Return its channel.
 
         Raises:
             PartError: it has none.
@@ -105,14 +105,14 @@ class Observation(Part):
         with blamed(f"{name}: channel()"):
             channel = self.channel(*owner)
         if not isinstance(channel, Channel) or channel.size < 1:
-            raise PartError(f"{name}: channel() must return a Channel of a size of at least 1, given {channel!r}")
+            raise PartError(f"{name}: channel() must return a Channel with a size of at least 1, given {channel!r}")
         return channel
 
     def seen(self, name: str, members: int, size: int, *owner: Any) -> FloatArray:
-        """[members, size] what it shows.
+        """Return its values [members, size].
 
         Raises:
-            PartError: numbers of another shape, or outside [0, 1].
+            PartError: the shape is wrong, or values are outside [0, 1].
         """
         with blamed(f"{name}: see()"):
             values = self.see(*owner)
@@ -120,17 +120,17 @@ class Observation(Part):
 
 
 def load_observations(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Observation]:
-    """The observation channels that a scenario names under a key, by where they are named."""
+    """Load the observation channels that a scenario names under a key, by name."""
     return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Observation) for name in names}
 
 
 def load_terms(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Callable[..., FloatArray]]:
-    """The reward terms that a scenario names under a key, by where they are named."""
+    """Load the reward terms that a scenario names under a key, by name."""
     return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Callable) for name in names}
 
 
 def channel_slices(channels: Sequence[Channel]) -> dict[str, slice]:
-    """Where each channel stands in the flat observation."""
+    """Return the slice of each channel in the flat observation."""
     slices, start = {}, 0
     for channel in channels:
         slices[channel.name] = slice(start, start + channel.size)
@@ -140,14 +140,14 @@ def channel_slices(channels: Sequence[Channel]) -> dict[str, slice]:
 
 @dataclass(frozen=True)
 class Goals:
-    """The scenario's goals as arrays: which materials are counted as the goal, and how purity counts.
+    """The scenario's goals as arrays: materials that count as the goal, and weights of the purity.
 
     Attributes:
-        parts: [G, 3] material index of the goal and, where it is a salt, of its ions (else -1).
-        solute_counts: [G, M] weight of each material in the goal's solute purity: solvents 0 (but for the goal itself);
-            an ion 1 and undissolved salt as its two ions, but where the goal is a salt a pair of ions counts as one.
-        absolute_counts: [G, M] weight in the absolute purity: everything 1, an ion 1/2 (a pair is one formula unit of
-            salt, dissolved or not, so that precipitation does not change a purity).
+        parts: [G, 3] material index of the goal and, for a salt, of its ions (else -1).
+        solute_counts: [G, M] weight of each material in the goal's solute purity: solvents 0 (except the goal itself);
+            an ion 1 and undissolved salt as its two ions, but for a salt as goal a pair of ions counts as one.
+        absolute_counts: [G, M] weight in the absolute purity: all materials 1, an ion 1/2 (a pair is one formula unit
+            of salt, dissolved or not, so that precipitation does not change a purity).
     """
 
     names: tuple[str, ...]
@@ -157,7 +157,7 @@ class Goals:
 
     @classmethod
     def of(cls, scenario: Scenario) -> Goals:
-        """The arrays for a scenario's goals."""
+        """Return the arrays of a scenario's goals."""
         names = list(scenario.materials)
         roles = [material.role for material in scenario.materials.values()]
         salts = {salt.solid: salt for salt in scenario.family.salt}
@@ -178,8 +178,10 @@ class Goals:
 
 
 class ExperimentState(NamedTuple):
-    """The arrays of one bench's experiments in N laboratories; P positions, E kinds of safety event. A bench declares
-    its own besides (:attr:`Bench.own_state`)."""
+    """Arrays of one bench's experiments in N laboratories; P positions, E kinds of safety events.
+
+    A bench declares further ones (:attr:`Bench.own_state`).
+    """
 
     places: Annotated[IntArray, Field("N P", first=None, kept=False)]
     """[N, P] row of each position's vessel in ``shelf.rows``"""
@@ -188,44 +190,46 @@ class ExperimentState(NamedTuple):
     goal: Annotated[IntArray, Field("N")]
     """[N] index of the experiment's goal"""
     steps: Annotated[IntArray, Field("N")]
-    """[N] steps the experiment has taken"""
+    """[N] number of steps of the experiment"""
     ended: Annotated[BoolArray, Field("N")]
     """[N] whether the last action ended the experiment"""
     illegal: Annotated[BoolArray, Field("N")]
-    """[N] whether the last action was masked (and so lost)"""
+    """[N] whether the last action was invalid"""
     baseline: Annotated[FloatArray, Field("N")]
-    """[N] the bench's measure of the contents when the experiment began"""
+    """[N] the bench's measure of the contents at the start of the experiment"""
     events: Annotated[FloatArray, Field("N E")]
     """[N, E] safety events of the last action"""
     stream: Annotated[StreamArray, Field("N 1", first=None)]
     """[N, 1] random stream of the bench's own draws (camera)"""
     gain: Annotated[FloatArray, Field("N 2", first=1.0)]
-    """[N, 2] what the effect of stirring and of heating is multiplied by (:data:`STIR`, :data:`HEAT`)"""
+    """[N, 2] factors of the effects of stirring and of heating (:data:`STIR`, :data:`HEAT`)"""
     life: Annotated[FloatArray, Field("N", first=math.inf)]
-    """[N] ticks of work until it breaks"""
+    """[N] remaining ticks of work until a breakdown"""
     broken: Annotated[BoolArray, Field("N")]
-    """[N] whether it has broken"""
+    """[N] whether the bench is broken"""
     wear_stream: Annotated[StreamArray, Field("N 1", first=None)]
-    """[N, 1] random stream of how it wears: the world's"""
+    """[N, 1] random stream of degradation, derived from the world"""
 
 
 class BenchRules(NamedTuple):
-    """A scenario's numbers that every bench's kernels need; G goals, M materials, E kinds of safety event. A bench
-    declares its own besides (:attr:`Bench.own_rules`)."""
+    """Static parameters of a bench; G goals, M materials, E kinds of safety events.
+
+    A bench declares further ones (:attr:`Bench.own_rules`).
+    """
 
     parts: Annotated[IntArray, Field("G 3")]
     """see :class:`Goals`"""
     solute_counts: Annotated[FloatArray, Field("G M")]
     absolute_counts: Annotated[FloatArray, Field("G M")]
     event_weights: Annotated[FloatArray, Field("E")]
-    """[E] what each kind of event weighs in the cost"""
+    """[E] weight of each kind of event in the cost"""
     event_price: Annotated[float, Field("")]
-    """taken off the reward for a unit of cost"""
+    """price of a unit of cost in the reward"""
     illegal_price: Annotated[float, Field("")]
-    """taken off the reward for a lost turn"""
+    """penalty of an invalid action"""
     step_limit: Annotated[int, Field("")]
     auxiliary_capacity: Annotated[float, Field("")]
-    """L, of the clean vessels it provides"""
+    """capacity in L of the clean vessels it provides"""
     wear_actuator: Annotated[int, Field("")]
     """STIR or HEAT; how it degrades, with the four below: see :class:`chemlab.config.scenario.WearSpec`"""
     wear_gain: Annotated[float, Field("")]
@@ -243,7 +247,7 @@ def _is_bundled(cls: type) -> bool:
 
 @helper
 def on_scale(value: float, low: float, high: float) -> float:
-    """A gauge's reading from 0 to 1: where a value stands between ``low`` and ``high``; 0 if it is no number."""
+    """Return a gauge's reading: the position of a value between ``low`` and ``high`` from 0 to 1; 0 for NaN."""
     share = (value - low) / (high - low)
     if 0.0 <= share <= 1.0:
         return share
@@ -251,14 +255,14 @@ def on_scale(value: float, low: float, high: float) -> float:
 
 
 def check_vessels(rows: FloatArray, name: str) -> None:
-    """Refuse contents that no vessel can have.
+    """Check that vessels have possible contents.
 
     Args:
-        rows: [B, W] vessel rows, some of them possibly empty places.
-        name: of what has worked on them, for error messages.
+        rows: [B, W] vessel rows, possibly with empty places.
+        name: name of the part that has worked on them, for error messages.
 
     Raises:
-        PartError: an amount is negative or not finite, or a temperature beyond the physical range.
+        PartError: an amount is negative or not finite, or a temperature is outside the physical range.
     """
     if not np.isfinite(rows).all() or rows[:, AMOUNTS:].min(initial=0.0) < -_ROUNDING_MOL:
         raise PartError(f"{name} has left amounts that are negative or not finite in a vessel")
@@ -272,8 +276,9 @@ def check_vessels(rows: FloatArray, name: str) -> None:
 
 @helper
 def goal_amount(row: FloatArray, part: IntArray) -> float:
-    """mol of the goal in a vessel; of a salt, dissolved pairs of ions count as salt. ``part`` is a row of
-    Goals.parts."""
+    """Return mol of the goal in a vessel; for a salt, dissolved pairs of ions count. ``part`` is a row of
+    Goals.parts.
+    """
     amount = row[AMOUNTS + part[0]]
     if part[1] >= 0:
         amount += min(row[AMOUNTS + part[1]], row[AMOUNTS + part[2]])
@@ -282,7 +287,7 @@ def goal_amount(row: FloatArray, part: IntArray) -> float:
 
 @helper
 def weighted_amount(row: FloatArray, weights: FloatArray) -> float:
-    """Sum of weight x mol over the materials."""
+    """Return the sum of weight x mol over the materials."""
     total = 0.0
     for i in range(weights.shape[0]):
         total += weights[i] * row[AMOUNTS + i]
@@ -319,7 +324,7 @@ def _consequences(members: IntArray, experiment: Handle, bench: Handle, cost: Fl
 
 @kernel
 def _begin(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
-    """Clean vessels for every position but the first, and the first one brought to its phase equilibrium."""
+    """Provide clean vessels at every position but the first, and equilibrate the phases of the first one."""
     state, rules, arrays = opened(ExperimentState, experiment), opened(BenchRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
@@ -337,14 +342,15 @@ def _begin(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, 
 
 
 class Experiments:
-    """One bench of N laboratories: the arrays of its running experiments (:class:`ExperimentState` and the bench's own,
-    as attributes).
+    """One bench of N laboratories: the arrays of its running experiments.
+
+    They are the fields of :class:`ExperimentState` and the bench's own, as attributes.
 
     Args:
-        agent: id of the agent that operates it.
-        bench: which bench.
+        agent: name of the agent that operates it.
+        bench: the bench.
         places: [N, P] row of each position's vessel in ``shelf.rows``.
-        shared: arrays that others keep, by field.
+        shared: arrays owned by others, by field.
     """
 
     def __init__(self, agent: str, bench: Bench, places: IntArray, **shared: npt.NDArray[Any]) -> None:
@@ -354,7 +360,7 @@ class Experiments:
 
     @property
     def handle(self) -> Handle:
-        """What kernels take: the state."""
+        """Pointer table of the state."""
         return self.table.handle
 
     def __getattr__(self, name: str) -> Any:
@@ -363,39 +369,39 @@ class Experiments:
         return getattr(self.table.arrays, name)
 
     def share(self, **shared: npt.NDArray[Any]) -> None:
-        """Let others keep some of the arrays."""
+        """Replace some of the arrays by arrays owned by others."""
         self.table = Table(self.table.arrays._replace(**shared))
 
     def arrays(self) -> list[npt.NDArray[Any]]:
-        """Every array that changes while experiments run, for snapshots."""
+        """Return every array that changes while experiments run, for snapshots."""
         return self.table.changing()
 
 
 class Bench(ABC):
-    """A kind of bench of one scenario: what its agent sees and may do, and what an experiment is worth.
+    """A kind of bench of one scenario: observations, actions, and score of an experiment.
 
-    A bench holds no experiment: its methods work on a :class:`Shelf` and a :class:`Experiments`, for the laboratories
-    ``members`` [B] of them. The same object therefore serves single environments, batches and laboratories. To add a
-    bench, subclass this in a file of your own and name it in the scenario (``kind = "my_bench.py:Class"``, or
+    A bench holds no experiment: its methods work on a :class:`Shelf` and an :class:`Experiments`, for the laboratories
+    ``members`` [B]. The same object therefore serves single environments, batches and laboratories. To add a bench,
+    subclass this in your own file and name it in the scenario (``kind = "my_bench.py:Class"``, or
     ``package.module:Class``).
     """
 
     options_model: ClassVar[type[BaseModel]]
-    """Pydantic model of the scenario keys that are this bench's own."""
+    """Pydantic model of the bench's own scenario keys."""
     positions: ClassVar[tuple[str, ...]] = ("main",)
-    """Names of the vessels it works on, the one that is brought first."""
+    """Names of the positions of its vessels, the main vessel first."""
     own_state: ClassVar[tuple[type, ...]] = ()
-    """Declarations of arrays that its experiments have besides :class:`ExperimentState`."""
+    """Schemas of further arrays of its experiments besides :class:`ExperimentState`."""
     own_rules: ClassVar[tuple[type, ...]] = ()
-    """Declarations of numbers that its kernels need besides :class:`BenchRules`; see :meth:`rules_values`."""
+    """Schemas of further static parameters besides :class:`BenchRules`; see :meth:`rules_values`."""
     kernels: ClassVar[tuple[Callable[..., Any], ...]] = ()
-    """The bench's largest kernels: what a first step waits for while they compile."""
+    """The bench's largest kernels, for which the first step waits while they compile."""
     score_meaning: ClassVar[str] = "score"
-    """What an experiment's score is, for people."""
+    """Meaning of an experiment's score, for people."""
     model_methods: ClassVar[tuple[str, ...]] = ()
     """Methods of the model that may replace its physics (:mod:`chemlab.roles.models`); empty: it takes none."""
     camera: ClassVar[bool] = False
-    """Whether it looks at its vessels with a layer camera."""
+    """True if it observes its vessels with a layer camera."""
 
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         self.key = key
@@ -422,31 +428,31 @@ class Bench(ABC):
 
     @property
     def layout(self) -> Layout:
-        """Where things stand in a vessel row."""
+        """Layout of a vessel row."""
         return self.chemistry.layout
 
     @property
     def known(self) -> Chemistry:
-        """The chemistry as the data files have it."""
+        """The chemistry of the data files."""
         return self.chemistry.world()
 
     @property
     def state_declaration(self) -> Any:
-        """Declaration of the arrays of its experiments."""
+        """Schema of the arrays of its experiments."""
         graded = (GradeState,) if self.grades.names or self.told else ()
         return merged(ExperimentState, *self.own_state, *graded)
 
     def state_sizes(self, members: int, positions: int) -> dict[str, int]:
-        """Length of every axis of the experiments' arrays, by name."""
+        """Return the length of every axis of the experiments' arrays by name."""
         sizes = {"N": members, "P": positions, "E": len(self.scenario.safety_events), "1": 1, "2": 2}
         return {**sizes, "T": self._told_numbers}
 
     def rules_values(self) -> dict[str, Any]:
-        """Values of the bench's own rules, by field."""
+        """Return the values of the bench's own static parameters by field."""
         return {}
 
     def _set_rules(self) -> None:
-        """Put together what kernels need to know of the scenario."""
+        """Build the static parameters for kernels."""
         scenario, columns = self.scenario, self.layout.fluid_columns
         safety, wear = scenario.safety, self.spec.wear or WearSpec()
         declaration = merged(BenchRules, *self.own_rules)
@@ -471,8 +477,10 @@ class Bench(ABC):
         self.rules = Table(declaration(**values, **self.rules_values()))
 
     def _set_spaces(self, channels: Sequence[Channel], action_space: gymnasium.Space[Any]) -> None:
-        """Declare the observation channels (the goal's one-hot is added, and then what the scenario's ``observe`` adds)
-        and the action space."""
+        """Set the observation channels and the action space.
+
+        The goal's one-hot is appended, and then the channels of the scenario's ``observe``.
+        """
         goal = Channel("goal", len(self.goals.names), "one-hot", 0.0, 1.0, "goal: " + ", ".join(self.goals.names))
         most = f"least mol (1: {self.grades.largest:g}), least purity, ticks allowed (1: {self.step_limit})"
         graded = [Channel("grade", 3, "fraction", 0.0, 1.0, most)] if self.grades.names else []
@@ -489,28 +497,29 @@ class Bench(ABC):
 
     @property
     def kind(self) -> str:
-        """What the scenario calls this kind of bench: ``reaction``, ``extraction``, ..."""
+        """Kind of the bench as named in the scenario: ``reaction``, ``extraction``, ..."""
         return self.spec.kind
 
     @property
     def _is_shipped(self) -> bool:
-        """Whether the bench is one of chemlab's, of which all that it does is known to be within bounds."""
+        """True for a built-in bench, whose results are known to be within bounds."""
         return _is_bundled(type(self))
 
     @property
     def action_count(self) -> int:
-        """Number of discrete actions; 0 where actions are continuous."""
+        """Number of discrete actions; 0 for continuous actions."""
         return int(self.action_space.n) if isinstance(self.action_space, gymnasium.spaces.Discrete) else 0
 
     @property
     def end_action(self) -> int:
-        """The discrete action that ends the experiment, or, where none does, leaves everything as it is: the last one,
-        unless a bench says otherwise."""
+        """The discrete action that ends the experiment or, if there is none, changes nothing; by default the last
+        one.
+        """
         return self.action_count - 1
 
     @property
     def action_meanings(self) -> list[str]:
-        """What each action (or each number of a continuous action) does."""
+        """Description of each action, or of each number of a continuous action."""
         raise NotImplementedError(f"bench {self.key!r} does not describe its actions")
 
     def action_words(self, action: Any) -> str:
@@ -520,9 +529,10 @@ class Bench(ABC):
         return ", ".join(f"{float(value):.2f}" for value in action)
 
     def representative_actions(self) -> list[tuple[str, FloatArray]]:
-        """What continuous actions are discretised to (``actions = "discrete"``): of each what it does, and its numbers
-        [n]. The last one leaves everything as it is. Unless a bench says otherwise: each number at its low, middle and
-        high end while the others stay in the middle.
+        """Return the discretised actions (``actions = "discrete"``): a description and the numbers [n] of each.
+
+        The last one changes nothing. By default: each number at its low, middle and high end while the others are in
+        the middle.
         """
         middle = np.full(len(self.action_meanings), 0.5)
         ways = []
@@ -534,22 +544,26 @@ class Bench(ABC):
         return [*ways, ("all in the middle", middle)]
 
     def material(self, name: str, key: str) -> int:
-        """Index of a material an option names; a :class:`DataError` names the option if it is unknown."""
+        """Return the index of a material that an option names.
+
+        Raises:
+            DataError: the material is unknown; the message names the option.
+        """
         if name not in self.layout.materials:
             raise DataError(
                 f"{self.scenario.origin}: benches.{self.key}.{key}: unknown material {name!r}; "
-                f"this scenario has: {', '.join(self.layout.materials)}"
+                f"choose from {', '.join(self.layout.materials)}"
             )
         return self.layout.index(name)
 
     def begin(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
-        """Start experiments: the first position's vessel is there, ``experiments.goal`` is set."""
+        """Start experiments: the first position's vessel is in place, and ``experiments.goal`` is set."""
         _begin(members, *self._handles(shelf, experiments))
         self.prepare(shelf, experiments, members)
         experiments.baseline[members] = self.measure(shelf, experiments, members)
 
     def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:  # noqa: B027 - may stay empty
-        """Bench-specific part of :meth:`begin`."""
+        """Run the bench-specific part of :meth:`begin`."""
 
     def finish(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
         """End experiments and return their scores [B]."""
@@ -561,34 +575,34 @@ class Bench(ABC):
         return score
 
     def best(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
-        """[B, 2] mol of the goal and its purity (everything counts) in the vessel that has most of it."""
+        """Return [B, 2] mol of the goal and its purity (all materials count) in the vessel with the most of it."""
         rows, goal = shelf.rows[experiments.places[members]], experiments.goal[members]
         return best_vessel(rows, self.goals.parts[goal], self.goals.absolute_counts[goal])
 
     def reported(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
-        """[B, 3] what the bench's sensors say of experiments that end, from 0 to 1: see :data:`.grades.REPORT`."""
+        """Return [B, 3] the self-reported outcomes of ending experiments from 0 to 1: see :data:`.grades.REPORT`."""
         said = self.best(shelf, experiments, members)
         said[:, 0] /= self.grades.largest
         noisy(members, self.spec.report or 0.0, experiments.stream, said)
         return np.column_stack([said, experiments.steps[members] / self.step_limit])
 
     def release(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:  # noqa: B027 - may stay empty
-        """Bench-specific part of :meth:`finish`: leave the vessels as the shelf may have them."""
+        """Run the bench-specific part of :meth:`finish`: prepare the vessels for the shelf."""
 
     @abstractmethod
     def measure(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
-        """What the experiment's score is the change of, [B]."""
+        """Return [B] the measure whose change is the experiment's score."""
 
     @abstractmethod
     def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
-        """One step of the experiments of ``members``; fills the experiments' steps, ended, illegal and events."""
+        """Step the experiments of ``members``; fills the experiments' steps, ended, illegal and events."""
 
     @abstractmethod
     def see(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
-        """Write the bench's own channels and the goal's into ``out`` [B, size]; an idle bench sees zeros."""
+        """Write the bench's own channels and the goal's into ``out`` [B, size]; zeros for an idle bench."""
 
     def observe(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
-        """Write what the agents see into ``out`` [B, observation size]; an idle bench sees zeros."""
+        """Write the agents' observations into ``out`` [B, observation size]; zeros for an idle bench."""
         self.see(shelf, experiments, members, out)
         if not self._is_shipped:
             name = f"{self.scenario.origin}: benches.{self.key}: {self.kind}"
@@ -620,11 +634,15 @@ class Bench(ABC):
 
     @abstractmethod
     def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
-        """Write the legal actions into ``out`` [B, actions] (1 = legal); benches with continuous actions have none."""
+        """Write the legal actions into ``out`` [B, actions] (1 = legal); not for continuous actions."""
 
     @abstractmethod
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
-        """The action as an array of one member, or ``ValueError`` if it is outside the action space."""
+        """Return the action as an array of one member.
+
+        Raises:
+            ValueError: it is outside the action space.
+        """
 
     def consequences(
         self,
@@ -635,9 +653,12 @@ class Bench(ABC):
         reward: FloatArray,
         begun: bool = False,
     ) -> None:
-        """Add what the last action led to: to ``cost`` [N] its weighted safety events, to ``reward`` [N] what they and
-        a lost turn take off, and the scenario's own terms. An experiment whose grade allows no more ticks is at its
-        end. ``begun``: the experiments have only begun, no action has been taken yet, and so there are no terms."""
+        """Add the consequences of the last action to ``cost`` [N] and ``reward`` [N].
+
+        They are weighted safety events, their price, the penalty of an invalid action, and the scenario's own terms. An
+        experiment whose quality requirement allows no more ticks ends. ``begun``: the experiments have only started,
+        without an action, so there are no terms.
+        """
         _consequences(members, experiments.handle, self.rules.handle, cost, reward)
         if not begun:
             if self.grades.names:
@@ -666,8 +687,10 @@ class Bench(ABC):
         return found
 
     def rehearsal(self, shelf: Shelf, experiments: Experiments) -> Rehearsal:
-        """What happens in an experiment, of no laboratory: see :mod:`chemlab.kernels.warmup`. Nothing, if the bench
-        is not one of chemlab's: it may not expect that."""
+        """Return the calls of an experiment without any laboratory: see :mod:`chemlab.kernels.warmup`.
+
+        Empty for a user-defined bench, which may not support it.
+        """
         if not self._is_shipped:
             return []
         none: IntArray = np.zeros(0, dtype=np.int64)
@@ -684,11 +707,11 @@ class Bench(ABC):
         ]
 
     def _handles(self, shelf: Shelf, experiments: Experiments) -> tuple[Handle, Handle, Handle, Handle]:
-        """What most of a bench's kernels take."""
+        """Return the pointer tables that most of a bench's kernels take."""
         return experiments.handle, self.rules.handle, shelf.handle, shelf.chemistry.handles
 
     def separate_scratch(self) -> Bench:
-        """The same bench with scratch arrays of its own, for use in another thread."""
+        """Return the same bench with its own scratch arrays, for use in another thread."""
         other = copy.copy(self)
         other.rules = self.rules.copy()
         return other
@@ -696,14 +719,18 @@ class Bench(ABC):
     def purity_measure(
         self, shelf: Shelf, experiments: Experiments, members: IntArray, counts: FloatArray
     ) -> FloatArray:
-        """[B] sum over the positions of (mol of the goal x its purity there)."""
+        """Return [B] the sum over the positions of mol of the goal x its purity."""
         out = np.empty(len(members))
         _purity_scores(members, experiments.handle, shelf.handle, self.goals.parts, counts, out)
         return out
 
 
 def check_discrete(agent: str, action: Any, count: int) -> int:
-    """The action as an int in [0, count), or ``ValueError`` naming agent, expected and given."""
+    """Return the action as an int in [0, count).
+
+    Raises:
+        ValueError: it is not; the message names agent, expected and given.
+    """
     value = action.item() if isinstance(action, np.ndarray) and action.ndim == 0 else action
     if isinstance(value, (int, np.integer)) and not isinstance(value, (bool, np.bool_)) and 0 <= value < count:
         return int(value)
@@ -711,7 +738,11 @@ def check_discrete(agent: str, action: Any, count: int) -> int:
 
 
 def check_box(agent: str, action: Any, size: int) -> FloatArray:
-    """The action as float64 [size] within [0, 1], or ``ValueError`` naming agent, expected and given."""
+    """Return the action as float64 [size] within [0, 1].
+
+    Raises:
+        ValueError: it is not; the message names agent, expected and given.
+    """
     try:
         value = np.asarray(action)
     except (TypeError, ValueError):

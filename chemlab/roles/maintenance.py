@@ -1,7 +1,7 @@
-"""The condition of benches and instruments: as an episode begins, while they are used, after a repair or a calibration.
+"""Condition of benches and instruments: initial state, change with use, repair and calibration.
 
-It is drawn from streams of the world's, one for each bench and instrument, so that what happens to one does not depend
-on the use of another. Only scenarios that declare ``wear`` of a bench or ``drift`` of an instrument have any.
+It is drawn from streams of the world, one for each bench and instrument, so that each is independent of the use of the
+others. Only scenarios that declare ``wear`` of a bench or ``drift`` of an instrument have it.
 """
 
 from __future__ import annotations
@@ -55,15 +55,15 @@ def maintenance_rules(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
 
 
 def equip(bench: Bench, experiments: Experiments, members: IntArray, worlds: Worlds, device: int, name: str) -> None:
-    """Give the benches of ``members`` [B] the condition that their worlds have drawn for them.
+    """Set the benches of ``members`` [B] to the drawn condition of their worlds.
 
     Args:
-        bench: which one.
-        experiments: whose arrays hold it.
-        members: laboratories whose episodes begin.
-        worlds: of the laboratories.
+        bench: the bench.
+        experiments: arrays that hold the condition.
+        members: environment indices of starting episodes.
+        worlds: worlds of the laboratories.
         device: number of its stream.
-        name: by which draws call it.
+        name: its name in draws.
     """
     spec = bench.spec.wear
     if spec is None:
@@ -90,14 +90,14 @@ def _draw_biases(members: IntArray, manager: Handle, scenario: Handle) -> None:
 def begin_drift(
     instruments: InstrumentTable, members: IntArray, table: Table[ManagerState], scenario: Handle, worlds: Worlds
 ) -> None:
-    """Give the instruments of laboratories ``members`` [B] the biases that their worlds have drawn for them.
+    """Set the instruments of ``members`` [B] to the drawn biases of their worlds.
 
     Args:
-        instruments: the laboratories'.
-        members: whose episodes begin.
+        instruments: the instruments.
+        members: environment indices of starting episodes.
         table: the laboratories' state, which holds the biases.
-        scenario: handle of the scenario's :class:`~chemlab.roles.manager_state.Rules`.
-        worlds: of the laboratories.
+        scenario: pointer table of the scenario's :class:`~chemlab.roles.manager_state.Rules`.
+        worlds: worlds of the laboratories.
     """
     state = table.arrays
     if not state.trend.shape[1]:
@@ -113,7 +113,7 @@ def begin_drift(
 
 @kernel
 def go_astray(members: IntArray, used: IntArray, manager: Handle, scenario: Handle) -> None:
-    """Let instrument ``used`` [B] of laboratories ``members`` [B] have gone as far astray as it has by now."""
+    """Update the drift of instrument ``used`` [B] of laboratories ``members`` [B] to the current tick."""
     state, rules = opened(ManagerState, manager), opened(Rules, scenario)
     for b in range(members.shape[0]):
         n, i = members[b], used[b]
@@ -129,7 +129,7 @@ def go_astray(members: IntArray, used: IntArray, manager: Handle, scenario: Hand
 
 @inner
 def calibrate(n: int, i: int, state: ManagerState, rules: Rules) -> None:
-    """Set instrument ``i`` right, as well as it can be, and charge it."""
+    """Calibrate instrument ``i`` with its residual error, and charge the price."""
     for r in range(rules.reading_start[i], rules.reading_start[i + 1]):
         state.bias[n, r] = rules.calibration_error[i] * normal(state.drift_stream[n, i : i + 1])
     state.since[n, i] = state.ticks[n]
@@ -139,7 +139,7 @@ def calibrate(n: int, i: int, state: ManagerState, rules: Rules) -> None:
 
 @inner
 def usable(n: int, b: int, state: ManagerState) -> bool:
-    """Whether bench ``b`` is neither broken nor under repair."""
+    """Return True if bench ``b`` is neither broken nor under repair."""
     if state.ready.shape[1] == 0:
         return True
     return not state.broken[b, n] and bool(state.ready[n, b] <= state.ticks[n])
@@ -147,7 +147,7 @@ def usable(n: int, b: int, state: ManagerState) -> bool:
 
 @inner
 def under_repair(n: int, state: ManagerState) -> bool:
-    """Whether any bench is."""
+    """Return True if any bench is under repair."""
     found = False
     for b in range(state.ready.shape[1]):
         found = found or state.ready[n, b] > state.ticks[n]
@@ -156,6 +156,6 @@ def under_repair(n: int, state: ManagerState) -> bool:
 
 @inner
 def send_fitter(n: int, b: int, state: ManagerState, rules: Rules) -> None:
-    """Have bench ``b`` repaired, and pay for it."""
+    """Start the repair of bench ``b``, and charge the price."""
     state.ready[n, b] = state.ticks[n] + rules.repair_ticks[b]
     state.charges[n, TIME] += rules.repair_price[b]

@@ -1,4 +1,4 @@
-"""The manager's side of a laboratory: whose turn it is, and what the manager's actions do to the arrays."""
+"""Turn order, and effects of the manager's actions on the arrays."""
 
 from __future__ import annotations
 
@@ -64,15 +64,17 @@ __all__ = [
 ]
 
 BEGUN, RECALLED, OVER, MEASURED, REPAIRED = 1, 2, 4, 8, 16
-"""What a turn led to: an experiment begun, one recalled, an episode over, a vessel to be measured, a bench repaired."""
+"""Flags of a turn's consequences: experiment started, experiment recalled, episode over, measurement due, repair
+due.
+"""
 
 _RTOL, _ATOL = 1e-3, 1e-6
-"""Error tolerances of reactions on the shelf: those that a reaction bench has by default (relative; mol/L)."""
+"""Error tolerances of reactions on the shelf: the defaults of a reaction bench (relative; mol/L)."""
 
 
 @inner
 def _count_slots(n: int, base: int, state: ManagerState, rules: Rules, shelf: ShelfArrays) -> tuple[int, int]:
-    """(free slots, occupied slots); a slot reserved for a vessel at a bench is neither."""
+    """Return the numbers of free and occupied slots; a slot reserved for a vessel at a bench is neither."""
     free, occupied = 0, 0
     for s in range(rules.slots):
         if shelf.rows[base + s, PRESENT] > 0.0:
@@ -94,7 +96,7 @@ def _allowed(
     if kind == MEASURE:
         affordable = state.charges[n, INSTRUMENTS] + rules.price[y] <= rules.budget + 1e-12
         return bool(shelf.rows[base + x, PRESENT] > 0.0 and affordable)
-    if kind == DISCARD:  # the last vessel stays: without one there would be nothing left to do
+    if kind == DISCARD:  # the last vessel cannot be discarded: without one no action would remain
         return bool(shelf.rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy))
     if kind == SUBMIT:
         return bool(shelf.rows[base + x, PRESENT] > 0.0 and not state.filled[n, y] and _has_come(n, y, state))
@@ -109,13 +111,13 @@ def _allowed(
 
 @helper
 def _has_come(n: int, o: int, state: ManagerState) -> bool:
-    """Whether the manager knows of an order."""
+    """Return True if an order has arrived."""
     return bool(state.terms.shape[1] == 0 or state.ticks[n] >= state.terms[n, o, ARRIVES])
 
 
 @inner
 def _expects(n: int, state: ManagerState) -> bool:
-    """Whether an order is still to come, or a deadline is."""
+    """Return True if an arrival or a deadline is still to come."""
     ahead = False
     for o in range(state.terms.shape[1]):
         due = state.terms[n, o, ARRIVES] + state.terms[n, o, WITHIN]
@@ -125,7 +127,7 @@ def _expects(n: int, state: ManagerState) -> bool:
 
 @inner
 def _is_closed(n: int, state: ManagerState, rules: Rules) -> bool:
-    """Whether no order can be met any more: each is filled, or late where that pays nothing."""
+    """Return True if no order can be fulfilled any more: each is filled, or late without payment."""
     closed = True
     for o in range(state.filled.shape[1]):
         lapsed = False
@@ -137,7 +139,7 @@ def _is_closed(n: int, state: ManagerState, rules: Rules) -> bool:
 
 @inner
 def _differ(action: IntArray, other: IntArray) -> bool:
-    """Whether two rows of the table differ in what :func:`_allowed` depends on."""
+    """Return True if two rows of the table differ in the columns that :func:`_allowed` depends on."""
     return bool(action[KIND] != other[KIND] or action[FIRST] != other[FIRST] or action[SECOND] != other[SECOND])
 
 
@@ -159,7 +161,7 @@ def manager_mask(members: IntArray, manager: Handle, scenario: Handle, shelf: Ha
         any_busy = _any_busy(n, state.busy)
         before, allowed = 0, False
         for a in range(rules.table.shape[0]):
-            # Goals and grades of one start stand together, and are legal or not together.
+            # Goals and requirements of one start are adjacent and have the same legality.
             if a == 0 or _differ(rules.table[a], rules.table[before]):
                 allowed = _allowed(n, a, slots, any_busy, state, rules, arrays)
                 before = a
@@ -168,7 +170,7 @@ def manager_mask(members: IntArray, manager: Handle, scenario: Handle, shelf: Ha
 
 @kernel
 def rest_on_shelf(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
-    """A vessel put on the shelf: ambient temperature, settled, at precipitation equilibrium."""
+    """Put a vessel at rest: ambient temperature, settled, at precipitation equilibrium."""
     row[TEMPERATURE] = opened(Chemistry, chem).ambient_temperature
     row[CLOCK] = CLOCK_SETTLED
     settle_phases(row, chem, waste, events, work)
@@ -177,7 +179,7 @@ def rest_on_shelf(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
 
 @inner
 def _forget(n: int, s: int, state: ManagerState) -> None:
-    """The slot holds another vessel, or none: its history and readings are gone."""
+    """Clear the history and readings of a slot whose vessel has changed."""
     state.last_bench[n, s] = 0
     state.last_position[n, s] = 0
     state.reading[n, s, :] = 0.0
@@ -186,10 +188,10 @@ def _forget(n: int, s: int, state: ManagerState) -> None:
 
 @inner
 def _start(n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays) -> None:
-    """Bring the vessel of slot ``y`` to bench ``x``, and keep slots for what will come back."""
+    """Bring the vessel of slot ``y`` to bench ``x``, and reserve slots for the returning vessels."""
     base = n * shelf.vessels
     move(shelf.rows[base + y], shelf.rows[base + rules.first[x]])
-    _forget(n, y, state)  # what comes back is not what was measured
+    _forget(n, y, state)  # readings of the returning vessel are invalid
     state.origin[n, x] = y
     state.reserved[n, y] = x
     wanted = rules.positions[x] - 1
@@ -202,7 +204,7 @@ def _start(n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: She
 
 @inner
 def _remove(n: int, x: int, state: ManagerState, chem: Handle, row: FloatArray, into: FloatArray) -> None:
-    """Take a vessel off the shelf."""
+    """Remove a vessel from the shelf."""
     remove_fraction(row, 1.0, chem, into)
     clear(row)
     _forget(n, x, state)
@@ -210,7 +212,7 @@ def _remove(n: int, x: int, state: ManagerState, chem: Handle, row: FloatArray, 
 
 @inner
 def _payment(n: int, o: int, state: ManagerState, rules: Rules) -> float:
-    """What an order with terms pays for what has been submitted for it."""
+    """Return the payment of an order with terms for its submission."""
     terms, goal = state.terms[n, o], state.goal[n, o]
     amount, purity = state.submitted[n, o, 0], state.submitted[n, o, 1]
     paid = terms[PRICE] if amount > 0.0 else 0.0
@@ -226,8 +228,10 @@ def _payment(n: int, o: int, state: ManagerState, rules: Rules) -> float:
 def _submit(
     n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle, last: bool
 ) -> None:
-    """Fill order ``y`` with the vessel of slot ``x``; the episode is over once no other order can be met, or where
-    nothing is left to meet one with (``last``)."""
+    """Fill order ``y`` with the vessel of slot ``x``.
+
+    The episode ends if no other order can be fulfilled, or if no vessel remains (``last``).
+    """
     row, goal = shelf.rows[n * shelf.vessels + x], state.goal[n, y]
     amount = goal_amount(row, rules.parts[goal])
     total = weighted_amount(row, rules.counts[goal])
@@ -249,7 +253,7 @@ def _submit(
 
 @inner
 def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> None:
-    """A tick passes for the vessels that nobody works on; what flies counts among the episode's events."""
+    """Let a tick pass for the vessels at rest; evaporation losses count as the episode's safety events."""
     base = n * shelf.vessels
     for s in range(rules.slots):
         row = shelf.rows[base + s]
@@ -259,8 +263,11 @@ def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, ch
 
 @inner
 def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> bool:
-    """A tick of laboratory time is over: time is charged, vessels and readings age, and the episode may be at an end.
-    Returns whether the manager has to hear of it: a repair is over, or an order has come."""
+    """End a tick: charge time, age vessels and readings, and check the limits.
+
+    Returns:
+        True if the manager gets the turn because a repair has ended or an order has arrived.
+    """
     state.ticks[n] += 1
     state.charges[n, TIME] += rules.tick_price
     _age_shelf(n, state, rules, shelf, chem)
@@ -283,8 +290,7 @@ def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, ch
 
 @inner
 def _idle(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> None:
-    """The manager waits with every bench idle: until a bench is repaired, an order comes, or one
-    that it knows of is late."""
+    """Wait with all benches idle until a repair ends, an order arrives, or a known order becomes late."""
     waiting = True
     while waiting:
         news = _pass_tick(n, state, rules, shelf, chem)
@@ -300,8 +306,10 @@ def manager_act(
 ) -> int:
     """Carry out one manager action in each laboratory of ``members``.
 
-    Returns the flags BEGUN, RECALLED, OVER, MEASURED and REPAIRED of what it led to in any of them; the state says in
-    which.
+    Returns:
+        The flags BEGUN, RECALLED, OVER, MEASURED and REPAIRED of its consequences in any laboratory; the state has them
+            by
+        laboratory.
     """
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
@@ -326,7 +334,7 @@ def manager_act(
         elif kind == DISCARD:
             _remove(n, x, state, chem, arrays.rows[base + x], arrays.waste[n])
         elif kind == SUBMIT:
-            # What is left of the shelf cannot fill an order once it and the benches are empty.
+            # Without vessels on the shelf and at the benches, no order can be filled.
             _submit(n, x, y, state, rules, arrays, chem, slots[1] == 1 and not any_busy)
         elif kind == RECALL:
             state.recalled[n] = x
@@ -355,8 +363,11 @@ def manager_act(
 def return_vessels(
     members: IntArray, b: int, manager: Handle, scenario: Handle, experiment: Handle, shelf: Handle, chemistry: Handle
 ) -> None:
-    """Bring what bench ``b`` worked on back to the shelf: the main vessel to where it came from, the others to the
-    slots reserved for them; empty ones are washed and gone."""
+    """Return the vessels of bench ``b`` to the shelf: the main vessel to its origin, the others to their reserved
+    slots.
+
+    Empty vessels are washed and removed.
+    """
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     events = opened(ExperimentState, experiment).events
     for i in range(members.shape[0]):
@@ -387,7 +398,7 @@ def return_vessels(
 
 @kernel
 def open_turn(members: IntArray, manager: Handle) -> None:
-    """Nobody has earned anything yet: clear the laboratories' columns of what agents have earned."""
+    """Clear the rewards, costs and scores of a new turn."""
     state = opened(ManagerState, manager)
     for i in range(members.shape[0]):
         n = members[i]
@@ -399,8 +410,10 @@ def open_turn(members: IntArray, manager: Handle) -> None:
 
 @kernel
 def turns(members: IntArray, manager: Handle, scenario: Handle, out: BoolArray) -> None:
-    """Write into ``out`` [agents, B] who plays in the laboratories' next round: the manager, or every busy bench that
-    has not had its turn in this tick."""
+    """Write into ``out`` [agents, B] the agents of the laboratories' next round.
+
+    They are the manager, or every busy bench that has not yet acted in this tick.
+    """
     state, rules = opened(ManagerState, manager), opened(Rules, scenario)
     for i in range(members.shape[0]):
         n = members[i]
@@ -415,8 +428,11 @@ def turns(members: IntArray, manager: Handle, scenario: Handle, out: BoolArray) 
 def charge_events(
     members: IntArray, b: int, experiment: Handle, manager: Handle, scenario: Handle, which: IntArray
 ) -> int:
-    """After a turn of bench ``b``: its safety events into the episode's totals and the manager's charges. Writes the
-    members whose experiment has ended into ``which`` and returns their number."""
+    """Add the safety events of a turn of bench ``b`` to the episode's totals and the manager's charges.
+
+    Returns:
+        The number of members whose experiment has ended; they are written into ``which``.
+    """
     state, rules, own = opened(ManagerState, manager), opened(Rules, scenario), opened(ExperimentState, experiment)
     count = 0
     for i in range(members.shape[0]):
@@ -433,8 +449,11 @@ def charge_events(
 
 @kernel
 def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle) -> int:
-    """Pass the turn on after a bench has acted: to the next busy bench, or to the manager once the tick is over and
-    an experiment has ended, a repair is over or an order has come. Returns OVER if an episode is over by it."""
+    """Pass the turn on after a bench has acted.
+
+    It goes to the next busy bench, or to the manager at the end of the tick if an experiment or a repair has ended or
+    an order has arrived. Returns OVER if an episode has ended.
+    """
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
     for i in range(members.shape[0]):
@@ -463,8 +482,11 @@ def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle,
 def age_on_shelf(
     members: IntArray, since: IntArray, dt: float, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle
 ) -> int:
-    """Let vessels on the shelf go on reacting at their temperature, for ``dt`` each tick that has passed ``since`` [B].
-    Returns a laboratory in which the reactions were too stiff, -1 if there is none."""
+    """React the vessels on the shelf at their temperature, for ``dt`` per tick elapsed ``since`` [B].
+
+    Returns:
+        A laboratory in which the reactions were too stiff, or -1.
+    """
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     stiff = -1
     for i in range(members.shape[0]):
@@ -478,7 +500,7 @@ def age_on_shelf(
                 if react(row, time, around, chem, arrays.waste[n], state.safety_totals[n], rules.work) < 0:
                     stiff = n
                 settle_phases(row, chem, arrays.waste[n], state.safety_totals[n], rules.work)
-                spill(row, chem, arrays.waste[n], state.safety_totals[n])  # reacting changes the volume
+                spill(row, chem, arrays.waste[n], state.safety_totals[n])  # reactions change the volume
                 partition(row, chem, rules.work)
     return stiff
 
@@ -487,8 +509,7 @@ def age_on_shelf(
 def itemize(
     members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle, out: FloatArray
 ) -> None:
-    """Write all costs so far into ``out`` [B, items]: what has been charged, and what follows from amounts, the stock
-    used and the waste made."""
+    """Write all costs so far into ``out`` [B, items]: charges, and costs of used stock and of waste."""
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]

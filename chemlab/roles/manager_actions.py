@@ -1,4 +1,4 @@
-"""The manager's actions as one flat table, which decodes, masks, documents and names every move."""
+"""The manager's actions as one flat table, used for decoding, masks, documentation and names."""
 
 from __future__ import annotations
 
@@ -39,12 +39,12 @@ KIND, FIRST, SECOND, GOAL, GRADE = range(5)
 
 @dataclass(frozen=True)
 class ManagerActions:
-    """The manager's actions, enumerated from the scenario: every legal move has one number.
+    """The manager's actions, enumerated from the scenario.
 
     Attributes:
-        table: [A, 5] kind, then its arguments (start: bench, slot, goal, and grade if there are any; measure: slot,
-            instrument; submit: slot, order; discard: slot; recall, repair: bench; calibrate: instrument; wait: none),
-            -1 where there is none.
+        table: [A, 5] kind, then its arguments (start: bench, slot, goal, and quality requirement if there are any;
+            measure: slot, instrument; submit: slot, order; discard: slot; recall, repair: bench; calibrate: instrument;
+            wait: none), -1 for missing ones.
         drifting: instruments that can be calibrated.
         wearing: benches that can be repaired.
     """
@@ -61,7 +61,7 @@ class ManagerActions:
 
     @classmethod
     def of(cls, scenario: Scenario) -> ManagerActions:
-        """The table for a scenario."""
+        """Return the table of a scenario."""
         bench_agents, slots = scenario.bench_agents(), scenario.shelf.slots
         grades = range(len(scenario.grades)) if scenario.grades else (-1,)
         asked = list(itertools.product(range(len(scenario.goals)), grades))
@@ -85,30 +85,30 @@ class ManagerActions:
         return len(self.table)
 
     def encode(self, kind: str, *arguments: str | int) -> int:
-        """Number of an action.
+        """Return the index of an action.
 
         Args:
-            kind: ``start`` (bench agent, slot, goal, and the grade where there are any), ``measure`` (slot,
-                instrument), ``discard`` (slot), ``submit`` (slot, and the order where there are several), ``recall``
-                (bench agent), ``wait``; where instruments drift or benches wear ``calibrate`` (instrument) and
+            kind: ``start`` (bench agent, slot, goal, and the quality requirement if there are any), ``measure`` (slot,
+                instrument), ``discard`` (slot), ``submit`` (slot, and the order if there are several), ``recall``
+                (bench agent), ``wait``; with drifting instruments or degrading benches ``calibrate`` (instrument) and
                 ``repair`` (bench agent).
-            arguments: bench agents, goals, grades and instruments by name, slots and orders by number.
+            arguments: bench agents, goals, requirements and instruments by name, slots and orders by index.
 
         Raises:
-            ValueError: no such action; the message names what there is.
+            ValueError: the action does not exist; the message lists the alternatives.
         """
         try:
             return self._numbers[(kind, *arguments)]
-        except (KeyError, TypeError):  # what cannot be a key is no action either
+        except (KeyError, TypeError):  # an unhashable argument is not part of an action
             raise ValueError(f"manager action{self._mistake(kind, arguments)}") from None
 
     @cached_property
     def _numbers(self) -> Mapping[tuple[str | int, ...], int]:
-        """The number of every action that :meth:`decode` has."""
+        """Index of every result of :meth:`decode`."""
         return {self.decode(action): action for action in range(len(self))}
 
     def _mistake(self, kind: str, arguments: tuple[str | int, ...]) -> str:
-        """What is wrong with an action that there is not."""
+        """Describe why an action does not exist."""
         spaces = {
             "start": (self.bench_agents, range(self.slots), self.goals, self.grades)[: 3 + bool(self.grades)],
             "measure": (range(self.slots), self.instruments),
@@ -132,7 +132,7 @@ class ManagerActions:
         return f" {kind!r}: argument {argument!r} is not one of {list(values)}"
 
     def decode(self, action: int) -> tuple[str | int, ...]:
-        """(kind, arguments...) of an action: the inverse of :meth:`encode`."""
+        """Return (kind, arguments...) of an action: the inverse of :meth:`encode`."""
         kind, *arguments = (int(value) for value in self.table[action])
         if kind == START:
             grade = (self.grades[arguments[3]],) if self.grades else ()
@@ -149,7 +149,7 @@ class ManagerActions:
 
     @property
     def action_meanings(self) -> list[str]:
-        """What every action does, in words."""
+        """Description of every action."""
         meanings = []
         for action in range(len(self)):
             kind, *arguments = self.decode(action)

@@ -1,4 +1,4 @@
-"""The arrays of N laboratories beyond their vessels and benches, and the scenario's numbers that their turns need."""
+"""Arrays of N laboratories besides vessels and benches, and the scenario's static parameters of turns."""
 
 from __future__ import annotations
 
@@ -29,18 +29,17 @@ __all__ = [
 ]
 
 COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal_actions", "safety")
-"""What the manager's score is charged for, in units of the score; calibrating is under instruments, a fitter's repairs
-under time."""
+"""Cost items of the manager's score, in units of the score; calibrations are part of instruments, repairs of time."""
 INSTRUMENTS, STOCK, WASTE, TIME, ILLEGAL, SAFETY = range(len(COST_ITEMS))
 
 RUNNING, CLOSED, LIMIT = range(3)
-"""Status of an episode: running; no order can be met any more; a limit on manager actions or ticks has been reached.
+"""Status of an episode: running; no order can be fulfilled any more; a limit on manager actions or ticks is reached.
 
-Environments say ``terminated`` of both ends. The limits are the scenario's, the manager observes what is left of them,
-and nothing follows them: a learner that adds the value of a state after a limit counts rewards that nobody can earn.
+Environments report ``terminated`` for both ends. The limits are part of the scenario, the manager observes the
+remainder, and nothing follows them: bootstrapping after a limit would count rewards that cannot be earned.
 """
 STATUS_WORDS = ("running", "submitted", "limit reached")
-"""The same for people, records and pictures."""
+"""The same in words, for people, records and pictures."""
 
 MANAGER = -1
 """Cursor value while the manager has the turn."""
@@ -50,17 +49,19 @@ ARRIVES, WITHIN, PRICE, LEAST_AMOUNT, LEAST_PURITY = range(5)
 
 
 class ManagerState(NamedTuple):
-    """A laboratory's arrays but for vessels and experiments. N laboratories, S slots, B benches, G agents, O orders,
-    K orders with terms (all or none), F benches (all or none) that report 3 numbers, I instruments, R numbers of all
-    readings, M materials, E kinds of safety event, items of the costs. Where benches wear there are W = B of them, else
-    none; where instruments drift, D = I with Z = R numbers, else none."""
+    """Arrays of laboratories except vessels and experiments.
+
+    N laboratories, S slots, B benches, G agents, O orders, K orders with terms (all or none), F benches (all or none)
+    that report 3 numbers, I instruments, R numbers of all readings, M materials, E kinds of safety events, items of the
+    costs. With degrading benches W = B, else 0; with drifting instruments D = I and Z = R, else 0.
+    """
 
     reserved: Annotated[IntArray, Field("N S", first=-1)]
-    """[N, S] bench a slot is reserved for, -1 if none"""
+    """[N, S] index of the bench for which a slot is reserved, or -1"""
     last_bench: Annotated[IntArray, Field("N S")]
-    """[N, S] 0 for none, else 1 + index of the bench kind the vessel last was at"""
+    """[N, S] 0 for none, else 1 + index of the kind of the vessel's last bench"""
     last_position: Annotated[IntArray, Field("N S")]
-    """[N, S] position it had there"""
+    """[N, S] its position there"""
     reading: Annotated[FloatArray, Field("N S R")]
     """[N, S, R] last reading of every instrument"""
     age: Annotated[IntArray, Field("N S I", first=-1)]
@@ -68,21 +69,21 @@ class ManagerState(NamedTuple):
     origin: Annotated[IntArray, Field("N B")]
     """[N, B] slot the running experiment's main vessel came from"""
     goal: Annotated[IntArray, Field("N O", first=None)]
-    """[N, O] what each order asks for, an index into the scenario's goals"""
+    """[N, O] goal of each order, an index into the scenario's goals"""
     filled: Annotated[BoolArray, Field("N O")]
     """[N, O] whether a vessel has been submitted for the order"""
     terms: Annotated[FloatArray, Field("N K 5", first=None)]
     """[N, K, 5] ARRIVES (tick), WITHIN (ticks from then), PRICE, LEAST_AMOUNT (mol) and LEAST_PURITY of each order"""
     paid: Annotated[FloatArray, Field("N K")]
-    """[N, K] what the submission for it has earned, of its price"""
+    """[N, K] payment received, as a share of the price"""
     report: Annotated[FloatArray, Field("N F 3")]
-    """[N, F, 3] what each bench has last reported, each from 0 to 1 (see :data:`chemlab.roles.grades.REPORT`)"""
+    """[N, F, 3] last self-reported outcome of each bench from 0 to 1 (see :data:`chemlab.roles.grades.REPORT`)"""
     actions: Annotated[IntArray, Field("N")]
     """[N] manager actions so far"""
     ticks: Annotated[IntArray, Field("N")]
     """[N] ticks so far"""
     cursor: Annotated[IntArray, Field("N", first=MANAGER)]
-    """[N] bench whose turn it is, or MANAGER"""
+    """[N] bench that has the turn, or MANAGER"""
     finished: Annotated[BoolArray, Field("N")]
     """[N] whether an experiment has ended in this tick"""
     status: Annotated[IntArray, Field("N", first=RUNNING)]
@@ -92,50 +93,49 @@ class ManagerState(NamedTuple):
     submitted: Annotated[FloatArray, Field("N O 2")]
     """[N, O, 2] mol of the goal and its purity in the vessel submitted for each order"""
     delivered: Annotated[FloatArray, Field("N M")]
-    """[N, M] mol that have left with submitted vessels while the episode goes on"""
+    """[N, M] mol removed with submitted vessels during the episode"""
     stream: Annotated[StreamArray, Field("N 1", first=None)]
     """[N, 1] random stream of goals and instruments"""
     illegal: Annotated[BoolArray, Field("N")]
-    """[N] whether the manager's last action was masked"""
+    """[N] whether the manager's last action was invalid"""
     begun: Annotated[IntArray, Field("N", first=-1)]
-    """[N] bench that the manager's last action started, -1 if none"""
+    """[N] bench started by the manager's last action, or -1"""
     recalled: Annotated[IntArray, Field("N", first=-1)]
-    """[N] bench that it recalled, -1 if none"""
+    """[N] bench recalled by it, or -1"""
     measured: Annotated[IntArray, Field("N", first=-1)]
-    """[N] slot that it had measured, -1 if none"""
-    # An agent's numbers stand together: a bench's turn touches its own row alone. Agents' rows are not reset with a
-    # laboratory's, but opened at every turn.
+    """[N] slot to be measured by it, or -1"""
+    # An agent's numbers are adjacent, so that a bench's turn touches only its own row. Agents' rows are not reset with
+    # a laboratory's, but cleared at every turn.
     rewards: Annotated[FloatArray, Field("G N", first=None)]
-    """[G, N] what the last turn (or round) earned each agent"""
+    """[G, N] rewards of the last turn (or round)"""
     cost: Annotated[FloatArray, Field("G N", first=None)]
     """[G, N] weighted safety events of the last turn or round"""
     scores: Annotated[FloatArray, Field("G N", first=None)]
-    """[G, N] score of the experiment that it ended, NaN where none ended"""
+    """[G, N] scores of experiments that ended, else NaN"""
     safety_totals: Annotated[FloatArray, Field("N E")]
     """[N, E] safety events since the episode began"""
     ready: Annotated[IntArray, Field("N W")]
-    """[N, W] tick from which each bench can be used again after a repair"""
+    """[N, W] tick from which each bench is usable again after a repair"""
     broken: Annotated[BoolArray, Field("W N", first=None, kept=False)]
-    """[W, N] which benches are broken, as their experiments have it"""
+    """[W, N] whether benches are broken, shared with their experiments"""
     bias: Annotated[FloatArray, Field("N Z")]
-    """[N, Z] what each value of each instrument is off by besides the scenario's bias"""
+    """[N, Z] bias of each value of each instrument in addition to the scenario's"""
     trend: Annotated[FloatArray, Field("N D")]
-    """[N, D] what it goes off by in a tick"""
+    """[N, D] its change per tick"""
     since: Annotated[IntArray, Field("N D")]
-    """[N, D] tick at which that was last worked out"""
+    """[N, D] tick at which the bias was last updated"""
     calibrated: Annotated[IntArray, Field("N D")]
     """[N, D] tick of the last calibration"""
     drift_stream: Annotated[StreamArray, Field("N D", first=None)]
-    """[N, D] random stream of how it drifts: the world's"""
+    """[N, D] random stream of the drift, derived from the world"""
     busy: Annotated[BoolArray, Field("B N", first=None, kept=False)]
-    """[B, N] and the two below: what the benches' experiments share with the manager's kernels"""
+    """[B, N] and the two below: arrays that the benches' experiments share with the manager's kernels"""
     bench_goal: Annotated[IntArray, Field("B N", first=None, kept=False)]
     bench_steps: Annotated[IntArray, Field("B N", first=None, kept=False)]
 
 
 class Rules(NamedTuple):
-    """The scenario's numbers that the manager's kernels need. A actions, B benches, G goals, M materials, I
-    instruments."""
+    """Static parameters of the manager's kernels. A actions, B benches, G goals, M materials, I instruments."""
 
     table: Annotated[IntArray, Field("A 5")]
     """[A, 5] the manager's actions: see :class:`~chemlab.roles.manager_actions.ManagerActions`"""
@@ -145,37 +145,37 @@ class Rules(NamedTuple):
     """[B] index of each bench's agent among the agents"""
     slots: Annotated[int, Field("")]
     first: Annotated[IntArray, Field("B")]
-    """[B] first vessel position of each bench"""
+    """[B] index of each bench's first vessel position"""
     positions: Annotated[IntArray, Field("B")]
-    """[B] number of vessels each bench works on"""
+    """[B] number of vessel positions of each bench"""
     most_positions: Annotated[int, Field("")]
-    """the largest of them"""
+    """maximum of these"""
     bench_of: Annotated[IntArray, Field("B")]
     """[B] index of the bench's kind"""
     kinds: Annotated[int, Field("")]
     """number of bench kinds"""
     limit: Annotated[IntArray, Field("B")]
-    """[B] step limits"""
+    """[B] step limit of each bench"""
     parts: Annotated[IntArray, Field("G 3")]
     """[G, 3] see Goals.parts"""
     counts: Annotated[FloatArray, Field("G M")]
-    """[G, M] see Goals.absolute_counts; 0 of what a specification's purity leaves out"""
+    """[G, M] see Goals.absolute_counts; 0 for materials that a specification's purity excludes"""
     maximum: Annotated[FloatArray, Field("G")]
     """[G] mol, theoretical maximum of each goal"""
     share: Annotated[float, Field("")]
-    """of a submission's worth in the manager's reward"""
+    """weight of a submission's score in the manager's reward"""
     first_stock: Annotated[FloatArray, Field("M")]
-    """[M] mol in the bottles when an episode begins"""
+    """[M] initial mol in the bottles"""
     stocked: Annotated[IntArray, Field("k")]
-    """indices of materials that have a bottle"""
+    """[k] indices of materials with a bottle"""
     stock_price: Annotated[FloatArray, Field("M")]
-    """[M] score per mol"""
+    """[M] price per mol in units of the score"""
     reading_start: Annotated[IntArray, Field("I+1")]
-    """[I + 1] where each reading begins"""
+    """[I + 1] offset of each reading"""
     seen: Annotated[IntArray, Field("I")]
-    """[I] 1 where it stands in the observation"""
+    """[I] 1 if the reading is part of the observation"""
     price: Annotated[FloatArray, Field("I")]
-    """[I] score for a measurement"""
+    """[I] price of a measurement in units of the score"""
     waste_per_l: Annotated[float, Field("")]
     tick_price: Annotated[float, Field("")]
     illegal_price: Annotated[float, Field("")]
@@ -196,19 +196,19 @@ class Rules(NamedTuple):
     repair_ticks: Annotated[IntArray, Field("W")]
     """[W] ticks that it takes"""
     drifting: Annotated[IntArray, Field("d")]
-    """[d] instruments that drift, and benches that wear [w]"""
+    """[d] indices of drifting instruments; [w] of degrading benches"""
     wearing: Annotated[IntArray, Field("w")]
     least_purity: Annotated[FloatArray, Field("G")]
-    """[G] what a submission must be, to be worth anything"""
+    """[G] minimum purity of a submission"""
     least_amount: Annotated[FloatArray, Field("G")]
-    """[G] mol, the same"""
+    """[G] minimum mol of a submission"""
     late: Annotated[float, Field("")]
-    """share of its price that an order with terms pays for what is late"""
+    """share of the price that an order with terms pays for a late submission"""
     short: Annotated[float, Field("")]
-    """the same for what falls short of its terms"""
+    """share of the price for a submission that fails the terms"""
     most_terms: Annotated[FloatArray, Field("5")]
-    """[5] the highest that any order's terms can be"""
+    """[5] upper bounds of the terms of any order"""
     gauge: Annotated[float, Field("")]
-    """step of the fill level's marks, as a share of the capacity; 0: none"""
+    """resolution of the fill level as a share of the capacity; 0: exact"""
     work: Annotated[FloatArray, Field("a b")]
     """scratch"""

@@ -1,6 +1,6 @@
-"""What the manager sees: outsides of vessels, readings it has paid for, benches, stock, orders.
+"""The manager's observation: visible properties of vessels, paid readings, benches, stock, orders.
 
-Each part of the observation is declared right above the helper that writes it, which returns where the next one begins.
+Each part of the observation is declared directly above the helper that writes it, which returns the offset of the next.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _COLDEST_K, _HOTTEST_K = VESSEL_TEMPERATURES_K
 
 
 def manager_channels(scenario: Scenario, instruments: InstrumentTable, rules: Rules) -> list[Channel]:
-    """What the manager sees, in order."""
+    """Return the manager's observation channels in order."""
     positions, largest_capacity = rules.most_positions, rules.largest_capacity
     channels = []
     for slot in range(scenario.shelf.slots):
@@ -58,7 +58,7 @@ def _write_vessel(
     if row[PRESENT] > 0.0:
         out[at] = 1.0
         fill = volume(row, chem) / row[CAPACITY]
-        if rules.gauge > 0.0 and fill > 0.0:  # something is seen to be there, however little
+        if rules.gauge > 0.0 and fill > 0.0:  # a non-empty vessel never reads 0
             fill = rules.gauge * max(math.floor(fill / rules.gauge + 0.5), 1.0)
         out[at + 1] = min(fill, 1.0)
         out[at + 2] = min(max((row[TEMPERATURE] - _COLDEST_K) / (_HOTTEST_K - _COLDEST_K), 0.0), 1.0)
@@ -126,7 +126,7 @@ def _write_stock(out: ObservationArray, at: int, n: int, rules: Rules, shelf: Sh
 
 
 def order_channels(scenario: Scenario) -> list[tuple[str, str]]:
-    """(channel name, meaning) of each order's goal; a filled order shows zeros."""
+    """Return (channel name, meaning) of each order's goal; a filled order shows zeros."""
     if scenario.orders == 1:
         return [("goal", "laboratory goal")]
     shown = "zeros until it comes, and once it is filled" if scenario.demand.order else "zeros once it is filled"
@@ -134,8 +134,10 @@ def order_channels(scenario: Scenario) -> list[tuple[str, str]]:
 
 
 def terms_channels(order: str) -> tuple[str, str, str, str]:
-    """Channels of what an order with terms asks for, by the name of its goal's (:func:`order_channels`): ticks left,
-    price, least amount, least purity."""
+    """Return the channels of an order's terms: ticks left, price, least amount, least purity.
+
+    Their names derive from the goal's channel (:func:`order_channels`).
+    """
     return f"{order}_ticks_left", f"{order}_price", f"{order}_amount_at_least", f"{order}_purity_at_least"
 
 
@@ -178,7 +180,7 @@ def _write_orders(out: ObservationArray, at: int, n: int, state: ManagerState, r
 
 
 def report_channels(scenario: Scenario) -> list[Channel]:
-    """What benches with sensors of their own have said of their last experiments."""
+    """Return the channels of the benches' self-reported outcomes."""
     most = max(scenario.theoretical_maximum_mol.values())
     channels = []
     for agent in scenario.bench_agents():
@@ -211,7 +213,7 @@ def _write_limits(out: ObservationArray, at: int, n: int, state: ManagerState, r
 
 
 def _upkeep_channels(scenario: Scenario) -> list[Channel]:
-    """What is to be seen of the condition of instruments and benches, where it changes at all."""
+    """Return the channels of the condition of instruments and benches, if it can change."""
     if not scenario.errs:
         return []
     limit, actions = float(scenario.limits.ticks), ManagerActions.of(scenario)
@@ -249,7 +251,9 @@ def manager_observe(
     out: ObservationArray,
     rows: IntArray,
 ) -> None:
-    """Write what the managers of ``members`` [B] see into ``rows`` [B] of ``out`` [any, observation size]."""
+    """Write the observations of the managers of ``members`` [B] into ``rows`` [B] of ``out`` [any, observation
+    size].
+    """
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]

@@ -14,20 +14,22 @@ from ..kernels.arrays import FloatArray
 __all__ = ["ReactionModel", "SeparationModel", "checked_reaction", "load_model"]
 
 _CONSERVED = 1e-6
-"""Relative error that an integrator of the user's may leave in the atoms."""
+"""Maximum relative error of atoms in a user's integrator."""
 
 
 class ReactionModel(Protocol):
-    """Anything that can be called like this replaces the kinetics of reaction benches."""
+    """A callable with this signature replaces the kinetics of reaction benches."""
 
     def __call__(self, amount_mol: FloatArray, temperature_k: float, volume_l: float, dt: float) -> FloatArray:
-        """Amounts [M] (mol, in the order of ``scenario.materials``) after ``dt`` at constant T and liquid volume."""
+        """Return amounts [M] (mol, in the order of ``scenario.materials``) after ``dt`` at constant T and liquid
+        volume.
+        """
 
 
 class SeparationModel(Protocol):
     """An object with these two methods replaces layers and partition on extraction and distillation benches.
 
-    L solvents, K dissolvable materials, C layers. A model sees only what the built-in one sees.
+    L solvents, K dissolvable materials, C layers. A model receives the inputs of the built-in one.
     """
 
     def partition(
@@ -38,12 +40,12 @@ class SeparationModel(Protocol):
         clock_before: float,
         clock_after: float,
     ) -> FloatArray:
-        """Dissolved amounts [K, L] at ``clock_after``; row k must add up to ``total_mol[k]`` [K]."""
+        """Return dissolved amounts [K, L] at ``clock_after``; row k must add up to ``total_mol[k]`` [K]."""
 
     def profile(self, volume_l: FloatArray, density_kg_l: FloatArray, clock: float, pixels: int) -> FloatArray:
-        """Share [C, pixels] of each layer in each pixel, bottom first.
+        """Return the share [C, pixels] of each layer in each pixel, bottom first.
 
-        ``volume_l`` [C] and ``density_kg_l`` [C] are those of the solids (density 0: they lie lowest), the fluid
+        ``volume_l`` [C] and ``density_kg_l`` [C] are those of the solids (density 0: they are at the bottom), the fluid
         layers, densest first, and air. Each pixel's shares add up to 1, each layer's pixels to its share of the volume.
         """
 
@@ -84,18 +86,18 @@ def load_model(scenario: Scenario, bench: str, methods: tuple[str, ...]) -> Any:
 def checked_reaction(
     model: ReactionModel, amounts: FloatArray, temperature: float, volume: float, dt: float, elements: FloatArray
 ) -> FloatArray:
-    """Call a user's reaction model and refuse a result that is no amounts array or makes atoms out of nothing.
+    """Call a user's reaction model and validate its result.
 
     Args:
         model: the user's model.
         amounts: [M] mol before.
-        temperature: K.
-        volume: liquid volume, L.
+        temperature: temperature in K.
+        volume: liquid volume in L.
         dt: reaction time.
         elements: [E, M] atoms of each element (and charge) in each material.
 
     Raises:
-        ValueError: wrong shape, a negative amount, a value that is not finite, or atoms that are not conserved.
+        ValueError: the shape is wrong, an amount is negative or not finite, or atoms are not conserved.
     """
     result = np.asarray(model(amounts.copy(), temperature, volume, dt), dtype=np.float64)
     if result.shape != amounts.shape:

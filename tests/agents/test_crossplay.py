@@ -170,7 +170,7 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
         (["scripted"], ["trained"], "benches: trained has none of its own: there it stands for 'pretrained-isolated'"),
         (["scripted,rxn=random"], ["scripted"], "give one policy; benches are given with --benches"),
         (["scripted"], ["scripted,manager=random"], "there it stands for 'scripted'; give that"),
-        (["nobody"], ["scripted"], "policy: known: scripted, scripted:unsafe"),
+        (["nobody"], ["scripted"], "policy: must be one of scripted, scripted:unsafe"),
         (["scripted", "scripted"], ["scripted"], "manager: scripted: given twice"),
         (["scripted:fifo"], ["scripted"], "has no orders to choose from"),
         (["scripted"], ["fictitious_rxn"], "does not fit"),
@@ -193,7 +193,7 @@ def test_the_command(
     done = runner.invoke(app, words)
     assert done.exit_code == 0, done.output
     assert max(map(len, done.output.splitlines())) <= 80
-    for text in ("scripted:unsafe", "scripted@0.2", "have learned together", "Scores with unseen partners", "drop"):
+    for text in ("scripted:unsafe", "scripted@0.2", "trained together", "Scores with unseen partners", "drop"):
         assert text in done.output
     written = json.loads((tmp_path / "found.json").read_text())
     assert {**written, "budget": "own"} == json.loads(json.dumps(played[1]))

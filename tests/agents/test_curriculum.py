@@ -398,5 +398,5 @@ def test_a_lapse_is_a_random_legal_action_now_and_then() -> None:
 
 @pytest.mark.parametrize("name", ["scripted@often", "scripted@1.5", "random@-1"])
 def test_a_share_of_lapses_is_a_number_from_0_to_1(name: str) -> None:
-    with pytest.raises(ValueError, match="share of random actions, from 0 to 1"):
+    with pytest.raises(ValueError, match="share of random actions after @ must be from 0 to 1"):
         make_policies(name, Laboratories("wurtz_dodecane"))

@@ -79,7 +79,7 @@ def test_continuous_actions_as_typed(typed: str, numbers: list[float]) -> None:
         ("T+2", "from 0 to 1"),
         ("Na=-1", "from 0 to 1"),
         ("Na=nan", "from 0 to 1"),
-        ("Na=much", "no number"),
+        ("Na=much", "not a number"),
         ("gold=1", "knows T, V, 1-chlorohexane"),
         ("=1", "knows T, V"),
     ],

@@ -107,7 +107,7 @@ def test_card_says_the_preset() -> None:
     assert arguments.command_line() == (
         "chemlab train wurtz_dodecane --bench ext --algo ppo --preset ppo-entropy --steps 1000000 --seed 4"
     )
-    with pytest.raises(ValueError, match=r"config.json: is of chemlab before 0\.3; train it again"):
+    with pytest.raises(ValueError, match=r"config.json: was made by a version before 0\.3; train it again"):
         recorded_arguments({"env_id": "chemlab/WurtzExtraction-v0", "seed": 4, "gamma": 0.9}, "config.json")
 
 
@@ -246,7 +246,7 @@ def test_only_legal_actions_are_played() -> None:
 def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
     bench = bench_of(DIT)
-    with pytest.raises(ValueError, match=r"\(none for distillation comes along\); train one"):
+    with pytest.raises(ValueError, match=r"\(none for distillation is bundled\); train one"):
         pretrained_for(bench)
     ship(made_up(bench, seed=1, scenario="elsewhere"), tmp_path, "a")
     ship(made_up(bench, seed=2), tmp_path, "b")
@@ -258,7 +258,7 @@ def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: py
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert pretrained_for(direct).card.name in ("a", "b")
-    with pytest.raises(ValueError, match=r"no pretrained policy fits 'ext'.*\(none for extraction comes along\)"):
+    with pytest.raises(ValueError, match=r"no pretrained policy fits 'ext'.*\(none for extraction is bundled\)"):
         pretrained_for(ExperimentBatch("wurtz_dodecane", "ext").bench)
 
 
@@ -370,13 +370,13 @@ def test_export_says_what_is_missing(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     result = CliRunner().invoke(app, ["export", str(tmp_path), "-o", str(tmp_path / "x")])
     assert result.exit_code == 2
-    assert "holds no training run" in result.output
+    assert "contains no training run" in result.output
     (tmp_path / "config.json").write_text("{}")
     result = CliRunner().invoke(app, ["export", str(tmp_path), "-o", str(tmp_path / "x")])
     assert "config.json: label: Field required" in result.output
     run = write_run(tmp_path / "run", "fictitious", "rxn", {"E": 1.0})
     result = CliRunner().invoke(app, ["export", str(run), "-o", str(tmp_path / "x")])
-    assert "holds no checkpoint" in result.output
+    assert "contains no checkpoint" in result.output
 
 
 def test_it_needs_neither_torch_nor_sb3() -> None:

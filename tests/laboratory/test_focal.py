@@ -638,8 +638,8 @@ def test_masked_actions_of_the_background_are_lost_turns() -> None:
     [
         ({"agent": "rxn_1"}, ValueError, ["'rxn_1'", "manager_0, rxn_0, ext_0, dit_0"]),
         ({"agent": None}, ValueError, ["None", "manager_0"]),
-        ({"policies": None}, ValueError, ["nobody plays rxn_0, ext_0, dit_0", "none"]),
-        ({"policies": {"rxn_0": anything}}, ValueError, ["nobody plays ext_0, dit_0", "given rxn_0"]),
+        ({"policies": None}, ValueError, ["missing for rxn_0, ext_0, dit_0", "none"]),
+        ({"policies": {"rxn_0": anything}}, ValueError, ["missing for ext_0, dit_0", "given rxn_0"]),
         (
             {"policies": {"rxn_0": anything, "ext_0": "scripted", "dit_0": anything}},
             TypeError,
