@@ -472,7 +472,7 @@ class FromNothing(Team):
             save_policy(folder / role, policy.card, policy.weights)
 
     def _policy(self, role: str, step: int, evaluation: Evaluation | None) -> PretrainedPolicy:
-        """What a role has learned, as a policy of the whole scenario."""
+        """Return the policy of a role for the whole scenario."""
         config, manager = self.config, role == MANAGER_ROLE
         card = Card.of(
             self._workplaces[role],

@@ -92,10 +92,10 @@ def _can_run(step: Reaction | Violent, known: set[str]) -> bool:
 
 
 def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario, **settings: Unpack[Settings]) -> Scenario:
-    """Load and check a scenario.
+    """Load and validate a scenario.
 
     Args:
-        scenario: a shipped name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, the
+        scenario: a bundled name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, the
             parsed content of one or a :func:`dump_scenario` as a mapping, or a loaded scenario.
         settings: ``rewards``, ``split`` and ``actions`` of :meth:`~chemlab.config.scenario.Scenario.configured`.
 

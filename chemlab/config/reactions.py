@@ -419,7 +419,7 @@ def load_reactions(
 
 
 def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], where: str) -> None:
-    """Refuse what no chemistry can be made of.
+    """Check that a chemistry can be built from a family.
 
     Args:
         family: the reactions.
@@ -471,10 +471,10 @@ def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], w
 
 
 def check_without_real(family: ReactionFamily, where: str) -> None:
-    """Refuse what only the tier ``real`` has laws for.
+    """Check that a family needs no laws of the backend ``real``.
 
     Args:
-        family: reactions of a scenario of another tier.
+        family: reactions of a scenario of another backend.
         where: the file of the scenario, for the error message.
 
     Raises:

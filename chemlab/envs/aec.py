@@ -14,34 +14,37 @@ The manager has the turn at the start, whenever an experiment has just ended, an
 one experiment ends. Idle benches have no turn.
 
 ### Rewards
-A bench earns the score of its experiment when it ends (see its class for the formula). The manager earns, at
-`submit`, mol of the laboratory's goal in the vessel x its absolute purity / the scenario's theoretical maximum,
-minus all costs; without a submission, minus all costs when the episode reaches a limit. The scenario mixes the two
-(`[rewards]`).
+A bench earns the score of its experiment at its end (see its class for the formula). The manager earns, at `submit`,
+mol of the laboratory's goal in the vessel x its absolute purity / the scenario's theoretical maximum, minus all costs.
+Without a submission, it earns minus all costs when a limit is reached. The scenario mixes both (`[rewards]`).
 
 ### Infos
-Numbers and arrays, of the same keys, types and shapes at every step. Every agent's: `cost` (weighted safety events of
-its last action), `events` (the same by kind, [kinds, as in the scenario's `safety_events`]), `illegal_action` (its
-last action was masked and did nothing), `experiment_over` and `score` (whether its last turn has ended its experiment,
-and with which score, else 0; of the manager: the episode), `elapsed_ticks` (on its turn and at the end: since its
-previous turn, or the episode's beginning: the discount of a semi-Markov step; else 0), and where actions are discrete
-`action_mask` (int8; without the turn it allows one action only, `wait` or `end`). The manager's also: `costs` [items,
-as in :data:`~chemlab.roles.manager_state.COST_ITEMS`] (what it has been charged so far, in units of the score), and for
-each order `goals` (index into the scenario's goals), `submitted_mol` and `purity` (0 until a vessel has been
-submitted). :func:`chemlab.lab.text.named_events` and :func:`~chemlab.lab.text.named_costs` give them by
-name.
+Infos are numbers and arrays with the same keys, types and shapes in every step. Every agent has:
+
+- `cost`: weighted safety events of its last action; `events`: the same by kind, [kinds, as in `safety_events`].
+- `illegal_action`: its last action was invalid.
+- `experiment_over` and `score`: whether its last turn ended its experiment, and the score, else 0; for the manager,
+  those of the episode.
+- `elapsed_ticks`: on its turn and at the end, ticks since its previous turn or the beginning of the episode (the
+  discount of a semi-Markov step); else 0.
+- `action_mask` for discrete actions: int8; without the turn only `wait` or `end` is legal.
+
+The manager also has `costs` [items, as in :data:`~chemlab.roles.manager_state.COST_ITEMS`] (so far, in units of the
+score), and for each order `goals` (index into the scenario's goals), `submitted_mol` and `purity` (0 before a
+submission). :func:`chemlab.lab.text.named_events` and :func:`~chemlab.lab.text.named_costs` return them by name.
 
 ### State
-`state()` is everything there is to know, in [0, 1], for critics that may know it in training; `state_channels` names
-its parts (:mod:`chemlab.envs.global_state`).
+`state()` is the complete true state in [0, 1], for centralised critics in training; `state_channels` names its parts
+(:mod:`chemlab.envs.global_state`).
 
 ### Arguments
-`scenario` (shipped name, path to a TOML file, or a loaded scenario), `render_mode` (`ansi`, `rgb_array`, `human` or
-None), `rewards` (another mix than the scenario's: `individual`, `cooperative`, `mixed` or a RewardSpec),
-`split` (which worlds there may be, of scenarios that
-draw some: `train`, `validation`, `test` or `private:SALT`), `actions` (`discrete`: benches with continuous actions have
-a choice among representative ones instead). `reset(seed, options={"goal": name})` asks for a goal
-instead of drawing it, `{"world": seed or values}` for a world.
+- `scenario`: bundled name, path to a TOML file, or a loaded scenario.
+- `render_mode`: `ansi`, `rgb_array`, `rgb_array_true`, `human` or None.
+- `rewards`: another reward mix: `individual`, `cooperative`, `mixed` or a RewardSpec.
+- `split`: split of worlds for hidden parameters: `train`, `validation`, `test` or `private:SALT`.
+- `actions`: `discrete` replaces continuous actions of benches by a choice among representative ones.
+
+`reset(seed, options={"goal": name})` sets the goal instead of drawing it; `{"world": seed or values}` sets the world.
 
 ### Version history
 - v0: first version.
@@ -90,13 +93,13 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
     """The laboratory without wrappers; it checks every action itself.
 
     Args:
-        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        scenario: a bundled name, a path to a TOML file, or a loaded scenario.
         render_mode: one of ``metadata["render_modes"]``, or None.
         rewards, split, actions: see :meth:`~chemlab.config.scenario.Scenario.configured`.
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: unknown render mode, reward mix or split.
+        DataError: the scenario is invalid or unknown.
+        ValueError: the render mode, reward mix or split is unknown.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute

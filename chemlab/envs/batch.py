@@ -28,22 +28,22 @@ Arrays = dict[str, npt.NDArray[Any]]
 class BatchedLaboratory:
     """N laboratories with the turns of :class:`~chemlab.envs.parallel.parallel_env`, in one set of arrays.
 
-    Member i that is reset with seed s + i plays what a single laboratory reset with that seed plays, whatever N is. A
-    laboratory whose episode ends is reset in the same step, unless ``autoreset`` is off.
+    Member i reset with seed s + i plays the same as a single laboratory with that seed, for any N. A laboratory whose
+    episode ends is reset in the same step, unless ``autoreset`` is off.
 
     Args:
-        num_envs: N.
-        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
-        idle_observations: whether agents without the turn are shown the laboratory too; else their rows keep what they
-            saw last, which saves most of the time observing takes.
-        copy: whether returned arrays are copies; without, the next step overwrites them.
-        autoreset: whether a laboratory whose episode ends is reset in the same step; else whoever steps resets it
-            before the next one, by ``options["reset_mask"]``, and until then sees how it ended.
+        num_envs: number of laboratories N.
+        scenario: a bundled name, a path to a TOML file, or a loaded scenario.
+        idle_observations: whether observations of agents without the turn are updated as well; otherwise their rows
+            keep the last ones, which saves most of the observation time.
+        copy: whether returned arrays are copies; if False, the next step overwrites them.
+        autoreset: whether a laboratory whose episode ends is reset in the same step; otherwise the caller resets it
+            before the next one by ``options["reset_mask"]``, and its arrays show the end until then.
         settings: ``rewards``, ``split`` and ``actions`` (:meth:`~chemlab.config.scenario.Scenario.configured`).
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: ``num_envs`` is not at least 1, or the reward mix or the split is unknown.
+        DataError: the scenario is invalid or unknown.
+        ValueError: ``num_envs`` is below 1, or the reward mix or the split is unknown.
     """
 
     def __init__(

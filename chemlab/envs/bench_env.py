@@ -14,22 +14,23 @@
 | `chemlab/Bench-v0` | `bench` of any `scenario` | follows the scenario | follows the scenario |
 
 ### Arguments
-`scenario` (shipped name, path or loaded scenario), `bench` (its key), `goals` (one, several, or None for all),
-`starts` (`paper`, `lab` or `both`), `render_mode` (`ansi`, `rgb_array`, `human` or None; single environments),
-`split` (`train`, `validation`, `test` or `private:SALT`: which worlds there
-may be, of scenarios that draw some), `actions` (`discrete`: a choice among representative ones, where a bench has
-continuous actions). Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
+- `scenario` (bundled name, path or loaded scenario), `bench` (its key), `goals` (one, several, or None for all).
+- `starts`: initial states: `paper`, `lab` or `both`.
+- `render_mode`: `ansi`, `rgb_array`, `rgb_array_true`, `human` or None (single environments).
+- `split`: split of worlds for hidden parameters: `train`, `validation`, `test` or `private:SALT`.
+- `actions`: `discrete` replaces continuous actions by a choice among representative ones.
+- Batches: `num_envs`, `autoreset_mode`, `threads`, `copy`.
 
 ### Episodes
-One experiment. Its end, by the agent's `end` or the step limit, is `terminated` and pays the bench's score; nothing is
-truncated here; `spec.max_episode_steps` is one more than the step limit. Infos, in every step: `action_mask` (discrete
-actions), `cost` (weighted safety events of the step), `events` (the same by kind, [kinds, as in the scenario's
-`safety_events`]), `illegal_action` (the step played a masked action: a lost turn), `experiment_over`, and `score` (0
-until then). In single environments single values are of NumPy's types, too.
+An episode is one experiment. It ends by the agent's `end` or the step limit with `terminated` and pays the bench's
+score; nothing is truncated. `spec.max_episode_steps` is one more than the step limit. Infos in every step:
+`action_mask` (discrete actions), `cost` (weighted safety events of the step), `events` (the same by kind, [kinds, as in
+the scenario's `safety_events`]), `illegal_action` (the action was invalid), `experiment_over`, and `score` (0 until
+then). In single environments, scalars have NumPy types as well.
 
 ### Seeds
-Member i of a batch that is reset with seed s plays exactly what a single environment reset with seed s + i plays (or
-with its own seed from a list), whatever the batch size and the number of threads.
+Member i of a batch reset with seed s plays the same as a single environment reset with seed s + i (or with its own seed
+from a list), for any batch size and number of threads.
 
 ### Version history
 - v0: first version.
@@ -238,18 +239,18 @@ class BenchVectorEnv(BatchEnv):
     """N experiments on one bench in one set of arrays, stepped by the same kernels as :class:`BenchEnv`.
 
     Args:
-        num_envs: N.
+        num_envs: number of experiments N.
         scenario, bench, goals, starts, split, actions: as for :class:`BenchEnv`.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
             (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
         threads: threads to step with; results do not depend on it.
-        copy: whether returned arrays are copies; without, the next step overwrites them.
-        render_mode: accepted for Gymnasium's sake; batches do not render, so it must be None.
-        max_episode_steps: accepted for Gymnasium's sake; it must be more than the bench's step limit.
+        copy: whether returned arrays are copies; if False, the next step overwrites them.
+        render_mode: for compatibility with Gymnasium; must be None, because batches do not render.
+        max_episode_steps: for compatibility with Gymnasium; must exceed the bench's step limit.
 
     Raises:
-        DataError: unknown scenario, bench, goal or starting states.
+        DataError: the scenario, bench, goal or kind of initial states is unknown.
         ValueError: a number is out of bounds, or a render mode is given.
     """
 

@@ -66,23 +66,23 @@ makes them for the laboratories.
 
 
 class FocalVectorEnv(BatchEnv):
-    """N laboratories seen by one agent, in one set of arrays; background policies play all of them at once.
+    """N laboratories from one agent's point of view in one set of arrays; background policies play all of them at once.
 
     Args:
-        num_envs: N.
-        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
-        agent: id of the agent that acts.
-        policies: who plays the others.
+        num_envs: number of laboratories N.
+        scenario: a bundled name, a path to a TOML file, or a loaded scenario.
+        agent: name of the acting agent.
+        policies: policies of the others.
         autoreset_mode: ``NEXT_STEP``, ``SAME_STEP`` or ``DISABLED``, as for
             :class:`~chemlab.envs.bench_env.BenchVectorEnv`.
-        copy: whether returned arrays are copies; without, the next step overwrites them.
+        copy: whether returned arrays are copies; if False, the next step overwrites them.
         settings: ``rewards``, ``split`` and ``actions`` (:meth:`~chemlab.config.scenario.Scenario.configured`).
-        max_episode_steps: accepted for Gymnasium's sake; it must be more than the scenario's limit.
+        max_episode_steps: for compatibility with Gymnasium; must exceed the scenario's limit.
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: unknown agent, an agent without a policy, or a render mode (batches do not render).
-        TypeError: a policy is none.
+        DataError: the scenario is invalid or unknown.
+        ValueError: the agent is unknown, an agent has no policy, or a render mode is given (batches do not render).
+        TypeError: an object is not a policy.
     """
 
     def __init__(
@@ -261,9 +261,9 @@ class FocalEnv(BoundedSpec, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any
         render_mode: ``ansi``, ``rgb_array``, ``human`` or None.
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: unknown agent or render mode, or an agent without a policy.
-        TypeError: a policy is none.
+        DataError: the scenario is invalid or unknown.
+        ValueError: the agent or render mode is unknown, or an agent has no policy.
+        TypeError: an object is not a policy.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - Gymnasium's class attribute

@@ -5,14 +5,16 @@
 | Agents, observations, actions | as in AEC (see `chemlab.envs.aec`) |
 | Masks | `info["action_mask"]` of every agent with discrete actions, always |
 
-### Turns Every agent is present in every step. While the manager has the turn, a step is its action. After its `wait`,
+### Turns
+Every agent is present in every step. While the manager has the turn, a step is its action. After its `wait`,
 every step is one tick, in which every busy bench acts in the scenario's order, until an experiment ends. An agent
 without the turn (`info["has_turn"]` is False) has a mask with one action only, `wait` for the manager and `end` for a
 bench; its action is ignored and may be omitted. The dynamics are those of the AEC environment: equal actions give equal
 rewards and states. Masks refer to the beginning of the tick: an action that another bench makes impossible in the same
 tick (by taking the last of a bottle) is invalid.
 
-### Infos As in AEC for the step, and `has_turn` (in the next one). `elapsed_ticks` is the number of ticks since the
+### Infos
+As in AEC for the step, and `has_turn` (in the next one). `elapsed_ticks` is the number of ticks since the
 agent last had the turn, or since the beginning of the episode.
 
 ### Version history
@@ -41,13 +43,13 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
     """The laboratory for all agents at once; it checks every action itself.
 
     Args:
-        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
+        scenario: a bundled name, a path to a TOML file, or a loaded scenario.
         render_mode: one of ``metadata["render_modes"]``, or None.
         rewards, split, actions: see :meth:`~chemlab.config.scenario.Scenario.configured`.
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: unknown render mode, reward mix or split.
+        DataError: the scenario is invalid or unknown.
+        ValueError: the render mode, reward mix or split is unknown.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute

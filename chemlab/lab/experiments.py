@@ -72,11 +72,11 @@ class ExperimentBatch:
     """N independent experiments of one bench of a scenario, in one set of arrays.
 
     Args:
-        scenario: a shipped name, a path, or a loaded scenario.
-        bench: the bench's key in the scenario (``rxn``, ``ext``, ``dit``, ...).
-        members: N.
-        goals: goals an experiment may be run for (default: all of the scenario's).
-        starts: ``paper`` for the paper's fixed starting states, ``lab`` for vessels as they reach this bench in
+        scenario: a bundled name, a path, or a loaded scenario.
+        bench: key of the bench in the scenario (``rxn``, ``ext``, ``dit``, ...).
+        members: number of experiments N.
+        goals: possible goals of an experiment (default: all of the scenario's).
+        starts: ``paper`` for the paper's fixed initial states, ``lab`` for vessels as they reach this bench in
             laboratory runs (see :mod:`chemlab.lab.starts`), ``both`` for either as often.
 
     Raises:

@@ -300,7 +300,7 @@ class RoleText:
         return lines
 
     def _about(self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> str:
-        """The observation of a slot, a bench, an order or an instrument."""
+        """Return the observation of a slot, a bench, an order or an instrument."""
         ages = {channel.name for label, channel in channels if label.endswith("age")}
         still = all((value >= 1.0).all() if name in ages else not value.any() for name, value in values.items())
         if subject.startswith("slot_"):

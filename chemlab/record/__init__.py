@@ -23,7 +23,8 @@ complete lines can be read. The record of a finished episode is `FILE`.
 
 The header's `hidden.world` has the number of the world and its values.
 
-### Scope of a verification :func:`verify_record` replays the recorded actions on the simulator and compares every line
+### Scope of a verification
+:func:`verify_record` replays the recorded actions on the simulator and compares every line
 byte by byte. A verified record proves the consequences of its actions, and nothing else. It cannot prove who chose the
 actions with which information: `policies` is a claim. So are `environment` and, if `seed` is null, the random
 streams and the choice of the world within its split.
