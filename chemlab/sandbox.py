@@ -355,12 +355,12 @@ class Flask:
     Args:
         contents: mol by material, which is named as a chemist does: ``acetone``, ``DCM``, ``CCO``, ``67-64-1``,
             ``NaOH``; :meth:`known` lists them, :meth:`material` adds others. Strong acids are ions in water.
-        physics: tier of physical laws: ``real`` or ``paper``.
-        capacity_l: L; what is more runs over.
-        temperature_k: of what is put together in it, molten above its melting point; the room's by default.
+        physics: physics backend: ``real`` or ``paper``.
+        capacity_l: capacity in L; the excess overflows.
+        temperature_k: temperature of the contents, molten above their melting points; default: the room's.
         reactions: what can happen: a shipped family's name or the path of a reaction file. By default salts dissolve,
             acids ionize in water, and nothing else.
-        material_files: files with materials of your own.
+        material_files: files with your own materials.
         pair_files: files with activity coefficients of your own pairs of liquids (``real``).
         room_k, room_kpa: temperature and pressure around it.
 
@@ -368,7 +368,7 @@ class Flask:
     exchange nothing with new ones.
 
     Raises:
-        DataError: an unknown material, or one that the tier lacks data of.
+        DataError: a material is unknown, or lacks data that the backend needs.
         ValueError: an amount or another number is out of bounds, the contents do not fit or are charged.
     """
 

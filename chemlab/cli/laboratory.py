@@ -131,7 +131,7 @@ def _show_agent(labs: Laboratories, agent: str) -> None:
     _show(f"Observation of {agent}: Box({labs.observation_sizes[number]})", facts.channel_table(role.channels))
     _show(f"Actions of {agent}: {space}", facts.action_list(role.action_meanings, role.action_count > 0))
     if role is not labs.manager:
-        page.print(f"Paid when an experiment ends: {plain(role.workplace.score_meaning)}.")
+        page.print(f"Reward at the end of an experiment: {plain(role.workplace.score_meaning)}.")
         page.print(f"An experiment has at most {role.workplace.step_limit} steps.")
     else:
         page.print(f"Paid: {plain(role.workplace.score_meaning)}.")

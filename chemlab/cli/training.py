@@ -224,8 +224,8 @@ def train(
 
     --bench trains a bench on its own, --roles one agent in its laboratory, or several
     (algorithms ippo, mappo and lean-ppo).
-    Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations beside the
-    scripted policy, checkpoints, TensorBoard logs, and at the end result.json.
+    Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations with the
+    scripted policy's scores, checkpoints, TensorBoard logs, and at the end result.json.
     """
     with readable_errors():
         from ..agents.train.arguments import load_arguments

@@ -178,7 +178,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         infos = self.infos
         infos[agent] = self._info(number)
         manages = number == labs.manager.index
-        if manages and labs.state.begun.item(0) >= 0:  # an experiment may begin with an accident
+        if manages and labs.state.begun.item(0) >= 0:  # an experiment may start with a safety event
             for other, cost in enumerate(labs.cost[0].tolist()):
                 if cost:
                     infos[self.possible_agents[other]] = self._info(other)

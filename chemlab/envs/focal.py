@@ -1,6 +1,6 @@
 """The laboratory as a Gymnasium environment for one of its agents, the others played by policies; one or a batch.
 
-| Id | Agent | A step is |
+| Id | Agent | Step |
 |---|---|---|
 | `chemlab/LabManager-v0` | `manager_0` | one manager decision, run to the next one (or to the episode's end) |
 | `chemlab/LabAgent-v0` | any `agent` | one turn of that agent, run to its next one |
@@ -119,7 +119,7 @@ class FocalVectorEnv(BatchEnv):
             agent,
             self.scenario.lab_goals,
             len(self.scenario.safety_events),
-            limits.manager_actions if self._manages else limits.ticks,  # a bench has one turn a tick at most
+            limits.manager_actions if self._manages else limits.ticks,  # a bench has at most one turn per tick
             labs.observation_space(self.focal),
             labs.action_space(self.focal),
             autoreset_mode,

@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 
-"""What an episode is worth to the manager, as a bench's ``score_meaning`` is what an experiment is to its agent."""
+"""Definition of the manager's score, as ``score_meaning`` is for a bench."""
 
 
 @dataclass(frozen=True)

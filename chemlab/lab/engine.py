@@ -519,7 +519,7 @@ class Laboratories:
             self.settle(members)
 
     def age(self, members: IntArray, since: IntArray) -> None:
-        """Let vessels on the shelf react in the ticks that have passed ``since`` [B], where the scenario says so.
+        """React the vessels on the shelf during the ticks elapsed ``since`` [B], if the scenario enables it.
 
         Raises:
             ArithmeticError: the reactions are too stiff.

@@ -76,7 +76,7 @@ class Workplace(Protocol):
 
     @property
     def action_count(self) -> int:
-        """Number of discrete actions; 0 where actions are continuous."""
+        """Number of discrete actions; 0 for continuous actions."""
 
     @property
     def score_meaning(self) -> str:

@@ -207,5 +207,5 @@ class ManagerRole(Role):
         ]
 
     def arrays(self, member: int) -> list[npt.NDArray[Any]]:
-        # Readings are the largest part and in the record anyway, from when they were taken.
+        # Readings are the largest part, and are in the record already from the time they were taken.
         return self.labs.table.member(member, without="reading")
