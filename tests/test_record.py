@@ -1251,7 +1251,7 @@ def test_a_record_of_another_format_is_told_and_can_be_made_again(tmp_path: Path
         line["hidden"]["state"] = "0" * 16
     result = verify_record(store(path, lines))
     assert (result.status, result.exit_code) == ("other", 4)
-    assert "is of format 2" in result.message
+    assert "has format 2" in result.message
     assert "record the episode again" in result.message
     rerecord = script("docs/rerecord.py")
     assert rerecord.record_again(path) == ""

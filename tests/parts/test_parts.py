@@ -452,7 +452,7 @@ def test_what_a_part_of_a_bench_does_wrong_is_named(tmp_path: Path, old: str, ne
     [
         ("LAMP", r"refractometer: my_parts.py:LAMP: read\(\): must be from 0 to 1: .* given 1.5 at \[0\]"),
         ("BROKEN_LAMP", r"BROKEN_LAMP: read\(\): must be from 0 to 1: .* given nan"),
-        ("RENAMED", "RENAMED: channel.* must return a Channel called 'refractometer'"),
+        ("RENAMED", "RENAMED: channel.* must return a Channel named 'refractometer'"),
     ],
 )
 def test_what_an_instrument_does_wrong_is_named(tmp_path: Path, name: str, says: str) -> None:
