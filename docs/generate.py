@@ -197,7 +197,7 @@ def _environment(title: str, module: str, more: str, objects: Sequence[str]) -> 
 
 def _environments() -> dict[str, str]:
     labs = Laboratories(EXAMPLE)
-    lab = "chemlab.laboratory"
+    lab = "chemlab.envs"
     same = "## Spaces\n\nThe spaces are those of the [AEC environment](laboratory.md).\n"
     return {
         "laboratory": _environment("Laboratory (AEC)", f"{lab}.aec", _spaces_of_all(labs), ["env", "raw_env"]),
@@ -636,14 +636,18 @@ def _interface() -> dict[str, str]:
             ]
         )
     packages = {
-        "Data": [m for m in modules if m.count(".") == 1 and m not in ("chemlab.laboratory", "chemlab.sandbox")],
+        "Data": [m for m in modules if m.startswith("chemlab.config")],
+        "Kernels": [m for m in modules if m.startswith("chemlab.kernels")],
         "Physics": [m for m in modules if m.startswith("chemlab.physics")],
         "Operations": [m for m in modules if m.startswith("chemlab.roles.operations.")],
         "Benches": [m for m in modules if m.startswith("chemlab.roles")],
         "Instruments": [m for m in modules if m.startswith("chemlab.roles.instruments.")],
-        "Laboratory": [m for m in modules if m.startswith("chemlab.laboratory")],
+        "Laboratory": [m for m in modules if m.startswith(("chemlab.lab.", "chemlab.envs"))],
+        "Records": [m for m in modules if m.startswith("chemlab.record")],
         "Pictures": [m for m in modules if m.startswith("chemlab.render")],
-        "A flask alone": ["chemlab.sandbox"],
+        "A flask alone": [
+            m for m in modules if m.startswith(("chemlab.sandbox", "chemlab.flask", "chemlab.conformance"))
+        ],
         "Random chemistries": [m for m in modules if m.startswith("chemlab.openchem")],
         "Agents": [m for m in modules if m.startswith("chemlab.agents.")],
     }

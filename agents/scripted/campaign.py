@@ -205,8 +205,7 @@ def foreseen(
 
     Returns:
         Readings [T, runs + 1, size] without noise; raw score [T, runs + 1] that the vessel would add if submitted for
-            one
-        of the orders; elapsed ticks [runs + 1].
+        one of the orders; elapsed ticks [runs + 1].
     """
     exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
     labs = Laboratories(scenario.model_copy(update={"instruments": exact}), len(worlds))

@@ -70,8 +70,7 @@ def completed(values: Mapping[str, Any], where: str, folder: Path) -> dict[str, 
 
     Returns:
         The base's tables with the file's own merged into them key by key, without the keys that the file removes.
-            Missing
-        keys of each bench are then filled from its kind. A bench's key is taken whole, from one or the other.
+        Missing keys of each bench are then filled from its kind. A bench's key is taken whole, from one or the other.
 
     Raises:
         DataError: the base is unknown or inherits from this file; a key to be removed does not exist; an empty table

@@ -296,10 +296,9 @@ def description(labs: Laboratories, agents: Sequence[str] | None = None) -> dict
 
     Returns:
         The scenario's keys, ``file``, and under ``agents`` for each of them ``kind``, ``score`` (score of an
-            experiment, or
-        of an episode for the manager), ``step_limit`` (maximum number of its actions), ``observation`` (``size``, and
-        ``channels`` with ``start`` and ``stop`` index, name, unit, bounds, meaning) and ``actions`` (``discrete``, and
-        ``meanings`` by index).
+        experiment, or of an episode for the manager), ``step_limit`` (maximum number of its actions), ``observation``
+        (``size``, and ``channels`` with ``start`` and ``stop`` index, name, unit, bounds, meaning) and ``actions``
+        (``discrete``, and ``meanings`` by index).
     """
     spec = labs.scenario
     keys = {"name", "title", "summary", "goals", "lab_goals", "orders", "theoretical_maximum_mol", "stock", "shelf"}

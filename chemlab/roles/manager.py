@@ -308,8 +308,7 @@ def manager_act(
 
     Returns:
         The flags BEGUN, RECALLED, OVER, MEASURED and REPAIRED of its consequences in any laboratory; the state has them
-            by
-        laboratory.
+        by laboratory.
     """
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
