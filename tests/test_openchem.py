@@ -278,7 +278,7 @@ def test_the_table_shows_what_was_taken(tmp_path: Path) -> None:
     shown = " ".join(run("data", "material", "isohexane", "ethanol", "-o", tmp_path / "m.toml").output.split())
     assert "107-83-5" in shown
     assert "2-Methylpentane" in shown.replace("- ", "-")
-    assert "is shipped as ethanol (ethanol, 64-17-5)" in shown
+    assert "is bundled as ethanol (ethanol, 64-17-5)" in shown
 
 
 METALS = ["Li", "Be", "Ba", "Ni", "Co", "Cr", "Mn", "Al", "Sn", "Pb", "Si", "Ge", "B", "As", "Sb"]
@@ -645,7 +645,7 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
     made = load_pairs([path])
     # Toluene with water is shipped, by measured solubilities, and is not written over.
     assert set(made) == {frozenset(("maleic_anhydride", other)) for other in ("toluene", "water")}
-    assert "1 shipped" in shown
+    assert "1 bundled" in shown
     for pair in made.values():
         assert pair.tau(330.0) == (0.0, 0.0)  # NRTL without parameters: all activity coefficients are 1
         assert pair.source.startswith("estimate: ideal mixture")
@@ -654,7 +654,7 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
 
 def test_pairs_that_are_shipped_are_not_made_again(tmp_path: Path) -> None:
     refused = run("data", "pairs", "water", "ethanol", "-o", tmp_path / "p.toml", fails=True).output
-    assert "1 pair, all shipped" in " ".join(refused.split())
+    assert "1 pair, all bundled" in " ".join(refused.split())
     assert not (tmp_path / "p.toml").exists()
 
 
