@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from chemlab.config.datamodel import written
 from chemlab.config.materials import DataError, shipped_materials
 from chemlab.config.reactions import (
     ReactionFamily,
@@ -237,13 +238,13 @@ def test_a_real_family_arrives_as_written_and_is_dumped_whole(tmp_path: Path) ->
 
 
 def test_what_a_family_does_not_use_is_not_in_its_dump() -> None:
-    """Records of families from before are the same bytes."""
+    """What is written down and hashed leaves out what has its default."""
     old = {"reactants", "products", "source", "orders", "pre_exponential", "activation_energy_j_mol"}
     for name in ("fictitious", "salt_water", "wurtz"):
         family = load_reactions(name, shipped_materials())
-        dumped = family.model_dump(mode="json")
-        assert set(dumped) == {"name", "summary", "reaction", "salt", "violent"}
-        assert all(set(step) == old for step in dumped["reaction"])
+        dumped = written(family)
+        assert set(dumped) <= {"name", "summary", "reaction", "salt", "violent"}
+        assert all(set(step) <= old for step in dumped.get("reaction", ()))
 
 
 @pytest.mark.parametrize(

@@ -531,7 +531,7 @@ def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> A
     given = {**PRESETS[preset], **given}
     roles = _several(given.get("roles", "all"))
     one = "bench" in given or (len(roles) == 1 and roles != ("all",))
-    managed = roles in (("manager",), ("manager_0",)) and "bench" not in given
+    managed = roles in (("manager",), ("manager_0",)) and set(given) <= set(LeanPPO.model_fields)
     algo = given.get("algo", "lean-ppo" if managed else "ppo" if one else "ippo")
     if algo not in ALGORITHMS:
         raise DataError(f"{where}: algo: choose from {', '.join(ALGORITHMS)}; given {shown(algo)}")
@@ -579,7 +579,8 @@ def _benches() -> dict[str, dict[str, str]]:
 def _placed(given: dict[str, Any], where: str) -> dict[str, Any]:
     """Replace an environment id by scenario and bench or role."""
     env_id = given.pop("env_id", None)
-    if env_id is None and str(given.get("scenario", "")).startswith("chemlab/"):
+    scenario = str(given.get("scenario", ""))
+    if env_id is None and (scenario.startswith("chemlab/") or scenario == "manager"):
         env_id = given.pop("scenario")
     if env_id is None:
         return given

@@ -312,11 +312,12 @@ def test_a_run_that_stops_comes_to_the_same_end(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.runs import Run
     from chemlab.agents.train.learn import train
+    from chemlab.agents.train.loop import Watcher
 
     class Stopped(BaseException):
         pass
 
-    class Stop:
+    class Stop(Watcher):
         rounds = 2
 
         def begun(self, step: int, steps: int) -> None: ...

@@ -360,10 +360,10 @@ def test_exceptions_are_for_roles_and_agents() -> None:
     assert (kinds["ext_0"], kinds["ext_1"], kinds["dit_0"]) == (
         "RandomPolicy",
         "RandomPolicy",
-        "DistillationHeuristic",
+        "ScriptedDistillation",
     )
     one = make_policies("scripted,ext_1=random", labs)
-    assert type(one["ext_0"]).__name__ == "ExtractionHeuristic"
+    assert type(one["ext_0"]).__name__ == "ScriptedExtraction"
     assert type(one["ext_1"]).__name__ == "RandomPolicy"
 
 

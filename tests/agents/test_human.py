@@ -215,7 +215,7 @@ def test_the_manager_sees_outsides_and_readings_only(env: raw_env) -> None:
     policy, shown = person(env, "manager_0", ["measure slot 0 with gas_chromatograph", "discard slot 1"])
     env.step(turn(env, policy))
     assert "ticks ago" not in shown.getvalue()
-    assert "0.4199/1.2 L" in shown.getvalue()  # 4 mol x 74.12 g/mol / 706 g/L
+    assert "0.4187/1.2 L" in shown.getvalue()  # 4 mol x 74.12 g/mol / 708.1 g/L
     turn(env, policy, 1)
     later = shown.getvalue()
     assert "gas_chromatograph 0 ticks ago" in later

@@ -105,7 +105,7 @@ def test_card_says_the_preset() -> None:
     config = {"arguments": json.loads(json.dumps(arguments.changed())), "seed": 4}
     assert recorded_arguments(config, "config.json") == arguments
     assert arguments.command_line() == (
-        "chemlab train wurtz_dodecane --bench ext --algo ppo --preset ppo-entropy --steps 1000000 --seed 4"
+        "chemlab train wurtz_dodecane --algo ppo --preset ppo-entropy --steps 1000000 --seed 4 --bench ext"
     )
     with pytest.raises(ValueError, match=r"config.json: was made by a version before 0\.3; train it again"):
         recorded_arguments({"env_id": "chemlab/WurtzExtraction-v0", "seed": 4, "gamma": 0.9}, "config.json")

@@ -319,7 +319,7 @@ def test_a_step_that_fails_in_the_middle_asks_for_a_reset(name: str, monkeypatch
         def fail(*arguments: Any) -> None:
             raise MemoryError("no room")
 
-        patch.setattr(Laboratories, "_age", fail)
+        patch.setattr(Laboratories, "age", fail)
         with pytest.raises(MemoryError):
             played.step(0)
     assert outcome(played, 0) == REFUSED
