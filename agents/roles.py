@@ -31,5 +31,5 @@ def chosen_roles(laboratories: Laboratories, roles: Sequence[str] | None) -> lis
     wanted = known if roles is None else list(roles)
     if not wanted or set(wanted) - set(known):
         name = laboratories.scenario.name
-        raise ValueError(f"roles: {name} choose from {', '.join(known)}; given {', '.join(wanted) or 'none'}")
+        raise ValueError(f"roles: {name} has {', '.join(known)}; given {', '.join(wanted) or 'none'}")
     return [role for role in known if role in wanted]

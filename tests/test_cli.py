@@ -285,7 +285,7 @@ def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatc
     done = runner.invoke(app, arguments)
     assert done.exit_code == 2
     hint = done.output.partition("run: chemlab ")[2].strip()
-    assert hint == f"starts {shlex.quote(str(given))}"
+    assert hint == f"export starts {shlex.quote(str(given))}"
     assert runner.invoke(app, [*shlex.split(hint), "--episodes", "1"]).exit_code == 0
     assert runner.invoke(app, arguments).exit_code == 0
     assert load_scenario("fictitious").argument == "fictitious"

@@ -97,7 +97,7 @@ def test_a_rehearsal_of_a_bench_changes_nothing() -> None:
 
 
 EPISODE = """
-from chemlab import jit
+from chemlab.kernels import jit
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.laboratory import raw_env

@@ -22,6 +22,7 @@ import typer
 from helpers import script, slow_but
 
 from chemlab.cli import app
+from chemlab.cli.common import DefaultGroup
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.materials import load_materials, read_toml
 from chemlab.config.reactions import ReactionFamily
@@ -109,7 +110,11 @@ def parse(words: list[str], where: str) -> None:
     context: Any = None
     while hasattr(command, "commands"):
         context = typer.Context(command, parent=context, info_name=where)
-        command = command.commands[rest.pop(0)]
+        known = command.commands
+        if isinstance(command, DefaultGroup) and rest[0] not in known:
+            command = next(iter(known.values()))
+        else:
+            command = known[rest.pop(0)]
     command.make_context(words[0], rest, parent=context)
 
 

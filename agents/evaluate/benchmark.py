@@ -185,7 +185,7 @@ def _trained_rows(name: str, runs: Sequence[Run]) -> list[Row]:
         if missing:
             raise ValueError(f"policies: {', '.join(missing)}: no {kind} checkpoint; train it (again)")
         paths = tuple(str(folder) for folder in checkpoints)
-        steps = int(configs[0].get("steps", 0)) or None
+        steps = max((run.curve()[-1].step for run in runs if run.curve()), default=0) or None
         own = str(configs[0]["scenario"])
         found.append(Row(f"{name} ({kind})", paths, sum(seconds) / 3600.0, steps, curves, own))
     return found

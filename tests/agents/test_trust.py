@@ -241,7 +241,11 @@ def test_what_a_configuration_names_is_no_way_around(bait: Path, strangers: Path
     code, said = chemlab("run", SCENARIO, "--policy", own, "--json")
     assert (code, "in the background" in said) == (2, True)
     # A scenario that brings code.
-    (own / "config.json").write_text(json.dumps({**config, "scenario": str(bait / "bait.toml")}))
+    bringing = {
+        "scenario": str(bait / "bait.toml"),
+        "arguments": {**config["arguments"], "scenario": str(bait / "bait.toml")},
+    }
+    (own / "config.json").write_text(json.dumps({**config, **bringing}))
     code, said = chemlab("export", own, "--out", bait / "mine")
     assert (code, "--trust" in said) == (2, True)
     code, said = chemlab("plot", "runs", own, "--out", bait / "pages", "--collect", bait / "tables")
