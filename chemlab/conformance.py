@@ -184,11 +184,13 @@ def _check_environments(scenario: Scenario) -> None:
         chosen = {agent: np.zeros((2, *(batch.action_space(agent).shape or ()))) for agent in totals}
         for agent, action in actions.items():
             chosen[agent][1] = action
-        _, rewards, _, _, _ = batch.step(
+        _, rewards, over, _, _ = batch.step(
             {agent: array if array.ndim > 1 else array.astype(np.int64) for agent, array in chosen.items()}
         )
         for agent in batched:
             batched[agent] += rewards[agent][1]
+        if over[0]:
+            batch.reset(options={"reset_mask": np.array([True, False])})
     for name, found, labs, member in (
         ("AEC environment", paid, single.laboratories, 0),
         ("batch", batched, batch.laboratories, 1),

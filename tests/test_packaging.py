@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-FOLDERS = ("chemlab", "agents", "scenarios", "tests", "docs", "experiments", "recipes", "tools", "validate")
+FOLDERS = ("chemlab", "agents", "scenarios", "tests", "docs", "recipes", "studies")
 LITTER = ("__pycache__", "generated", "_build", "*.egg-info", "*.py[cod]", "*.nbi", "*.nbc")
 
 

@@ -104,7 +104,7 @@ def rows_of(name: str) -> list[Any]:
 
 @pytest.mark.parametrize("name", SYNTHESES)
 def test_the_committed_table_is_what_comes_out(name: str) -> None:
-    with (ROOT / "validate" / "syntheses.csv").open(encoding="utf-8", newline="") as handle:
+    with (ROOT / "studies" / "physics" / "syntheses.csv").open(encoding="utf-8", newline="") as handle:
         committed = [row for row in csv.DictReader(handle) if row["synthesis"] == name]
     rows = rows_of(name)
     assert [row["quantity"] for row in committed] == [row.quantity for row in rows]

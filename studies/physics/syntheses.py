@@ -182,7 +182,7 @@ def fischer() -> list[Row]:
 # -- benzoic ----------------------------------------------------------------------------------------------------------
 
 BENZOIC, BASE, RETURNS = "benzoic_acid", "NaOH", "sodium_bisulfate"
-_OWN = Path(__file__).parent.parent / "scenarios" / "syntheses" / "benzoic"
+_OWN = Path(__file__).parents[2] / "scenarios" / "syntheses" / "benzoic"
 _BENZOIC: dict[str, Any] = {"reactions": str(_OWN / "reactions.toml"), "material_files": [str(_OWN / "materials.toml")]}
 _CHARGE_SOURCE = "balance of charge: the ions of a base that is short are those of the acid"
 _SEIDELL = "Seidell, 3.4 g/L, as remembered"

@@ -117,7 +117,7 @@ def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, An
     (keep / "test.json").write_text("{")
     seen: list[str] = []
     assert audit("unlabelled", TINY, keep, watch=seen.append) == found
-    assert {file.stem for file in files} == set(seen)
+    assert {file.stem for file in files} == {name.replace(":", "_") for name in seen}
     again = {file.name for file in files if file.stat().st_mtime_ns != kept[file.name]}
     assert again == {"random.json", "test.json"}
 

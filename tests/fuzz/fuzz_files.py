@@ -89,9 +89,9 @@ def seeds() -> list[Files]:
     found = []
     for name in scenario_names():
         scenario = load_scenario(name)
-        family = scenario.family.model_dump(mode="json") | {"lock": LOCK}
+        family = scenario.family.model_dump(mode="json", exclude_none=True) | {"lock": LOCK}
         chosen = list((scenario.pairs or shipped_pairs()).values())[:20]
-        pairs = {"lock": LOCK, "pairs": [pair.model_dump(mode="json") for pair in chosen]}
+        pairs = {"lock": LOCK, "pairs": [pair.model_dump(mode="json", exclude_none=True) for pair in chosen]}
         short = read_toml(Path(scenario.origin))
         long = scenario.model_dump(mode="json", exclude_none=True) | {"material_files": ["goo.toml"]}
         own_files = {"reactions": "own.toml", "pair_files": ["own_pairs.toml"]}
@@ -334,7 +334,7 @@ def attempt(folder: Path, kind: str, bases: Sequence[Files], rng: np.random.Gene
 
 def recorded_starts(folder: Path, rng: np.random.Generator) -> Any:
     """A scenario beside broken vessels that were recorded for starting states."""
-    recorded = Path(load_scenario.__code__.co_filename).parent / "data" / "starts" / "salt_from_oil.json"
+    recorded = Path(load_scenario.__code__.co_filename).parents[1] / "data" / "starts" / "salt_from_oil.json"
     (folder / "lab.toml").write_text('base = "salt_from_oil"\nname = "lab"\n', encoding="utf-8")
     write_json(folder / "lab.starts.json", read_json(recorded), rng)
     return load_scenario(folder / "lab.toml")

@@ -29,7 +29,7 @@ def test_every_test_and_file_that_is_named_is_there() -> None:
     named = set(re.findall(r"`(test_\w+)`", text))
     assert len(named) > 30
     assert [name for name in sorted(named) if f"def {name}(" not in sources] == []
-    there = {path.name for path in (ROOT / "tests").rglob("*.py")}
+    there = {path.name for folder in ("tests", "studies") for path in (ROOT / folder).rglob("*.py")}
     files = set(re.findall(r"\b(?:tests/[\w/]+/)?(\w+\.py)[` ]", text))
     assert {"forgeries.py", "verify_pairs.py"} <= files
     assert sorted(files - there) == []

@@ -161,7 +161,7 @@ def test_a_heat_that_contradicts_the_materials_is_refused(esters: dict[str, Any]
     family = Path(esters["reactions"])
     family.write_text(FAMILY.replace("-3000.0", "30000.0"))
     with pytest.raises(
-        DataError, match=r"acetic acid .*: enthalpy_j_mol = 30000: .* make -2930, and may differ by 5000"
+        DataError, match=r"acetic acid .*: enthalpy_j_mol = 30000: .* give -2930, and may differ by 5000"
     ):
         chemistry(load_scenario(esters))
 
