@@ -269,7 +269,7 @@ def test_repairs_and_calibrations_are_worth_their_price() -> None:
 
 
 def test_nobody_takes_orders_in_turn_who_has_no_choice() -> None:
-    with pytest.raises(ValueError, match="scripted:fifo: the scripted manager of campaign has no orders to choose from"):
+    with pytest.raises(ValueError, match="scripted:fifo: the scripted manager of campaign has no orders"):
         make_policies("scripted:fifo", Laboratories("campaign"))
 
 
