@@ -12,7 +12,7 @@ import pytest
 from chemlab.config.loading import load_scenario
 from chemlab.config.pairs import log_activity_coefficients, pair_table, shipped_pairs
 from chemlab.config.scenario import Scenario
-from chemlab.physics import laws
+from chemlab.physics import backends as laws
 from chemlab.physics.backends.real.heats import enthalpy
 from chemlab.physics.backends.real.partition import place_new
 from chemlab.physics.chemistry import AIR, AMOUNTS, CLOCK, TEMPERATURE, element_matrix

@@ -13,7 +13,7 @@ from chemlab.agents.scripted.crystallization import solubility
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
-from chemlab.physics import laws
+from chemlab.physics import backends as laws
 from chemlab.physics.backends.real.chemistry import CURVE_POINTS
 from chemlab.physics.backends.real.heats import enthalpy
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, build_chemistry, element_matrix
