@@ -58,6 +58,11 @@ autodoc_mock_imports = [
     "torchrl",
     "tensordict",
     "benchmarl",
+    "anyio",
+    "mcp",
+    "mcp_types",
+    "starlette",
+    "uvicorn",
 ]
 
 # Broken references to this project are errors; indexes of other projects would need network access.

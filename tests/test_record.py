@@ -1149,7 +1149,7 @@ def test_records_name_the_physics_models_of_their_scenario(tmp_path: Path) -> No
     play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=Recorder(path, env.laboratories))
     result = verify_record(path)
     assert result.status == "unchecked"
-    assert f"benches.rxn.model: needs '{__name__}:nothing'" in result.message
+    assert f"benches.rxn.model: needs the untrusted code '{__name__}:nothing'" in result.message
     assert verify_record(path, env.scenario, trust=True).status == "ok"
     lines = load(path)
     del lines[0]["scenario"]["scenario"]["benches"]["rxn"]["model"]

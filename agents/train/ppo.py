@@ -129,10 +129,8 @@ class _Learner:
         with torch.no_grad():
             return np.asarray(self.network.critic(torch.from_numpy(observed))[:, 0].numpy())
 
-    def update(
-        self, batch: Mapping[str, Arrays | None], remaining: float, rng: np.random.Generator
-    ) -> dict[str, float]:
-        """Learn from a batch of turns; return means of losses.
+    def update(self, batch: Mapping[str, Arrays | None], remaining: float, rng: np.random.Generator) -> None:
+        """Learn from a batch of turns.
 
         Args:
             batch: ``observed`` [B, size], ``seen`` [B, size] (by the critic), ``mask`` [B, A] or None, ``action``,
@@ -144,21 +142,17 @@ class _Learner:
         tensors = {name: None if array is None else torch.from_numpy(array) for name, array in batch.items()}
         for group in self.optimizer.param_groups:
             group["lr"] = s.learning_rate * max(remaining, 0.05)
-        count, sums, updates = len(tensors["advantage"]), np.zeros(3), 0  # type: ignore[arg-type]
+        count = len(tensors["advantage"])  # type: ignore[arg-type]
         for _ in range(s.epochs):
             for rows in torch.from_numpy(rng.permutation(count)).split(s.batch_size):  # type: ignore[no-untyped-call]
                 if len(rows) < 2:  # advantages are normalized
                     continue
-                losses = self._losses({name: None if t is None else t[rows] for name, t in tensors.items()})
-                entropy_weight = s.ent_coef * max(remaining, 0.1)
-                loss = losses[0] + 0.5 * losses[1] - entropy_weight * losses[2]
+                policy, value, entropy = self._losses({n: None if t is None else t[rows] for n, t in tensors.items()})
+                loss = policy + 0.5 * value - s.ent_coef * max(remaining, 0.1) * entropy
                 self.optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 nn.utils.clip_grad_norm_(self.network.parameters(), 0.5)
                 self.optimizer.step()
-                sums += [float(value.detach()) for value in losses]
-                updates += 1
-        return dict(zip(("policy_loss", "value_loss", "entropy"), (sums / max(updates, 1)).tolist(), strict=True))
 
     def _losses(self, batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Clipped policy loss, value loss and entropy of a minibatch."""

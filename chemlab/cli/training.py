@@ -133,11 +133,7 @@ def _options() -> list[Any]:
     for name, fields in found.items():
         field, algos = list(fields.values())[-1], list(fields)
         text = f"{ABOUT[name].rstrip('.')}: {choices[name]}." if name in choices else ABOUT[name]
-        text += (
-            _default_text(fields)
-            if name != "algo"
-            else " Default: lean-ppo for the manager, ppo for one bench, ippo for several roles."
-        )
+        text += _default_text(fields) if name != "algo" else _WHICH
         panel = {len(ALGORITHMS): "Every algorithm", len(one): "One agent" if algos == one else None}.get(len(algos))
         shape = str(field.annotation)
         kind: Any = int if "int" in shape else float if "float" in shape else bool if "bool" in shape else str

@@ -17,7 +17,6 @@ from gymnasium.vector import AutoresetMode
 from ..config.loading import plain_scenario
 from ..config.scenario import RewardSpec, Scenario
 from ..kernels.arrays import FloatArray, IntArray
-from ..kernels.jit import kernel
 from ..kernels.rng import checked_seed
 from ..kernels.tables import put_back
 from ..lab.hidden import World, Worlds
@@ -27,14 +26,9 @@ __all__ = ["BatchEnv", "BoundedSpec", "State", "checked_actions", "parsed_reset"
 State = list[npt.NDArray[Any]]
 
 
-@kernel
 def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
-    """Return True if every number of a one- or two-dimensional array is in [low, high] (False for NaN)."""
-    flat = values.reshape(values.size)
-    inside = True
-    for i in range(flat.shape[0]):
-        inside = inside and low <= flat[i] <= high
-    return inside
+    """Return True if every number is in [low, high] (False for NaN)."""
+    return not values.size or bool(low <= values.min() and values.max() <= high)
 
 
 def checked_actions(

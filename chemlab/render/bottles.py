@@ -4,36 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from .figure import FORMATS, SETTINGS, import_matplotlib, new_figure, save_figure
+
+if TYPE_CHECKING:
+    from ..sandbox import Moment
 
 __all__ = ["flask_figure", "save"]
 
 _LEAST_SHARE = 0.002
 """Of all mol: materials that never reach it are not drawn."""
 _MOST_LINES = 8
-
-
-class Moment(Protocol):
-    """State of a flask after an operation, see :class:`chemlab.sandbox.Moment`."""
-
-    @property
-    def seconds(self) -> float: ...
-    @property
-    def joules(self) -> float: ...
-    @property
-    def temperature_k(self) -> float: ...
-    @property
-    def amounts(self) -> Mapping[str, float]: ...
-    @property
-    def head_temperature_k(self) -> float | None: ...
-    @property
-    def distillate(self) -> Mapping[str, float]: ...
-    @property
-    def solids(self) -> Mapping[str, float]: ...
 
 
 def flask_figure(history: Sequence[Moment], colors: Mapping[str, str]) -> Any:

@@ -345,6 +345,6 @@ def test_a_model_that_is_none_is_refused(bench: str, model: str, problem: str) -
 
 def test_code_of_models_is_run_only_if_it_is_allowed() -> None:
     spec = modelled("wurtz_dodecane", "rxn", "inert")
-    needed = r"benches\.rxn\.model: needs 'test_models:inert'"
+    needed = r"benches\.rxn\.model: needs the untrusted code 'test_models:inert'"
     with strangers_code(allowed=False), pytest.raises(DataError, match=needed):
         ExperimentBatch(spec, "rxn")
