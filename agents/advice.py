@@ -96,6 +96,11 @@ class AdvisedPolicy:
         """Inform the policy of the actions [B] played after :meth:`advise`."""
         self._advisor.played(actions, members)
 
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
+        """Restart the random stream of one member."""
+        if hasattr(self._policy, "seed"):
+            self._policy.seed(member, seed)
+
     def get_memory(self) -> Any:
         """See :class:`chemlab.envs.players.Policy`."""
         return getattr(self._policy, "get_memory", lambda: None)(), self._advisor.get_memory()

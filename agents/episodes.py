@@ -145,7 +145,8 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
     Returns:
         N episodes: the manager's scores; measures ``submitted_mol``, ``purity`` (0 where nothing was submitted),
         ``instruments`` (cost of measurements, in units of the score), ``manager_actions``, ``unsafe`` (1 if anything
-        was spilled or vented, or a metal burned, else 0), and the reward of every bench's agent.
+        was spilled or vented, or a metal burned, else 0), ``limit`` (1 if actions or ticks ran out), ``nothing`` (1 if
+        nothing was submitted), and the reward of every bench's agent.
     """
     n = len(labs.members)
     for member in labs.members:
@@ -167,6 +168,8 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         "instruments": labs.state.charges[:, COST_ITEMS.index("instruments")].copy(),
         "manager_actions": labs.state.actions.astype(np.float64),
         "unsafe": _unsafe(labs).astype(np.float64),
+        "limit": (labs.state.status == LIMIT).astype(np.float64),
+        "nothing": (whole == 0.0).astype(np.float64),
     }
     measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
     return Played(labs.result(labs.members), labs.state.ticks.copy(), cost, illegal, [""] * n, measures)

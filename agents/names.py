@@ -1,11 +1,14 @@
-"""Former names of policies, which are accepted for one release."""
+"""Names of policies: former ones, which are accepted for one release, and the way that a learned policy is played."""
 
 from __future__ import annotations
 
 import re
 import sys
 
-__all__ = ["current_name"]
+__all__ = ["GREEDY", "SAMPLED", "current_name", "split_way"]
+
+GREEDY, SAMPLED = "greedy", "sampled"
+"""Ways to play a learned policy: its most probable action, or an action drawn from its distribution."""
 
 _FORMER = {
     "heuristic": "scripted",
@@ -33,3 +36,9 @@ def current_name(policy: str) -> str:
         return _FORMER[old]
 
     return _NAMED.sub(replace, policy)
+
+
+def split_way(policy: str) -> tuple[str, str | None]:
+    """Split a policy's name from the way that it is played, if ``:greedy`` or ``:sampled`` follows it."""
+    name, _, way = policy.rpartition(":")
+    return (name, way) if name and way in (GREEDY, SAMPLED) else (policy, None)

@@ -11,18 +11,17 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.envs.players import Policy, as_policy
-from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
-from chemlab.kernels.jit import kernel
-from chemlab.kernels.rng import uniform
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
 from chemlab.roles.discrete import Discretised
 
 from .advice import AdvisedPolicy, Advisor
 from .discrete import NearestPolicy
-from .names import current_name
+from .names import current_name, split_way
 from .plans import plan_for
 from .pretrained import PretrainedPolicy, pretrained_for
+from .random_policy import RandomPolicy
 from .roles import role_of
 from .saved import find_saved, is_saved
 from .scripted.campaign import CampaignManager, has_unknown_rate
@@ -70,77 +69,10 @@ _SCRIPTS: dict[str, dict[str, type[Any]]] = {
 """Scripted policies by physics backend and kind of bench."""
 
 _DEEPEST = 8
+_LEARNED = ("pretrained", "pretrained-isolated", "trained")
+"""Names of policies with bundled weights."""
 _UNSCRIPTED: set[str] = set()
 """Kinds of benches without a scripted policy for which a warning has been given."""
-
-
-@kernel
-def _draw_legal(mask: MaskArray, members: IntArray, stream: StreamArray, out: IntArray) -> None:
-    for b in range(mask.shape[0]):
-        legal = 0
-        for a in range(mask.shape[1]):
-            legal += mask[b, a] != 0
-        wanted = int(uniform(stream[members[b]]) * legal)
-        chosen = -1
-        while wanted >= 0 and chosen < mask.shape[1] - 1:
-            chosen += 1
-            wanted -= mask[b, chosen] != 0
-        out[b] = chosen
-
-
-@kernel
-def _draw_numbers(members: IntArray, stream: StreamArray, out: FloatArray) -> None:
-    for b in range(out.shape[0]):
-        for x in range(out.shape[1]):
-            out[b, x] = uniform(stream[members[b]])
-
-
-class RandomPolicy:
-    """Uniformly random legal actions, with a separate stream per member.
-
-    Args:
-        size: size of a continuous action; ignored with a mask.
-        seed: seed of the members' streams; :meth:`seed` restarts one of them.
-    """
-
-    def __init__(self, size: int, seed: int | np.random.SeedSequence | None = None) -> None:
-        self._size = size
-        self._seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        self._stream: StreamArray = np.zeros((0, 1), dtype=np.uint64)
-
-    def _provide(self, members: int) -> None:
-        """Create streams for these members."""
-        while len(self._stream) < members:
-            more = self._seeds.spawn(max(members - len(self._stream), len(self._stream)))
-            states = [sequence.generate_state(1, np.uint64) for sequence in more]
-            self._stream = np.concatenate([self._stream, states])
-
-    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Restart the stream of one member."""
-        self._provide(member + 1)
-        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        self._stream[member] = sequence.generate_state(1, np.uint64)
-
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`Policy`."""
-        self._provide(int(members.max()) + 1)
-        if mask is None:
-            numbers = np.empty((len(observation), self._size))
-            _draw_numbers(members, self._stream, numbers)
-            return numbers
-        chosen = np.empty(len(mask), dtype=np.int64)
-        _draw_legal(mask, members, self._stream, chosen)
-        return chosen
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return self._stream.copy()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._stream = np.array(memory)
 
 
 class LapsingPolicy:
@@ -203,8 +135,10 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
     Args:
         name: one of :func:`policy_names` (below), the name of a bundled policy
             (:func:`~.pretrained.pretrained_names`), or the path of a training run, a checkpoint or exported weights for
-            the roles that were trained (its background plays the others). ``@0.1`` after it is the share of random
-            legal actions. Exceptions follow after commas, by role or agent: ``pretrained@0.1,manager=random``.
+            the roles that were trained (its background plays the others). A learned policy plays greedily or sampled,
+            as its card says; ``:greedy`` or ``:sampled`` after its name says otherwise. ``@0.1`` after it is the share
+            of random legal actions. Exceptions follow after commas, by role or agent:
+            ``pretrained@0.1,manager=runs/first:sampled``.
 
             * ``scripted``; with an ability removed: ``scripted:unsafe`` (no actions that serve only safety or
               measurement), ``scripted:no-extraction`` (the manager does not use extraction), ``scripted:memoryless``
@@ -245,6 +179,16 @@ def _size(actions: gymnasium.Space[Any]) -> int:
     return int((actions.shape or (0,))[0])
 
 
+def _way(name: str) -> tuple[str, str | None]:
+    """Split the way to play from the name of bundled weights, as :func:`~.saved.find_saved` does for a path."""
+    general, way = split_way(name)
+    if way is None or general not in policy_names():
+        return name, None
+    if general not in _LEARNED:
+        raise ValueError(f"policy: {name}: only learned policies are greedy or sampled; give {general!r}")
+    return general, way
+
+
 def _probability(name: str, text: str) -> float:
     try:
         share = float(text)
@@ -282,6 +226,7 @@ def agent_policy(
             operators = name.split(",")[0].partition("@")[0]
             return plan_for(laboratories, own[5:] or ("scripted" if operators == "plan" else operators))
         own = "scripted"
+    own, way = _way(own)
     if own not in policy_names():
         if not is_saved(own):
             raise ValueError(
@@ -290,7 +235,7 @@ def agent_policy(
             )
         saved = find_saved(own)
         if role_of(agent) in saved.load:
-            return _as_trained(saved.load[role_of(agent)](role), laboratories, number, seed, deep)
+            return _as_trained(saved.load[role_of(agent)](role, seed), laboratories, number, seed, deep)
         try:
             return agent_policy(saved.background, laboratories, number, seed, deep + 1)
         except ValueError as error:
@@ -301,7 +246,7 @@ def agent_policy(
         return agent_policy(_partners(laboratories), laboratories, number, seed, deep + 1)
     if own == "trained" or (own in ("pretrained", "pretrained-isolated") and operates):
         found = pretrained_for(role, laboratory=True, alone=own == "pretrained-isolated")
-        return _as_trained(found, laboratories, number, seed, deep)
+        return _as_trained(found.played(way, seed), laboratories, number, seed, deep)
     careful = own != "scripted:unsafe"
     if isinstance(role, Bench):
         return scripted_bench(role, careful, seed)
@@ -407,13 +352,13 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
     Raises:
         ValueError: there is no such policy for this bench.
     """
-    name = current_name(name)
+    name, way = _way(current_name(name))
     if name == "scripted":
         return scripted_bench(bench, seed=seed)
     if name == "random":
         return RandomPolicy(_size(bench.action_space), seed)
     if name == "pretrained":
-        return pretrained_for(bench)
+        return pretrained_for(bench).played(way, seed)
     if not is_saved(name):
         raise ValueError(
             f"policy: must be scripted, random, pretrained, a bundled policy, or an existing path; given {name!r}"
@@ -423,4 +368,4 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
     role = next(iter(saved)) if len(saved) == 1 else bench.key
     if role not in saved:
         raise ValueError(f"policy: {name} is for {', '.join(saved)}; given bench {bench.key!r}")
-    return saved[role](bench)
+    return saved[role](bench, seed)

@@ -15,7 +15,7 @@ import json
 import shlex
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -36,11 +36,15 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.kinds import discretised_twin
 
 from .discrete import ChoosingPolicy
+from .names import SAMPLED
+from .random_policy import RandomPolicy
 
 __all__ = [
+    "LOG_STD",
     "LSTM",
     "Card",
     "PretrainedPolicy",
+    "Seed",
     "Workplace",
     "fingerprint",
     "fitted",
@@ -53,6 +57,7 @@ __all__ = [
 ]
 
 Weights = Mapping[str, npt.NDArray[np.float32]]
+Seed = int | np.random.SeedSequence | None
 
 _EXACT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 _MOST_BYTES = 256_000_000
@@ -61,6 +66,10 @@ _MOST_LAYERS = 32
 
 LSTM = {"lstm.weight_ih": ("4H", "O"), "lstm.weight_hh": ("4H", "H"), "lstm.bias": ("4H",)}
 """Shapes by name of the weights of an LSTM with H units and O inputs."""
+LOG_STD = "log_std"
+"""Name of the logarithms of the standard deviations [n] of continuous actions, without which they are not sampled."""
+_VALUES = ("dqn", "qr-dqn")
+"""Algorithms whose outputs are values of actions, not logits."""
 
 
 def interface(workplace: Workplace) -> dict[str, Any]:
@@ -119,6 +128,8 @@ class Card:
         memory: number of units of its LSTM before the layers; 0: none.
         masked: whether it chooses among legal actions only; False if it was trained without masks.
         advice: name of the policy whose action it observes (:mod:`chemlab.agents.advice`), if any.
+        sampled: whether its actions are drawn from its distribution unless a name says otherwise; else the most
+            probable one is played.
     """
 
     name: str
@@ -144,6 +155,7 @@ class Card:
     masked: bool = True
     memory: int = 0
     advice: str | None = None
+    sampled: bool = False
 
     @classmethod
     def of(cls, workplace: Workplace, **more: Any) -> Card:
@@ -204,27 +216,31 @@ class _CardFile(BaseModel):
     masked: bool = True
     memory: int = Field(default=0, ge=0, le=65_536)
     advice: str | None = None
+    sampled: bool = False
 
 
 assert set(_CardFile.model_fields) == {field.name for field in fields(Card)}
 
 
 class PretrainedPolicy:
-    """A trained network as a deterministic :class:`~chemlab.agents.policies.Policy`, with a memory if it has an LSTM.
+    """A trained network as a :class:`~chemlab.agents.policies.Policy`, with a memory if it has an LSTM.
+
+    It plays greedily, or sampled if its card says so. A sampled policy depends on its seed alone.
 
     Args:
         card: its card.
         weights: ``{i}.weight`` [out, in] and ``{i}.bias`` [out] of the layers, in order; with a memory of H units also
-            :data:`LSTM`, gates in PyTorch's order (input, forget, cell, output).
+            :data:`LSTM`, gates in PyTorch's order (input, forget, cell, output); :data:`LOG_STD`, if there is one.
+        seed: seed of what is drawn.
 
     Raises:
         ValueError: weights and card do not agree.
     """
 
-    def __init__(self, card: Card, weights: Weights) -> None:
+    def __init__(self, card: Card, weights: Weights, seed: Seed = None) -> None:
         self.card, self.weights = card, weights
         hidden = card.memory
-        kept = set(LSTM) if hidden else set()
+        kept = {*(LSTM if hidden else ()), *({LOG_STD} & set(weights))}
         depth = min((len(weights) - len(kept)) // 2, _MOST_LAYERS)
         expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")} | kept
         if set(weights) != expected or not depth:
@@ -258,6 +274,38 @@ class PretrainedPolicy:
                 f"{card.name}: the card says {first} observations and {card.action_size} actions, "
                 f"the weights {sizes[0]} and {sizes[1]}: the two files do not belong together"
             )
+        spread = weights.get(LOG_STD, np.zeros(card.action_size))
+        if spread.shape != (card.action_size,) or not np.isfinite(spread).all():
+            raise ValueError(f"{card.name}: {LOG_STD}: must be {card.action_size} finite numbers")
+        self._std = np.exp(spread.astype(np.float64))
+        self._draws = RandomPolicy(1 if card.output == "argmax" else card.action_size, seed) if card.sampled else None
+        obstacle = card.sampled and self._obstacle()
+        if obstacle:
+            raise ValueError(f"{card.name}: cannot be sampled: {obstacle}; play it greedily")
+
+    def _obstacle(self) -> str:
+        """Say why the policy has no distribution; empty if it has one."""
+        if self.card.output == "argmax":
+            return f"{self.card.algo} learns values of actions" if self.card.algo in _VALUES else ""
+        return "" if self.card.output == "clip" and LOG_STD in self.weights else f"it has no {LOG_STD}"
+
+    def played(self, way: str | None, seed: Seed = None) -> PretrainedPolicy:
+        """Return the policy, played in a way.
+
+        Args:
+            way: :data:`~.names.GREEDY`, :data:`~.names.SAMPLED` or None (as its card says).
+            seed: seed of what is drawn.
+
+        Raises:
+            ValueError: it has no distribution that could be sampled.
+        """
+        sampled = self.card.sampled if way is None else way == SAMPLED
+        return PretrainedPolicy(replace(self.card, sampled=sampled), self.weights, seed)
+
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
+        """Restart the random stream of one member, if it is sampled."""
+        if self._draws is not None:
+            self._draws.seed(member, seed)
 
     def check(self, workplace: Workplace) -> None:
         """Check that the policy fits a workplace; warn if the task has changed since training.
@@ -324,24 +372,39 @@ class PretrainedPolicy:
 
     def get_memory(self) -> Any:
         """See :class:`chemlab.envs.players.Policy`."""
-        return self._memory.copy()
+        return self._memory.copy(), None if self._draws is None else self._draws.get_memory()
 
     def set_memory(self, memory: Any) -> None:
         """See :class:`chemlab.envs.players.Policy`."""
-        self._memory.put_back(memory)
+        own, draws = memory
+        self._memory.put_back(own)
+        if self._draws is not None:
+            self._draws.set_memory(draws)
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.agents.policies.Policy`; without a mask every discrete action counts as legal."""
         values = self.values(observation, step, members)
+        drawn = None if self._draws is None else self._draws.act(observation, None, step, members)
         if self.card.output == "argmax":
             if mask is not None and self.card.masked:
                 values = np.where(np.asarray(mask) != 0, values, -np.inf)
-            return np.asarray(values.argmax(axis=1), dtype=np.int64)
+            return np.asarray(values.argmax(axis=1) if drawn is None else _drawn(values, drawn), dtype=np.int64)
+        if drawn is not None:
+            from scipy.special import ndtri  # imported on use, because the import is slow
+
+            return np.asarray(np.clip(values + self._std * ndtri(drawn), 0.0, 1.0))
         if self.card.output == "tanh":
             values = np.float32(0.5) * (np.tanh(values) + np.float32(1.0))
         return np.clip(values, 0.0, 1.0).astype(np.float64)
+
+
+def _drawn(logits: npt.NDArray[np.float32], uniform: FloatArray) -> IntArray:
+    """Return [B] actions of logits [B, A], by uniform numbers [B, 1]."""
+    shares = np.exp((logits - logits.max(axis=1, keepdims=True)).astype(np.float64)).cumsum(axis=1)
+    whole = shares[:, -1:]
+    return np.asarray((shares <= np.minimum(uniform * whole, np.nextafter(whole, 0.0))).sum(axis=1))
 
 
 def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:

@@ -4,7 +4,7 @@
 |---|---|
 | `config.json` | :class:`RunConfig`: every argument, the bench, versions; written first |
 | `curve.jsonl` | one :class:`CurvePoint` per line and rollout: episodes that ended in it |
-| `evaluations.jsonl` | one :class:`Evaluation` per line: deterministic and scripted policy on paired seeds |
+| `evaluations.jsonl` | one :class:`Evaluation` per line: learned and scripted policy on paired seeds |
 | `result.json` | :class:`RunResult`: best and last checkpoint on held-out seeds; written when the run is finished |
 | `failed.json` | written by a sweep: exit code and log of the last attempt, if that failed |
 | `checkpoints/` | `last-STEP/` and `best-STEP/`, replay memory; large, not for version control |
@@ -113,7 +113,11 @@ class CurvePoint:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """A line of ``evaluations.jsonl``; ``mean`` is the mean over goals."""
+    """A line of ``evaluations.jsonl``; ``mean`` is the mean over goals.
+
+    ``sampled``: whether actions were drawn from the policy, or the most probable ones played. ``other_mean``: the same
+    mean of the policy played the other way, if both were evaluated.
+    """
 
     __pydantic_config__ = _EXACT
 
@@ -122,11 +126,16 @@ class Evaluation:
     by_goal: dict[str, float]
     scripted_mean: float | None
     scripted_by_goal: dict[str, float] | None
+    sampled: bool = False
+    other_mean: float | None = None
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """``result.json``. ``mean`` and ``by_goal`` are the best checkpoint's, ``last_`` the last one's."""
+    """``result.json``. ``mean`` and ``by_goal`` are the best checkpoint's, ``last_`` the last one's.
+
+    ``sampled`` and ``last_sampled``: see :class:`Evaluation`.
+    """
 
     __pydantic_config__ = _EXACT
 
@@ -145,6 +154,8 @@ class RunResult:
     scripted_by_goal: dict[str, float] | None
     last_mean: float
     last_by_goal: dict[str, float]
+    sampled: bool = False
+    last_sampled: bool = False
 
 
 def checked_config(values: Any, where: str) -> dict[str, Any]:

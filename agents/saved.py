@@ -9,7 +9,8 @@ from typing import Any
 
 from chemlab.envs.players import Policy, as_policy
 
-from .pretrained import Workplace, fitted, load_pretrained, pretrained_names
+from .names import SAMPLED, split_way
+from .pretrained import Seed, Workplace, fitted, load_pretrained, pretrained_names
 from .roles import role_of
 from .runs import Run
 
@@ -21,50 +22,52 @@ class Saved:
     """Stored policies of one path.
 
     Attributes:
-        load: by role (a bench's key, or ``manager``): a function that makes the policy of a workplace, or raises
-            ValueError if it does not fit.
+        load: by role (a bench's key, or ``manager``): a function of a workplace and a seed that makes the policy, or
+            raises ValueError if it does not fit.
         background: policies of the roles that did not learn.
     """
 
-    load: dict[str, Callable[[Workplace], Policy]]
+    load: dict[str, Callable[..., Policy]]
     background: str = "scripted"
 
 
-def _exported(name_or_path: str | Path) -> Callable[[Workplace], Policy]:
-    def load(workplace: Workplace) -> Policy:
-        return fitted(load_pretrained(name_or_path), workplace)
+def _exported(name_or_path: str | Path, way: str | None) -> Callable[..., Policy]:
+    def load(workplace: Workplace, seed: Seed = None) -> Policy:
+        return fitted(load_pretrained(name_or_path).played(way, seed), workplace)
 
     return load
 
 
-def _learner(folder: Path, algo: str, path: Path) -> Callable[[Workplace], Policy]:
+def _learner(folder: Path, algo: str, path: Path, way: str | None) -> Callable[..., Policy]:
     """Return a loader of a Stable-Baselines3 learner; it is masked only if trained with masks."""
 
-    def load(workplace: Workplace) -> Policy:
+    def load(workplace: Workplace, seed: Seed = None) -> Policy:
         from .learners import load_learner  # Stable-Baselines3 is optional
 
-        return _fitting(load_learner(folder, algo), path, workplace)
+        return _fitting(load_learner(folder, algo), path, workplace, way)
 
     return load
 
 
-def _member(folder: Path, role: str, path: Path) -> Callable[[Workplace], Policy]:
+def _member(folder: Path, role: str, path: Path, way: str | None) -> Callable[..., Policy]:
     """Return a loader of one role of a joint run's checkpoint."""
 
-    def load(workplace: Workplace) -> Policy:
+    def load(workplace: Workplace, seed: Seed = None) -> Policy:
         from .learners import load_team
 
-        return _fitting(load_team(folder)[role], path, workplace)
+        return _fitting(load_team(folder)[role], path, workplace, way)
 
     return load
 
 
-def _fitting(model: Any, path: Path, workplace: Workplace) -> Policy:
+def _fitting(model: Any, path: Path, workplace: Workplace, way: str | None) -> Policy:
     """Return a learner as a policy.
 
     Raises:
-        ValueError: the learner was trained for other spaces.
+        ValueError: the learner was trained for other spaces, or is to be sampled.
     """
+    if way == SAMPLED:
+        raise ValueError(f"policy: {path}:{way}: only exported policies are sampled; export it, or leave out :{way}")
     trained, needed = ((having.observation_space, having.action_space) for having in (model, workplace))
     if trained != needed:
         raise ValueError(
@@ -74,17 +77,18 @@ def _fitting(model: Any, path: Path, workplace: Workplace) -> Policy:
     return as_policy(model)
 
 
-def _cards(folder: Path) -> dict[str, Callable[[Workplace], Policy]]:
+def _cards(folder: Path, way: str | None) -> dict[str, Callable[..., Policy]]:
     """Return loaders of a folder's exported policies by role."""
     return {
-        load_pretrained(file).card.bench: _exported(file)
+        load_pretrained(file).card.bench: _exported(file, way)
         for file in sorted(folder.glob("*.safetensors"))
         if file.with_suffix(".json").exists()
     }
 
 
 def is_saved(name: str) -> bool:
-    """Return True if a policy's name is a path or the name of a bundled policy."""
+    """Return True if a policy's name is a path or the name of a bundled policy; ``:sampled`` may follow it."""
+    name, _ = split_way(name)
     path = Path(name)
     return (
         name in pretrained_names()
@@ -98,16 +102,17 @@ def find_saved(name: str) -> Saved:
     """Find the policies of a path or a bundled policy's name.
 
     The path is a training run (its best checkpoint is used), a checkpoint (folder or ``model.zip``), exported weights
-    (``.safetensors``, with or without the suffix) or a folder of these.
+    (``.safetensors``, with or without the suffix) or a folder of these. ``:greedy`` or ``:sampled`` may follow it.
 
     Raises:
         ValueError: the path holds no policy.
     """
+    name, way = split_way(name)
     if name in pretrained_names():
-        return Saved({load_pretrained(name).card.bench: _exported(name)})
+        return Saved({load_pretrained(name).card.bench: _exported(name, way)})
     path = Path(name).resolve()  # a checkpoint is identified by its parent folders, and '.' has no name
     if path.suffix in (".safetensors", ".json") or path.with_name(f"{path.name}.safetensors").exists():
-        return Saved({load_pretrained(path).card.bench: _exported(path)})
+        return Saved({load_pretrained(path).card.bench: _exported(path, way)})
     folder: Path | None = path.parent if path.suffix == ".zip" else path
     assert folder is not None
     run = Run(folder.parents[1] if folder.parent.name == "checkpoints" else folder)
@@ -115,18 +120,18 @@ def find_saved(name: str) -> Saved:
         folder = run.checkpoint("best") or run.checkpoint("last")
     config = run.config()
     if config is None:
-        cards = _cards(path) if path.is_dir() else {}
+        cards = _cards(path, way) if path.is_dir() else {}
         if cards:
             return Saved(cards)
     if config is None or folder is None:
         what = run.config_file if config is None else run.checkpoints
         raise ValueError(f"policy: {name}: neither a training run nor a checkpoint of one ({what} is missing or empty)")
     background = str(config.get("background") or "scripted")
-    cards = _cards(folder)
+    cards = _cards(folder, way)
     if cards:
         return Saved(cards, background)
     if (folder / "model.zip").exists():
         role = role_of(str(config.get("bench", "")))
-        return Saved({role: _learner(folder, str(config.get("algo")), path)}, background)
+        return Saved({role: _learner(folder, str(config.get("algo")), path, way)}, background)
     members = {file.stem.partition(".")[0] for file in folder.glob("*.zip")}
-    return Saved({role: _member(folder, role, path) for role in sorted(members)}, background)
+    return Saved({role: _member(folder, role, path, way) for role in sorted(members)}, background)

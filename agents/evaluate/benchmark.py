@@ -56,7 +56,7 @@ from chemlab.lab.engine import MANAGER_AGENT
 from chemlab.record import Record, Recorder, read_record, recorded_scenario, scenario_hash, verify_record
 
 from ..episodes import play_episode
-from ..names import current_name
+from ..names import current_name, split_way
 from ..plans import ConstantPlan
 from ..policies import make_policies, policy_names
 from ..runs import Run, differences, find_runs, versions
@@ -134,13 +134,14 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
     """
     rows: list[Row] = []
     for name in map(current_name, policies):
-        folder = Path(name)
+        path, way = split_way(name)
+        folder = Path(path)
         runs, files = list[Run](), list[Path]()
         if name not in policy_names() and folder.parent.name != "checkpoints":
             runs = find_runs(folder) if folder.is_dir() else []
             files = sorted(folder.rglob(f"*{_RECORD}")) if folder.is_dir() else [folder] * (folder.suffix == _RECORD)
         if runs:
-            rows += _trained_rows(name, runs)
+            rows += _trained_rows(name, runs, way)
         else:
             rows.append(_played_row(str(folder), files) if files else Row(name, (name,)))
     own = [_file_name(row.name) for row in rows]
@@ -166,7 +167,7 @@ def _played_row(name: str, files: Sequence[Path]) -> Row:
     return Row(name, (), records=tuple(records))
 
 
-def _trained_rows(name: str, runs: Sequence[Run]) -> list[Row]:
+def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
     configs = [run.config() or {} for run in runs]
     for run, config in zip(runs, configs, strict=True):
         other = differences(config, configs[0])
@@ -184,7 +185,7 @@ def _trained_rows(name: str, runs: Sequence[Run]) -> list[Row]:
         missing = [str(run.path) for run, folder in zip(runs, checkpoints, strict=True) if folder is None]
         if missing:
             raise ValueError(f"policies: {', '.join(missing)}: no {kind} checkpoint; train it (again)")
-        paths = tuple(str(folder) for folder in checkpoints)
+        paths = tuple(f"{folder}:{way}" if way else str(folder) for folder in checkpoints)
         steps = max((run.curve()[-1].step for run in runs if run.curve()), default=0) or None
         own = str(configs[0]["scenario"])
         found.append(Row(f"{name} ({kind})", paths, sum(seconds) / 3600.0, steps, curves, own))

@@ -26,7 +26,7 @@ from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.record import scenario_hash
 
-from ..names import current_name
+from ..names import current_name, split_way
 from ..policies import Policy, agent_policy, make_policies, policy_names
 from ..roles import MANAGER_ROLE
 from ..runs import Run, find_runs
@@ -180,6 +180,7 @@ def _has(roles: Any, labs: Laboratories, side: str) -> bool:
 
 def _origin(policy: str) -> str:
     """Return the identity of a player: the run for any of its checkpoints."""
+    policy, _ = split_way(policy)
     path = Path(policy)
     if not path.exists():
         return policy

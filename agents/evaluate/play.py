@@ -19,16 +19,20 @@ from chemlab.lab.engine import Laboratories
 
 from ..episodes import Played, play_bench, play_laboratory
 from ..executors import Inline, completed
-from ..names import current_name
+from ..names import SAMPLED, current_name, split_way
 from ..policies import bench_policy, make_policies
 from ..runs import versions
+from ..saved import is_saved
 from . import statistics
 from .statistics import Estimate
 
-__all__ = ["DRAWN", "Target", "evaluate", "find_target"]
+__all__ = ["DRAWN", "Target", "evaluate", "find_target", "notes"]
 
 BATCH = 256
 """Most experiments played at once; results do not depend on it (but those of random policies)."""
+_MOST = 0.5
+_OBSTACLES = {"limit": "ran out of actions or ticks", "nothing": "submitted nothing"}
+"""Measures of a laboratory that deserve a note, in words."""
 DRAWN = "drawn"
 """In place of a laboratory's goal: each episode draws the goals of its orders."""
 
@@ -239,6 +243,23 @@ def _report(name: str, played: dict[str, Played], baseline: dict[str, Played]) -
         "returns": {goal: np.round(episodes.returns, 6).tolist() for goal, episodes in played.items()},
         "cases": {goal: episodes.cases for goal, episodes in played.items()} if cases else {},
     }
+
+
+def notes(results: dict[str, Any]) -> list[str]:
+    """Return a note for each policy that did nothing, or ran into a limit, in most episodes where the baseline did not.
+
+    Args:
+        results: of :func:`evaluate`.
+    """
+    rows = {row["policy"]: row["measures"] for row in results["policies"]}
+    usual, found = rows[results["baseline"]], []
+    for name, measures in rows.items():
+        for measure, words in _OBSTACLES.items():
+            share = measures.get(measure, 0.0)
+            if share > _MOST and usual.get(measure, 0.0) <= _MOST:
+                advice = f"; compare {split_way(name)[0]}:{SAMPLED}" if is_saved(name) else ""
+                found.append(f"{name} {words} in {share:.0%} of the episodes{advice}")
+    return found
 
 
 def _case_mean(case: str, goals: Sequence[Played]) -> Estimate:

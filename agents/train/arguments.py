@@ -86,6 +86,7 @@ Weight = Annotated[float, Field(ge=0.0)]
 Turns = Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**7)]
 Layers = Annotated[tuple[Annotated[int, Field(ge=1, le=16_384)], ...], BeforeValidator(_several), Field(min_length=1)]
 Minibatch = Annotated[int, BeforeValidator(_whole), Field(ge=2, le=10**7)]
+Play = Literal["greedy", "sampled", "better"]
 Spread = Annotated[float, Field(gt=0.0, le=1.0)]
 
 
@@ -118,6 +119,7 @@ ABOUT: dict[str, str] = {
     "curriculum": "Reverse curriculum in a laboratory: backward (from the last bench to the first), or stages 'STEP: "
     "BENCH=SHARE ...': until that step such shares of the episodes begin with a vessel on its way to the bench, or to "
     "submit, the rest with the scenario's shelf; repeat the option.",
+    "play": "How the learned policy is evaluated and plays from then on: greedy, sampled, or better (of both).",
     "gae_lambda": "GAE lambda.",
     "ent_coef": "Weight of the entropy.",
     "clip_range": "Clip range.",
@@ -291,6 +293,7 @@ class Single(Arguments):
 class OnPolicy(Single, Cloning):
     """PPO and A2C."""
 
+    play: Play = "greedy"
     gae_lambda: Share = 0.95
     ent_coef: Weight = 0.0
 
@@ -477,6 +480,7 @@ class LeanPPO(Clipped, Arguments):
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 3
     batch_size: Minibatch = 2048
     eval_episodes: Count = 50
+    play: Play = "better"
     central_critic: bool = False
     refund: Share = 0.5
     processed: Share = 0.3

@@ -18,6 +18,7 @@ from chemlab.envs.players import as_policy
 from chemlab.kernels.arrays import ObservationArray
 
 from ..advice import with_advice
+from ..names import GREEDY, split_way
 from ..policies import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..runs import RESULT_SEED, Run
@@ -27,7 +28,7 @@ from .tasks import Task, find_task, task_of
 try:
     import torch
 
-    from ..learners import load_learner, load_team
+    from ..learners import LEARNERS, load_learner, load_team
     from .networks import learned_policy
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install ".[train]"') from error
@@ -111,7 +112,8 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     """Write ``OUT.safetensors`` and ``OUT.json`` from a run's best checkpoint.
 
     Args:
-        folder: the run.
+        folder: the run; ``:greedy`` or ``:sampled`` after it says how the exported policy plays, instead of the way in
+            which the checkpoint was evaluated.
         out: path of the two files, with or without a suffix; the file name is the policy's name.
         role: role, if several were trained together. A bench is then evaluated on its own, with a laboratory's vessels.
 
@@ -120,16 +122,19 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
             unknown, or the exported policy differs from SB3's by more than 1e-5 (checked for the user's own runs, or
             with untrusted code allowed).
     """
-    run = Run(folder)
+    name, way = split_way(str(folder))
+    run = Run(Path(name))
     config, best = run.config(), run.checkpoint("best")
     if config is None:
         raise ValueError(f"{folder}: contains no training run (no config.json)")
     if best is None:
         raise ValueError(f"{folder}: contains no checkpoint (not under version control); run chemlab train again")
     arguments = recorded_arguments(config, str(run.config_file))
-    team = not isinstance(arguments, Single)
-    if team != (role is not None) or (role is not None and not (best / f"{role}.safetensors").exists()):
-        known = f"give one of its roles: {', '.join(sorted(f.stem for f in best.glob('*.safetensors')))}"
+    team, learned = not isinstance(arguments, Single), sorted(file.stem for file in best.glob("*.safetensors"))
+    if team and role is None and len(learned) == 1:
+        role = learned[0]
+    if team != (role is not None) or (role is not None and role not in learned):
+        known = f"give one of its roles: {', '.join(learned)}"
         raise ValueError(f"role: {folder}: {known if team else 'is a run of one role: give none'}; given {role!r}")
     if isinstance(arguments, Single):
         task, trained = find_task(arguments), config["fingerprint"]
@@ -141,14 +146,18 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     model = _learner(best, str(config["algo"]), role)
     policy = _player(best, arguments, config, task, model)
     if model is not None:
-        difference = largest_difference(model, policy, _observations(task, policy.card.advice is not None))
+        difference = largest_difference(
+            model, policy.played(GREEDY), _observations(task, policy.card.advice is not None)
+        )
         if not difference <= _TOLERANCE:
             raise ValueError(
                 f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
             )
     # The exported policy is played with masks, however it was trained.
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
-    policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights)
+    policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights).played(
+        way, RESULT_SEED
+    )
     episodes = arguments.final_episodes
     found = task.by_goal(task.advised(policy, policy.card.advice), episodes, RESULT_SEED)
     scripted = task.scripted(episodes, RESULT_SEED)
@@ -166,9 +175,11 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
 
 
 def _learner(best: Path, algo: str, role: str | None = None) -> Any:
-    """Return the learner, for the comparison; None for an untrusted run, whose exported weights are used as they
-    are.
+    """Return the learner of Stable-Baselines3, for the comparison; None for an untrusted run, whose exported weights
+    are used as they are, and for other learners.
     """
+    if algo not in LEARNERS and not any(best.glob("*.zip")):
+        return None
     try:
         return load_learner(best, algo) if role is None else load_team(best)[role]
     except DataError:

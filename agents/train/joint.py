@@ -407,7 +407,7 @@ class Team(Trainee):
         returns, self.returns = self.returns, []
         return turns, returns
 
-    def scores(self, episodes: int, seed: int) -> dict[str, float]:
+    def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
         """See :class:`~chemlab.agents.train.loop.Trainee`: scores of the laboratory."""
         own = {role: as_policy(learner.model) for role, learner in self.learners.items()}
         return self._played(self._taken or own, episodes, seed)

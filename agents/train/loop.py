@@ -58,13 +58,18 @@ class Watcher:
 
 @dataclass
 class Progress:
-    """State of the loop, stored in each checkpoint; ``seconds`` is wall time over all sittings."""
+    """State of the loop, stored in each checkpoint.
+
+    ``seconds`` is wall time over all sittings; ``sampled`` says how the policy was played in the last evaluation.
+    """
 
     step: int = 0
     rounds: int = 0
     seconds: float = 0.0
     best_mean: float | None = None
     best_step: int | None = None
+    sampled: bool = False
+    best_sampled: bool = False
 
     @classmethod
     def of(cls, saved: Mapping[str, Any], folder: Path) -> Progress:
@@ -104,8 +109,8 @@ class Trainee(ABC):
         """Train for a round; return its steps (at least 1) and the returns of the episodes that ended in it."""
 
     @abstractmethod
-    def scores(self, episodes: int, seed: int) -> dict[str, float]:
-        """Evaluate the deterministic policy: mean return by goal."""
+    def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
+        """Evaluate the policy, sampled or greedy: mean return by goal."""
 
     @abstractmethod
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
@@ -153,7 +158,8 @@ def reached(arguments: Arguments, evaluation: Evaluation | None) -> dict[str, An
     if evaluation is None:
         return {}
     values = {"episodes_per_goal": arguments.eval_episodes, "seed": EVALUATION_SEED, **asdict(evaluation)}
-    del values["step"]
+    for name in ("step", "sampled", "other_mean"):
+        del values[name]
     return values
 
 
@@ -224,11 +230,12 @@ def train_in_rounds(run: Run, config: RunConfig, trainee: Trainee, progress: Pro
             evaluate, save = (p.step * n // total > before * n // total for n in (a.evaluations, a.checkpoints))
             evaluation, best = None, False
             if evaluate:
-                evaluation = _evaluation(p.step, trainee.scores(a.eval_episodes, EVALUATION_SEED), scripted)
+                evaluation = _evaluation(p.step, trainee, scripted)
                 run.append(evaluation)
+                p.sampled = evaluation.sampled
                 best = p.best_mean is None or evaluation.mean > p.best_mean
                 if best:
-                    p.best_mean, p.best_step = evaluation.mean, p.step
+                    p.best_mean, p.best_step, p.best_sampled = evaluation.mean, p.step, p.sampled
             _log(logger, point, evaluation)
             if evaluate or save:
                 p.seconds = time.perf_counter() - begun
@@ -252,8 +259,18 @@ def _point(progress: Progress, ended: list[float]) -> CurvePoint:
     return CurvePoint(progress.step, mean, std, len(ended), round(progress.seconds, 3))
 
 
-def _evaluation(step: int, found: dict[str, float], scripted: dict[str, float] | None) -> Evaluation:
-    return Evaluation(step, _mean(found), found, None if scripted is None else _mean(scripted), scripted)
+_WAYS = {"greedy": (False,), "sampled": (True,), "better": (False, True)}
+"""Ways of an evaluation by the argument ``play``: False is greedy, True sampled."""
+
+
+def _evaluation(step: int, trainee: Trainee, scripted: dict[str, float] | None) -> Evaluation:
+    """Evaluate the policy greedily, sampled, or both; the higher mean counts."""
+    a = trainee.arguments
+    found = {way: trainee.scores(a.eval_episodes, EVALUATION_SEED, way) for way in _WAYS[getattr(a, "play", "greedy")]}
+    sampled = max(found, key=lambda way: _mean(found[way]))
+    beside = None if scripted is None else _mean(scripted)
+    other = _mean(found[not sampled]) if len(found) > 1 else None
+    return Evaluation(step, _mean(found[sampled]), found[sampled], beside, scripted, sampled, other)
 
 
 def _log(logger: Logger, point: CurvePoint, evaluation: Evaluation | None) -> None:
@@ -277,9 +294,9 @@ def _result(run: Run, config: RunConfig, trainee: Trainee, progress: Progress) -
     best = run.checkpoint("best")
     assert best is not None, "the last round is followed by an evaluation and a checkpoint"
     assert progress.best_step is not None, "the best checkpoint has been set"
-    last = trainee.scores(episodes, RESULT_SEED)
+    last = trainee.scores(episodes, RESULT_SEED, progress.sampled)
     trainee.take(best)
-    found = trainee.scores(episodes, RESULT_SEED)
+    found = trainee.scores(episodes, RESULT_SEED, progress.best_sampled)
     scripted = trainee.scripted(episodes, RESULT_SEED)
     return RunResult(
         env_id=config.env_id,
@@ -297,4 +314,6 @@ def _result(run: Run, config: RunConfig, trainee: Trainee, progress: Progress) -
         scripted_by_goal=scripted,
         last_mean=_mean(last),
         last_by_goal=last,
+        sampled=progress.best_sampled,
+        last_sampled=progress.sampled,
     )

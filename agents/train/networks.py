@@ -12,7 +12,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..pretrained import LSTM, Card, PretrainedPolicy, Workplace, save_policy
+from ..pretrained import LOG_STD, LSTM, Card, PretrainedPolicy, Workplace, save_policy
 from ..runs import RunConfig
 
 try:
@@ -23,7 +23,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["learned_policy", "save_learned"]
+__all__ = ["card_of", "learned_policy", "save_learned"]
 
 _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
@@ -50,19 +50,22 @@ def _has_masks(model: Any) -> bool:
     return isinstance(model, MaskablePPO) or isinstance(model.policy, MaskedLstmPolicy)
 
 
+def card_of(config: RunConfig, workplace: Workplace) -> dict[str, Any]:
+    """Return the fields of a card that a run's configuration states."""
+    own = {name: getattr(config, name) for name in ("env_id", "algo", "label", "seed", "versions")}
+    return {"name": workplace.key, **own}
+
+
 def save_learned(folder: Path, model: Any, workplace: Workplace, config: RunConfig, **card: Any) -> None:
     """Write a learner's policy into a checkpoint as ``ROLE.safetensors`` and ``ROLE.json``.
 
     Args:
         folder: folder of the checkpoint.
-        model, workplace: see :func:`learned_policy`.
+        model, workplace, card: see :func:`learned_policy`.
         config: configuration of the run.
-        card: further fields of the card: ``goals``, ``starts``, ``step``, ``command``, ``evaluation``, ``background``.
     """
-    role = workplace.key
-    own = {name: getattr(config, name) for name in ("env_id", "algo", "label", "seed", "versions")}
-    policy = learned_policy(model, workplace, name=role, **own, **card)
-    save_policy(folder / role, policy.card, policy.weights)
+    policy = learned_policy(model, workplace, **card_of(config, workplace), **card)
+    save_policy(folder / workplace.key, policy.card, policy.weights)
 
 
 def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, str]:
@@ -95,6 +98,8 @@ def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, st
     if hasattr(policy, "lstm_actor"):
         ih, hh, *biases = (p.detach().numpy() for p in policy.lstm_actor.parameters())
         weights |= dict(zip(LSTM, (ih.copy(), hh.copy(), sum(biases)), strict=True))
+    if isinstance(getattr(policy, "log_std", None), nn.Parameter):
+        weights[LOG_STD] = policy.log_std.detach().numpy().copy()
     if hasattr(policy, "quantile_net"):  # the best mean of quantiles: also a linear layer
         last, actions = len(linear) - 1, int(model.action_space.n)
         for part in ("weight", "bias"):

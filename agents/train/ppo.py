@@ -27,8 +27,9 @@ from chemlab.lab.starts import goals_met
 from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import DISCARD, KINDS, START, SUBMIT
 
+from ..names import GREEDY, SAMPLED
 from ..policies import Policy, agent_policy
-from ..pretrained import Card, PretrainedPolicy, save_policy
+from ..pretrained import LOG_STD, Card, PretrainedPolicy, save_policy
 from ..roles import MANAGER_ROLE, role_of
 from ..runs import Evaluation, Run
 from .arguments import LeanPPO
@@ -422,6 +423,8 @@ class PPOTeam:
                 whole[:, learner.columns] = weight
                 weight = whole
             found[f"{i}.weight"], found[f"{i}.bias"] = weight.copy(), layer.bias.detach().numpy().copy()
+        if not learner.network.discrete:
+            found[LOG_STD] = learner.network.log_std.detach().numpy().copy()
         return found
 
 
@@ -452,11 +455,13 @@ class FromNothing(Team):
             self.logger.record(f"turns/{role}", had)
         return turns, scores
 
-    def scores(self, episodes: int, seed: int) -> dict[str, float]:
+    def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
         """See :class:`~chemlab.agents.train.loop.Trainee`: scores of the laboratory."""
-        return self._played(
-            self._taken or {role: self._policy(role, 0, None) for role in self.learning}, episodes, seed
-        )
+        learned = self._taken or {role: self._policy(role, 0, None) for role in self.learning}
+        way = SAMPLED if sampled else GREEDY
+        seeds = np.random.SeedSequence(seed).spawn(len(learned))
+        played = {role: policy.played(way, own) for (role, policy), own in zip(learned.items(), seeds, strict=True)}
+        return self._played(played, episodes, seed)
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
@@ -480,6 +485,7 @@ class FromNothing(Team):
             output="argmax" if self.team.learners[role].network.discrete else "clip",
             evaluation=reached(self.arguments, evaluation),
             background=self._background,
+            sampled=evaluation is not None and evaluation.sampled,
         )
         return PretrainedPolicy(card, self.team.weights(role))
 

@@ -20,7 +20,8 @@ from chemlab.envs.players import as_policy
 from chemlab.lab.engine import MANAGER_AGENT
 
 from ..learners import LEARNERS
-from ..pretrained import load_pretrained
+from ..names import GREEDY, SAMPLED
+from ..pretrained import PretrainedPolicy, load_pretrained, save_policy
 from ..recurrent import MaskedLstmPolicy
 from ..runs import Evaluation, Run
 from ..sb3 import ChemlabVecEnv
@@ -28,7 +29,7 @@ from .arguments import ALGORITHMS, SAC, TD3, Recurrent, Replay, Single, Stage, c
 from .checkpoints import load_agent, save_agent
 from .imitate import imitate
 from .loop import Progress, Trainee, reached
-from .networks import save_learned
+from .networks import card_of, learned_policy
 from .tasks import find_task
 
 __all__ = ["Agent"]
@@ -109,6 +110,7 @@ class Agent(Trainee):
         self._stages = curriculum_of(a, tuple(task.scenario.benches))
         self._stage: Stage | None = None
         self._hints: str | None = getattr(a, "hints", None)
+        self._taken: PretrainedPolicy | None = None
         self.config = self.described(a.scenario, task.agent, list(task.goals), task.fingerprint)
 
     def check(self) -> None:
@@ -157,9 +159,14 @@ class Agent(Trainee):
         self.model.learn(self._rollout, ended, log_interval=None, reset_num_timesteps=first)  # type: ignore[arg-type]
         return self._rollout, ended.returns
 
-    def scores(self, episodes: int, seed: int) -> dict[str, float]:
+    def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
-        return self._task.by_goal(self._player, episodes, seed)
+        if self._taken is None and not sampled:
+            player = self._player
+        else:
+            policy = self._taken or self._policy(0, None)
+            player = self._task.advised(policy.played(SAMPLED if sampled else GREEDY, seed), self._hints)
+        return self._task.by_goal(player, episodes, seed)
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
@@ -168,24 +175,28 @@ class Agent(Trainee):
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         save_agent(self._run, folder, self.model, self.venv, vars(progress))
-        save_learned(
-            folder,
+        policy = self._policy(progress.step, evaluation)
+        save_policy(folder / policy.card.name, policy.card, policy.weights)
+
+    def _policy(self, step: int, evaluation: Evaluation | None) -> PretrainedPolicy:
+        """Return the learner's policy as it is exported."""
+        return learned_policy(
             self.model,
             self._task.workplace,
-            self.config,
+            **card_of(self.config, self._task.workplace),
             goals=list(self._task.goals),
             starts=self.arguments.starts,
-            step=progress.step,
+            step=step,
             command=self.arguments.command_line(),
             evaluation=reached(self.arguments, evaluation),
             background=self._task.background,
             advice=self._hints,
+            sampled=evaluation is not None and evaluation.sampled,
         )
 
     def take(self, folder: Path) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
-        learned = load_pretrained(folder / self._task.workplace.key)
-        self._player = self._task.advised(learned, self._hints)
+        self._taken = load_pretrained(folder / self._task.workplace.key)
 
     def close(self) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""

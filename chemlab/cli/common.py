@@ -169,8 +169,8 @@ PolicyOption = Annotated[
     typer.Option(
         callback=current_policy,
         help="The policy: scripted, scripted:unsafe, scripted:no-extraction, random, pretrained (benches), trained "
-        "(manager and benches), plan (an open-loop manager), or the path of a training run; exceptions by role or "
-        "agent after commas: pretrained,manager=random.",
+        "(manager and benches), plan (an open-loop manager), or the path of a training run; :greedy or :sampled after "
+        "a learned one; exceptions by role or agent after commas: pretrained,manager=random.",
     ),
 ]
 EpisodesOption = Annotated[int, typer.Option(min=1, help="Number of episodes, with consecutive seeds.")]
@@ -254,6 +254,14 @@ def chosen_agents(agents: Sequence[str], wanted: Iterable[str], what: str) -> li
     return [agent for agent, kind in kinds.items() if {agent, kind, "all"} & set(wanted)]
 
 
+def _path_of(word: str) -> str:
+    """Return the path in a policy's name."""
+    from ..agents.names import split_way
+
+    name: str = split_way(word.removeprefix("plan:"))[0]
+    return name
+
+
 def check_apart_from(path: Path, *read: str | Path) -> None:
     """Check that a result overwrites none of the files that a command reads.
 
@@ -266,7 +274,7 @@ def check_apart_from(path: Path, *read: str | Path) -> None:
     """
     words = [word for one in read for word in ([str(one)] if isinstance(one, Path) else re.split("[,=]", one))]
     # A word without a suffix is a name, even if such a file exists.
-    check_apart([path], [file for word in words if (file := Path(word.removeprefix("plan:"))).suffix])
+    check_apart([path], [file for word in words if (file := Path(_path_of(word))).suffix])
 
 
 def check_result(path: Path, *read: str | Path) -> None:

@@ -48,8 +48,8 @@ def evaluate(
         list[str] | None,
         typer.Option(
             help="scripted, random, pretrained, a bundled policy, or the path of a training run, a checkpoint or "
-            "exported weights; repeatable. Laboratories accept more, see `chemlab run`. Default: scripted and "
-            "random."
+            "exported weights; :greedy or :sampled after a learned one; repeatable. Laboratories accept more, see "
+            "`chemlab run`. Default: scripted and random."
         ),
     ] = None,
     bench: Annotated[str | None, typer.Option(help="A bench of the scenario. Default: the whole laboratory.")] = None,
@@ -153,6 +153,7 @@ def _row_of(line: str) -> tuple[str, str]:
 
 def _show(results: dict[str, Any]) -> None:
     """Print an evaluation over all goals, then by goal."""
+    from ..agents.evaluate.play import notes
     from ..agents.evaluate.statistics import interval_text
 
     target, rows = results["target"], results["policies"]
@@ -173,6 +174,8 @@ def _show(results: dict[str, Any]) -> None:
                 for case in rows[0][key]
             ]
             show_table(f"mean return by {kind}", (kind, *names), cells, right=range(1, len(rows) + 1))
+    for note in notes(results):
+        out.print(plain(note))
     if rows[0]["measures"]:
         cells = [[name, *(f"{row['measures'][name]:.3f}" for row in rows)] for name in rows[0]["measures"]]
         show_table("means of episodes", ("", *names), cells, right=range(1, len(rows) + 1))

@@ -34,7 +34,7 @@ app.add_typer(export, name="export")
 
 @export.command()
 def policy(
-    run: Annotated[Path, typer.Argument(help="Folder of a training run.")],
+    run: Annotated[Path, typer.Argument(help="Folder of a training run; :greedy or :sampled after it.")],
     to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; the file name is the policy's name.")],
     role: Annotated[str | None, typer.Option(help="Role, if several learned together.")] = None,
     trust: TrustOption = False,
@@ -42,15 +42,17 @@ def policy(
 ) -> None:
     """Export a run's best checkpoint as a policy without PyTorch: NAME.safetensors and NAME.json.
 
+    It plays as the checkpoint was evaluated, unless :greedy or :sampled after the folder says otherwise.
     It is compared with the original on observations of the bench, and rejected if outputs differ by more than 1e-5.
     """
     with readable_errors():
+        from ..agents.names import split_way
         from ..agents.train.export import export_run
 
         for ending in (".json", ".safetensors"):
             target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")
             check_target(target)
-            check_apart([target], (file for file in run.rglob("*") if file.is_file()))
+            check_apart([target], (file for file in Path(split_way(str(run))[0]).rglob("*") if file.is_file()))
         card = export_run(run, to, role)
     if as_json:
         typer.echo(json.dumps(card.as_dict()))
@@ -58,7 +60,8 @@ def policy(
     found = card.evaluation
     out.print(plain(f"{card.name}: {card.label} of {card.env_id}, seed {card.seed}, step {card.step:,}"))
     scripted = found["scripted_mean"]
-    out.print(f"mean return {found['mean']:.3f}, scripted {'none' if scripted is None else f'{scripted:.3f}'}")
+    way = ", sampled" if card.sampled else ""
+    out.print(f"mean return {found['mean']:.3f}{way}, scripted {'none' if scripted is None else f'{scripted:.3f}'}")
 
 
 @export.command()

@@ -63,6 +63,9 @@ class _Account:
         """See :class:`chemlab.agents.train.loop.Watcher`."""
         scripted = evaluation.scripted_mean
         beside = "" if scripted is None else f", scripted {scripted:.3f}"
+        if evaluation.other_mean is not None:
+            ways = ("sampled", "greedy") if evaluation.sampled else ("greedy", "sampled")
+            beside = f" {ways[0]}, {evaluation.other_mean:.3f} {ways[1]}{beside}"
         self._say(f"step {evaluation.step:>9,}: mean return {evaluation.mean:.3f}{beside}{'  (best)' if best else ''}")
 
     def finishing(self) -> None:
@@ -99,8 +102,10 @@ def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunR
 
 def _outcome(result: RunResult) -> Table:
     title = f"{result.env_id}, {result.label}, seed {result.seed}: {result.steps:,} steps in {result.seconds:,.0f} s"
+    ways = (result.sampled, result.last_sampled)
     table = Table(title=plain(f"{title} (mean return of {result.episodes_per_goal} episodes)"), box=SIMPLE)
-    for name in ("goal", "best", "last", "scripted"):
+    best, last = (f"{name}, sampled" if way else name for name, way in zip(("best", "last"), ways, strict=True))
+    for name in ("goal", best, last, "scripted"):
         table.add_column(name, justify="left" if name == "goal" else "right")
     scripted = result.scripted_by_goal or {}
     for goal, value in result.by_goal.items():

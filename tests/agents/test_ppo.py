@@ -12,12 +12,19 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 import torch
 
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.evaluate.play import find_target, notes
+from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
+from chemlab.agents.runs import Run
 from chemlab.agents.saved import find_saved
 from chemlab.agents.train.arguments import LeanPPO, training_arguments
+from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _Track
 from chemlab.config.loading import load_scenario
+from chemlab.envs.aec import raw_env
+from chemlab.record import Recorder, read_record, verify_record
 from chemlab.roles.manager_actions import DISCARD, START, SUBMIT
 
 QUICK = {"envs": 8, "rollout": 16, "batch_size": 64, "evaluations": 2, "eval_episodes": 4, "final_episodes": 4}
@@ -109,6 +116,45 @@ def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
     expected = x @ policy.weights["2.weight"].T + policy.weights["2.bias"]
     assert policy.values(observation) == pytest.approx(expected, rel=1e-5, abs=1e-6)
     assert set(find_saved(str(out)).load) == {"manager"}
+
+
+def test_a_run_is_played_sampled_and_greedy_by_name(tmp_path: Path) -> None:
+    """Evaluations have both ways, the card the better one; names and exports choose; records of both are verified."""
+    out = tmp_path / "run"
+    arguments = LeanPPO(scenario="wurtz_dodecane_direct", roles=("manager",), steps=300, **QUICK)
+    result = train(arguments, out)
+    evaluations = Run(out).evaluations()
+    assert all(one.other_mean is not None and one.other_mean <= one.mean for one in evaluations)
+    assert load_pretrained(find_best(out) / "manager").card.sampled == result.sampled
+    sampled, greedy = (export_run(Path(f"{out}:{way}"), tmp_path / way) for way in ("sampled", "greedy"))
+    assert (sampled.sampled, greedy.sampled) == (True, False)
+    assert sampled.evaluation["mean"] != greedy.evaluation["mean"]
+    target = find_target("wurtz_dodecane_direct")
+    names = [f"{out}:sampled", f"{tmp_path / 'greedy'}:sampled", str(tmp_path / "greedy"), f"{out}:greedy"]
+    returns = [target.play(name, "dodecane", 4, 11).returns.tolist() for name in names]
+    assert returns[0] == returns[1] != returns[2] == returns[3]
+    env = raw_env("wurtz_dodecane_direct")
+    with Recorder(tmp_path / "record.jsonl", env.laboratories) as recorder:
+        policies = make_policies(names[0], env.laboratories, 11)
+        score = play_episode(env, policies, 11, names[0], recorder=recorder).score
+    proof = verify_record(read_record(tmp_path / "record.jsonl"))
+    assert (proof.status, proof.score) == ("ok", pytest.approx(score))
+    with pytest.raises(ValueError, match="scripted:sampled: only learned policies are greedy or sampled"):
+        make_policies("scripted:sampled", env.laboratories)
+
+
+def test_a_policy_that_mostly_does_nothing_gets_a_note() -> None:
+    def row(name: str, **measures: float) -> dict[str, Any]:
+        return {"policy": name, "measures": measures}
+
+    usual = row("scripted", limit=0.1, nothing=0.0)
+    results = {"baseline": "scripted", "policies": [usual, row("random", limit=0.9, nothing=0.6), row("a", limit=0.5)]}
+    assert notes(results) == [
+        "random ran out of actions or ticks in 90% of the episodes",
+        "random submitted nothing in 60% of the episodes",
+    ]
+    results["policies"][0] = row("scripted", limit=1.0, nothing=0.0)  # type: ignore[index]
+    assert len(notes(results)) == 1
 
 
 def find_best(run: Path) -> Path:
