@@ -22,7 +22,7 @@ except ImportError as error:
 
 from .seats import Room, input_schema
 
-__all__ = ["http_app", "seat_server", "serve_http", "serve_stdio"]
+__all__ = ["http_app", "http_server", "seat_server", "serve_stdio"]
 
 
 def seat_server(room: Room, agent: str) -> Server[Any]:
@@ -79,6 +79,7 @@ def http_app(room: Room, tokens: Mapping[str, str], host: str = "127.0.0.1") -> 
     return Starlette(routes=[Mount(f"/{seat}", guarded(seat)) for seat in room.seats], lifespan=lifespan)
 
 
-def serve_http(room: Room, tokens: Mapping[str, str], host: str, port: int) -> None:
-    """Serve all seats over HTTP until interrupted."""
-    uvicorn.run(http_app(room, tokens, host), host=host, port=port, log_level="warning")
+def http_server(room: Room, tokens: Mapping[str, str], host: str, port: int) -> uvicorn.Server:
+    """A server of all seats. Idle connections stay open, because an agent may think for minutes between two calls."""
+    app = http_app(room, tokens, host)
+    return uvicorn.Server(uvicorn.Config(app, host=host, port=port, log_level="warning", timeout_keep_alive=3600))

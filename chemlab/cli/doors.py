@@ -53,7 +53,7 @@ def mcp(
             tokens = {one: secrets.token_urlsafe(24) for one in seats}
             for one, token in tokens.items():
                 out.print(plain(f"{one} http://{host}:{port}/{one}/mcp Authorization: Bearer {token}"), soft_wrap=True)
-            mcp_server.serve_http(room, tokens, host, port)
+            mcp_server.http_server(room, tokens, host, port).run()
     finally:
         room.close()
 

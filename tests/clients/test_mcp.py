@@ -77,11 +77,9 @@ def test_over_standard_input_and_output(tmp_path: Path) -> None:
 @contextmanager
 def served(room: Room, tokens: dict[str, str]) -> Iterator[int]:
     """The room over HTTP on a free port, in a thread."""
-    import uvicorn
+    from chemlab.agents.mcp_server import http_server
 
-    from chemlab.agents.mcp_server import http_app
-
-    server = uvicorn.Server(uvicorn.Config(http_app(room, tokens), host="127.0.0.1", port=0, log_level="error"))
+    server = http_server(room, tokens, "127.0.0.1", 0)
     thread = threading.Thread(target=server.run, daemon=True)
     thread.start()
     while not server.started:
