@@ -12,7 +12,10 @@ from typing import Any
 
 from chemlab.config.files import locked
 
-__all__ = ["append_entry", "read_ledger"]
+__all__ = ["LEDGER", "append_entry", "ended_episodes", "read_ledger"]
+
+LEDGER = "ledger.jsonl"
+"""Name of the file."""
 
 _TRIES, _PAUSE_S = 200, 0.05
 
@@ -58,6 +61,33 @@ def read_ledger(path: Path) -> list[dict[str, Any]]:
         ValueError: a line has been changed, removed or added; the message says which.
     """
     return _checked(path, path.read_bytes())
+
+
+def ended_episodes(folder: Path) -> dict[Path, dict[str, Any]]:
+    """All episodes of the ledgers in a folder, by the file of their record.
+
+    Raises:
+        ValueError: a ledger is not intact, an episode has no end, or a record is missing or has been changed.
+    """
+    found = {}
+    for path in sorted(folder.rglob(LEDGER)):
+        entries = read_ledger(path)
+        ends = {entry["begun"]: entry for entry in entries if entry["event"] == "ended"}
+        for entry in entries:
+            if entry["event"] != "begun":
+                continue
+            number = entry["number"]
+            if number not in ends:
+                raise ValueError(
+                    f"{path}: line {number + 1}: this episode has no end. All episodes of a folder count: wait for the "
+                    "end, or play into a new folder"
+                )
+            stem = path.parent / f"episode-{number:04d}.jsonl"
+            file = stem if stem.exists() else stem.with_name(f"{stem.name}.part")
+            if not file.exists() or hashlib.sha256(file.read_bytes()).hexdigest() != ends[number]["record"]:
+                raise ValueError(f"{stem}: is missing, or has been changed since the episode: restore it")
+            found[file] = entry | ends[number]
+    return found
 
 
 def _checked(path: Path, content: bytes) -> list[dict[str, Any]]:

@@ -30,7 +30,7 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
 
 from .briefs import brief, opaque_names
-from .ledger import append_entry
+from .ledger import LEDGER, append_entry
 from .policies import agent_policy
 from .verbs import Argument, ToolError, Verb, bench_verbs, manager_verbs, number_of, plain
 
@@ -73,7 +73,8 @@ class Room:
         patience: seconds that ``wait`` may block while another seat has the turn, at most 15.
         folder: records, transcripts and the ledger are written here, the records when an episode is over.
         condition: what the seats could reach, as the ledger states it.
-        salt: of the private split; default: a fresh one for every episode, published at its end.
+        salt: of the private split, which stays with the caller; default: a fresh one for every episode, which the
+            ledger has at the episode's end.
         seed: of the episode; default: a fresh one.
 
     Raises:
@@ -151,7 +152,7 @@ class Room:
             self._notices: dict[str, list[str]] = {seat: [] for seat in self.seats}
             self._said = dict.fromkeys(self.seats, 0)
             self._calls, self._wrong = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
-            self._characters = dict.fromkeys(self.seats, 0)
+            self._characters, self._tokens = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
             self._transcript: list[dict[str, Any]] = []
             self._status, self._over, self._began = "running", False, time.monotonic()
             self._episode += 1
@@ -169,7 +170,7 @@ class Room:
         self._folder.mkdir(parents=True, exist_ok=True)
         commitment = hashlib.sha256(f"{self._salt}:{self._seed}".encode()).hexdigest()
         entry = append_entry(
-            self._folder / "ledger.jsonl",
+            self._folder / LEDGER,
             {
                 "event": "begun",
                 "scenario": self.scenario.name,
@@ -177,7 +178,7 @@ class Room:
                 "background": self._background,
                 "condition": self._condition,
                 "names": self._names,
-                "calls": self._budget,
+                "budget": self._budget,
                 "say": self._say,
                 "commitment": commitment,
             },
@@ -228,12 +229,14 @@ class Room:
         return {"split": f"private:{self._salt}", "seed": self._seed}
 
     def report(self) -> dict[str, Any]:
-        """Score, and what stands beside it: calls, refused calls, characters of replies, wall time."""
-        seats = {
-            seat: {"calls": self._calls[seat], "wrong": self._wrong[seat], "characters": self._characters[seat]}
-            for seat in self.seats
-        }
+        """Score, and what stands beside it: calls, refused calls, characters of replies, tokens that a door counted."""
+        counts = {"calls": self._calls, "wrong": self._wrong, "characters": self._characters, "tokens": self._tokens}
+        seats = {seat: {name: count[seat] for name, count in counts.items()} for seat in self.seats}
         return {"status": self._status, "score": self.score, "seats": seats, "condition": self._condition}
+
+    def spent(self, seat: str, tokens: int) -> None:
+        """Count tokens that the model at a seat has used."""
+        self._tokens[seat] += tokens
 
     def close(self) -> None:
         """End an episode that is still running."""
@@ -257,9 +260,11 @@ class Room:
         written = self._recorder.path if self._recorder.path.exists() else self._recorder.part
         digests = {"record": written.read_bytes(), "transcript": text.encode()}
         ended = {"event": "ended", "begun": self._number, **self.published(), **self.report()}
+        if self._given[0] is not None:
+            ended["split"] = "private"  # other episodes may have the same salt
         ended |= {name: hashlib.sha256(content).hexdigest() for name, content in digests.items()}
         ended["seconds"] = round(time.monotonic() - self._began, 3)
-        append_entry(self._folder / "ledger.jsonl", ended)
+        append_entry(self._folder / LEDGER, ended)
         self._recorder = None
 
     # -- turns --------------------------------------------------------------------------------------------------------

@@ -15,7 +15,8 @@ several runs have dealt them out among themselves, it is over runs.
 | ``scripted`` | the scripted agents |
 | ``pretrained``, ``trained`` | policies that come with chemlab, where one fits |
 | a path | a training run, or a folder of runs of which only the seed differs: best by validation, and the last \
-checkpoint; or records of these episodes that somebody has played (``chemlab play``), a file or a folder of them |
+checkpoint; or records of these episodes that people (``chemlab play``) or language agents (``chemlab mcp`` and the \
+like) have played, a file or a folder of them |
 | ``oracle`` | the planner that knows the world: 1 |
 
 | file | what |
@@ -56,6 +57,7 @@ from chemlab.lab.engine import MANAGER_AGENT
 from chemlab.record import Record, Recorder, read_record, recorded_scenario, scenario_hash, verify_record
 
 from ..episodes import play_episode
+from ..ledger import ended_episodes
 from ..names import current_name, split_way
 from ..plans import ConstantPlan
 from ..policies import make_policies, policy_names
@@ -83,9 +85,13 @@ REFERENCES = ("random", "plan", "oracle")
 """Rows that are there in any case."""
 _TOLD = (
     *("value", "low", "high", "score", "episodes", "scale", "generalization", "over_baseline"),
-    *("scores", "train_scores"),
+    *("scores", "train_scores", "seats"),
 )
 """Of a cell, what the leaderboard has, too."""
+_CONDITIONS = ("condition", "names", "say", "budget")
+"""Of seats, in which the episodes of a row must agree."""
+_SPENT = ("calls", "wrong", "characters", "tokens")
+"""Of seats, what is given beside the score."""
 _RECORD = ".jsonl"
 """Suffix of record files."""
 _THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
@@ -104,6 +110,7 @@ class Row:
         curves: for each run (step, mean score) of its evaluations.
         scenario: what the runs were trained on; None: anything.
         records: (scenario's name, record) of episodes that somebody has played already; who has some plays none here.
+        seats: the ledger's entries of these records, by file; empty where there is no ledger.
     """
 
     name: str
@@ -113,6 +120,14 @@ class Row:
     curves: tuple[tuple[tuple[int, float], ...], ...] = field(default=())
     scenario: str | None = None
     records: tuple[tuple[str, Record], ...] = ()
+    seats: Mapping[Path, Mapping[str, Any]] = field(default_factory=dict)
+
+    def effort(self, scenario: str) -> dict[str, Any]:
+        """Conditions of the seats in a scenario, and means over its episodes of what they have spent, all together."""
+        own = [self.seats[record.path] for name, record in self.records if name == scenario]
+        spent = [[sum(seat[kind] for seat in entry["seats"].values()) for kind in _SPENT] for entry in own]
+        conditions = {kind: own[0][kind] for kind in _CONDITIONS}
+        return conditions | dict(zip(_SPENT, np.mean(spent, axis=0).round(3).tolist(), strict=True))
 
 
 def world_scenarios() -> list[str]:
@@ -136,14 +151,16 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
     for name in map(current_name, policies):
         path, way = split_way(name)
         folder = Path(path)
-        runs, files = list[Run](), list[Path]()
+        runs, files, seats = list[Run](), list[Path](), dict[Path, dict[str, Any]]()
         if name not in policy_names() and folder.parent.name != "checkpoints":
             runs = find_runs(folder) if folder.is_dir() else []
-            files = sorted(folder.rglob(f"*{_RECORD}")) if folder.is_dir() else [folder] * (folder.suffix == _RECORD)
+            seats = ended_episodes(folder) if folder.is_dir() else {}
+            files = [*seats] or sorted(folder.rglob(f"*{_RECORD}"))
+            files = files if folder.is_dir() else [folder] * (folder.suffix == _RECORD)
         if runs:
             rows += _trained_rows(name, runs, way)
         else:
-            rows.append(_played_row(str(folder), files) if files else Row(name, (name,)))
+            rows.append(_played_row(str(folder), files, seats) if files else Row(name, (name,)))
     own = [_file_name(row.name) for row in rows]
     doubled = sorted({row.name for row in rows if own.count(_file_name(row.name)) > 1})
     if doubled:
@@ -151,8 +168,15 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
     return rows
 
 
-def _played_row(name: str, files: Sequence[Path]) -> Row:
-    """Make a row of records; they name its players."""
+def _played_row(name: str, files: Sequence[Path], seats: Mapping[Path, Mapping[str, Any]]) -> Row:
+    """Make a row of records; they name its players, and a ledger their conditions."""
+    for kind in _CONDITIONS:
+        values = {str(entry[kind]) for entry in seats.values()}
+        if len(values) > 1:
+            raise ValueError(
+                f"policies: {name}: one row has the same {kind} everywhere, here {' and '.join(sorted(values))}: put "
+                "these into folders of their own"
+            )
     records, told = [], dict[str, tuple[str, Path]]()
     for file in files:
         record = read_record(file)
@@ -164,7 +188,7 @@ def _played_row(name: str, files: Sequence[Path]) -> Row:
                     f"policies: {name}: one row has the same players everywhere; {agent} is {other} in {first}, and "
                     f"{player} in {file}: put these into folders of their own"
                 )
-    return Row(name, (), records=tuple(records))
+    return Row(name, (), records=tuple(records), seats=seats)
 
 
 def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
@@ -278,8 +302,10 @@ def _entered(
         if scenario_hash(recorded_scenario(record)) != scenario_hash(spec):
             raise ValueError(f"policies: {file}: is of another {spec.name} than {spec.origin}: prices or rules differ")
         proof = verify_record(record, spec, bool(trust()), split=split if ":" in split else None)
-        # Made by another version, or on a platform that rounds otherwise, it may be right all the same.
-        if proof.status not in ("ok", "other") or proof.where or proof.score is None:
+        # Made by another version, or on a platform that rounds otherwise, it may be right all the same. An episode that
+        # a room has ended, because there were no calls left or the agent gave up, counts as it stood.
+        unfinished = record.torn and record.path not in row.seats
+        if proof.status not in ("ok", "other", "torn") or proof.where or proof.score is None or unfinished:
             raise ValueError(f"policies: {file}: {proof.message}")
         if number in found:
             raise ValueError(
@@ -434,6 +460,8 @@ def _cells(
             "replications": _replications(values, random, best, parts),
             "scores": [score if there[k] else None for k, score in enumerate(values.tolist())],
         }
+        if (own_row := _row_named(rows, name)).seats:
+            cells[name]["seats"] = own_row.effort(spec.name)
         if name in gaps:
             cells[name]["train_scores"] = gaps[name].tolist()
         if beside is not None and not there.all():  # in the other episodes worlds are easier, or harder
@@ -604,7 +632,7 @@ def _lines(found: Mapping[str, Any], written: Mapping[tuple[str, str], list[dict
     common = {name: found[name] for name in ("split", "seeds", "budget", "baseline", "commit", "versions", "hardware")}
     for scenario, one in found["scenarios"].items():
         for name, cell in one["cells"].items():
-            own = {key: cell.get(key) for key in (*_TOLD, "reason")}
+            own = {key: cell.get(key) for key in (*_TOLD, "reason") if key != "seats" or key in cell}
             effort = {key: summaries[name][key] for key in ("runs", "hours", "steps")}
             told = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
             lines.append({**told, **own, **effort, "records": written.get((scenario, name), []), **common})

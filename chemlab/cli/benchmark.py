@@ -34,7 +34,7 @@ def benchmark(
         list[str] | None,
         typer.Option(
             help="Besides random, plan and oracle: names as for `chemlab run`, a training run, or a folder of "
-            "runs that differ in their seeds only, or records of human play; repeatable. "
+            "runs that differ in their seeds only, or records of people and language agents; repeatable. "
             "Default: scripted, pretrained, trained."
         ),
     ] = None,
@@ -115,6 +115,20 @@ def _show(found: dict[str, Any]) -> None:
     ]
     head = ("policy", "scenarios", "interquartile mean", "mean", f"P(better than {found['baseline']})", "hours")
     show_table(f"{found['seeds']} replications; [{found['confidence']:.0%} intervals]", head, over, right=range(1, 6))
+    seats = [
+        (
+            name,
+            policy,
+            f"{one['condition']}; names {one['names']}",
+            *(f"{one[k]:g}" for k in ("calls", "wrong", "tokens")),
+        )
+        for name in names
+        for policy, cell in cells[name].items()
+        if (one := cell.get("seats"))
+    ]
+    if seats:
+        head = ("scenario", "policy", "condition", "calls", "refused", "tokens")
+        show_table("language agents: means per episode", head, seats, right=range(3, 6))
     # benchmark.json has all cells, with the reason why each known one does not fit.
     reasons = [(n, p, c["reason"].partition(" (")[0]) for n in names for p, c in cells[n].items() if c["value"] is None]
     if reasons:

@@ -30,6 +30,15 @@ def mcp(
     names: Annotated[str, typer.Option(help="plain, or opaque: materials under permuted code names.")] = "plain",
     calls: Annotated[int | None, typer.Option(help="Calls of each seat; one more truncates the episode.")] = None,
     say: Annotated[int, typer.Option(help="Characters that a seat may say to other seats.")] = 0,
+    episode: Annotated[
+        int | None, typer.Option(min=0, help="Number of an episode of the benchmark, which has its seed. Needs --salt.")
+    ] = None,
+    salt: Annotated[
+        str | None,
+        typer.Option(
+            envvar="CHEMLAB_SALT", help="Salt of the private split. Default: a fresh one, published at the end."
+        ),
+    ] = None,
     out_folder: Annotated[
         Path | None,
         typer.Option("--out", help="Folder of records, transcripts and the ledger. Records are written at the end."),
@@ -37,6 +46,7 @@ def mcp(
 ) -> None:
     """Serve seats of a laboratory to language agents by the Model Context Protocol (needs the extra `mcp`)."""
     from ..agents import mcp_server
+    from ..agents.evaluate.jobs import AUDIT_SEED
     from ..agents.seats import Room
     from ..config.loading import load_scenario
 
@@ -44,7 +54,10 @@ def mcp(
     seats = chosen_agents(["manager_0", *spec.bench_agents()], seat or ["manager_0"], "--seat")
     if http is None and len(seats) > 1:
         raise ValueError(f"--seat: standard input and output serve one seat, given {len(seats)}; add --http PORT")
-    room = Room(spec, seats, background, names, calls, say, 10.0, out_folder, "tools only")
+    if episode is not None and salt is None:
+        raise ValueError("--episode: needs a salt, so that its world stays secret; set CHEMLAB_SALT")
+    seed = None if episode is None else AUDIT_SEED + episode
+    room = Room(spec, seats, background, names, calls, say, 10.0, out_folder, "tools only", salt, seed)
     try:
         if http is None:
             mcp_server.serve_stdio(room)

@@ -51,7 +51,7 @@ class Verification:
         where: the first line that differs: ``header``, ``turn 12``, ``end``.
         key: the key that differs.
         recorded, recomputed: its two values.
-        score: raw score of the replay; None if it was not played to the end.
+        score: raw score of the replay after its last turn; None if a turn differs, or if it claims an end that is none.
         notes: further remarks, and claims of the record that a replay cannot prove.
     """
 
@@ -186,7 +186,7 @@ class _Check:
                 return
             self.good += 1
         closing = witness.closing()
-        self.score = closing["end"]["score"] if witness.over else None
+        self.score = closing["end"]["score"] if witness.over or record.end is None else None
         if record.end is None:
             return
         if not witness.over:

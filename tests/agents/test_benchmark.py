@@ -28,11 +28,13 @@ from chemlab.agents.evaluate.leaderboard import (
 )
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
+from chemlab.agents.seats import Room
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, RecordError, verify_record
+from studies.tools.seats import play_scripted
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
 ROWS = [
@@ -543,3 +545,48 @@ def test_what_cannot_be_is_refused() -> None:
         benchmark(["unlabelled"], [], "huge")
     with pytest.raises(ValueError, match="baseline: known: random, plan, oracle; given 'scripted'"):
         benchmark(["unlabelled"], [], TINY, 2)
+
+
+def test_seats_are_entered_with_condition_calls_and_tokens(tmp_path: Path) -> None:
+    """All episodes of a ledger count, those without calls left as they stood; a salt known to the operator alone."""
+    folder, keep, salt = tmp_path / "seats", tmp_path / "out", "0123456789abcdef"
+    for episode, budget in ((0, 400), (3, 400)):
+        room = Room(
+            "unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + episode, calls=budget, condition="tools only"
+        )
+        room.spent("manager_0", 500)
+        if episode == 0:
+            calls = len(play_scripted(room))
+        while not room.over:
+            room.call("manager_0", "nothing")
+        room.close()
+    assert salt not in (folder / "ledger.jsonl").read_text()
+    (row,) = find_rows([str(folder)])
+    found = benchmark(["unlabelled"], [ROWS[0], row], TINY, 2, split=f"private:{salt}")
+    cell = found["scenarios"]["unlabelled"]["cells"][str(folder)]
+    assert cell["scores"][1:] == [None, None, 0.0, None]
+    assert cell["scores"][0] > 0.0
+    counts = {
+        "calls": (calls + 401) / 2,
+        "tokens": 500.0,
+        "wrong": 200.0,
+        "condition": "tools only",
+        "names": "plain",
+        "budget": 400,
+    }
+    assert counts.items() <= cell["seats"].items()
+    write_benchmark(keep, found, [load_scenario("unlabelled")], [ROWS[0], row], records=0)
+    checks = [check for check in check_leaderboard(keep / "leaderboard.json") if check.policy == str(folder)]
+    assert [(check.proof, check.records, check.faults) for check in checks] == [("all", 2, [])]
+    with pytest.raises(ValueError, match=r"0\.jsonl: "):  # another salt
+        benchmark(["unlabelled"], [ROWS[0], row], TINY, 2, split="private:other")
+    room = Room("unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + 1, calls=400, condition="tools only")
+    with pytest.raises(ValueError, match="this episode has no end"):
+        find_rows([str(folder)])
+    room.close()
+    Room("unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + 2, names="opaque", calls=400).close()
+    with pytest.raises(ValueError, match="one row has the same condition everywhere"):
+        find_rows([str(folder)])
+    (folder / "episode-0000.jsonl").unlink()
+    with pytest.raises(ValueError, match="is missing, or has been changed"):
+        find_rows([str(folder)])

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from callers import SALT, SEATS, SEED, played
 
 from chemlab.agents.ledger import read_ledger
 from chemlab.agents.seats import Room
-from studies.tools.seats import play_scripted
 
 mcp = pytest.importorskip("mcp", reason="needs mcp (extra mcp)")
 import anyio  # noqa: E402 - comes with it
@@ -24,9 +24,6 @@ import httpx2  # noqa: E402
 from mcp.client import Client  # noqa: E402
 from mcp.client.stdio import StdioServerParameters, stdio_client  # noqa: E402
 from mcp.client.streamable_http import streamable_http_client  # noqa: E402
-
-SALT, SEED = "feedfacefeedfacefeedfacefeedface", 7
-Calls = list[tuple[str, str, dict[str, Any]]]
 
 SERVER = """
 import sys
@@ -36,12 +33,6 @@ room = Room("unlabelled", ("manager_0",), folder=sys.argv[1], salt="{salt}", see
 serve_stdio(room)
 room.close()
 """
-
-
-def played(seats: tuple[str, ...], folder: Path) -> tuple[Calls, bytes]:
-    """An episode in this process: the calls, and its record."""
-    calls = play_scripted(Room("unlabelled", seats, folder=folder, salt=SALT, seed=SEED))
-    return calls, (folder / "episode-0000.jsonl").read_bytes()
 
 
 def text_of(result: Any) -> str:
@@ -91,9 +82,8 @@ def served(room: Room, tokens: dict[str, str]) -> Iterator[int]:
 
 
 def test_two_seats_over_http(tmp_path: Path) -> None:
-    seats = ("manager_0", "dit_0")
-    calls, record = played(seats, tmp_path / "here")
-    room = Room("unlabelled", seats, folder=tmp_path / "there", salt=SALT, seed=SEED)
+    calls, record = played(SEATS, tmp_path / "here")
+    room = Room("unlabelled", SEATS, folder=tmp_path / "there", salt=SALT, seed=SEED)
     tokens = {"manager_0": "token-of-the-manager", "dit_0": "token-of-dit"}
 
     def at(port: int, seat: str, token: str) -> Any:
