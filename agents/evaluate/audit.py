@@ -1,36 +1,48 @@
 """Measure what a scenario requires of its agents: ``chemlab audit``.
 
-Scores are normalized: 0 is random legal play, 1 the oracle, a planner with the hidden parameters of each episode. All
-compared policies play the same episodes, of the split ``test`` where the scenario has hidden parameters. Choices (the
-best policy, plan and donor) are made on other episodes.
+Scores are normalized: 0 is random legal play, 1 the oracle. All compared policies play the same episodes, of the split
+``test`` where the scenario has hidden parameters. Policies, plans and donors are chosen on other episodes.
 
-| measure | what |
+| measure | definition |
 |---|---|
-| ``random`` | random legal actions of everybody: 0 |
-| ``reference`` | the best of the scripted policies: what follows is what these need, benches of one make throughout |
-| ``best`` | the best of all policies that come with chemlab, trained ones included |
-| ``open_loop`` | the best of a donor's episode again, a constant plan of the manager, the same of everybody |
-| ``oracle`` | for each episode by itself, the best plan that a search finds on it: 1 |
-| ``value_of_information`` | reference less the best without instruments |
-| ``value_of_bench`` | by key, reference less the best that never uses it |
-| ``value_of_memory`` | reference less the same policy without what it remembers of earlier batches or looks |
-| ``value_of_reports`` | reference less the same policy where benches say nothing of what they have made |
-| ``coordination_gain`` | the team's result less that of its orders run apart |
-| ``contention`` | moments at which an order is kept waiting by another, in an episode, by what for |
-| ``value_to_best`` | best less the same benches under the better of two managers that measure nothing |
-| ``headroom`` | 1 less the best |
-| ``generalization`` | reference in test less in train |
-| ``open_loop_deviation`` | standard deviation of one constant plan's score over episodes |
+| ``random`` | random legal actions of all agents: 0 |
+| ``reference`` | the best of the scripted policies, with which the ablations below are compared |
+| ``best`` | the best of all policies with observations: scripted, bundled, and the learner with instruments |
+| ``strongest`` | the best of all rows, open-loop policies and learners without instruments included |
+| ``open_loop`` | the best open-loop policy, of all ``ways`` |
+| ``oracle`` | a planner's lower bound of the optimum, with its budget ``curve``: 1 |
+| ``value_of_information`` | ``best`` minus the best policy without instruments: the least of three ``ways`` |
+| ``value_of_bench`` | by key, the reference minus the best policy that never uses it |
+| ``value_of_memory`` | the reference minus the same policy without memory of earlier batches or measurements |
+| ``value_of_reports`` | the reference minus the same policy where benches report nothing |
+| ``value_of_role`` | by agent, the reference minus the same team with this member replaced |
+| ``coordination_gain`` | the team's score minus that of its orders processed separately |
+| ``contention`` | number of times in an episode that an order waits for another, by cause |
+| ``headroom`` | 1 minus ``best`` |
+| ``generalization`` | the reference in ``test`` minus in ``train`` |
+| ``open_loop_deviation`` | standard deviation of the score of one open-loop policy over episodes |
 
-Blind play is a donor's actions played again by everybody; a constant plan of the manager, found by a search, over
-benches that see; and that plan with the benches' actions of a donor's episode played again, too.
+The ways of an open-loop policy: ``idle`` (submit the first vessel at once), ``plan`` (a fixed sequence of manager
+actions over scripted benches), ``everybody`` (fixed sequences of all agents, from constant actions and a search),
+``replay`` and ``plan-replay`` (all agents' actions of the best donor's episode, of the reference or of the plan).
 
-Orders that are all there from the beginning are run apart each in a laboratory of its own. Orders that come over time
-contend for one laboratory: apart means that each is worked on by itself, in the order in which they come, and none is
-let go for another. ``value_of_reports`` compares managers with and without the benches' self-reported outcomes.
+The ways of information: ``scripted`` (scripted and bundled policies without instruments, and open-loop ones),
+``feedback`` (policies without instruments that observe what the scenario tells of submissions) and ``central`` (a
+controller without instruments that observes what all agents observe). Learners count in the last two.
 
-Each has a ``value`` and the ends ``low`` and ``high`` of its 95 % interval over episodes (t, with the
-jackknife's variance); what cannot be computed is null, with a ``reason``.
+The oracle searches for the best plan of each episode. It starts from the open-loop policies and from the actions, in
+that episode, of every scripted policy (also with exact instruments free of charge) and bundled policy. Where another
+policy of the audit scored higher in an episode, the oracle is that score.
+
+A role is replaced by ``random`` actions, by ``scripted:unsafe``, and by a bundled policy that was trained elsewhere
+(``other``), where one fits; ``value_of_role`` is the greatest of these losses.
+
+Orders that exist from the beginning are processed separately in a laboratory each. Orders that arrive over time contend
+for one laboratory; separately then means one at a time, in the order of arrival, skipping none.
+
+Each measure has a ``value`` and the ends ``low`` and ``high`` of its 95 % interval over episodes (t, with the
+jackknife's variance). A measure that cannot be computed has null and a ``reason``. If no policy scores above both
+random and idle play, the scenario is impossible: the result then has a sentence ``impossible`` in place of measures.
 """
 
 from __future__ import annotations
@@ -47,23 +59,37 @@ from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray
 from chemlab.record import scenario_hash
 
+from ..roles import role_of
 from ..runs import versions
 from . import statistics
 from .contention import CONTENDED
+from .informed import openings
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .scale import Scale, interval
 
-__all__ = ["CRITERIA", "audit", "choosing_jobs", "job_count", "measure_rows", "measuring_jobs", "verdict"]
+__all__ = [
+    "CRITERIA",
+    "audit",
+    "choosing_jobs",
+    "job_count",
+    "measure_rows",
+    "measuring_jobs",
+    "open_loop_plans",
+    "verdict",
+]
 
 _CHOICE_SEED = 4_500_000
 """Of the first episode that policies are chosen on."""
 _CAREFUL = ("scripted", "scripted:unsafe")
 _SCRIPTED = (*_CAREFUL, "scripted:no-extraction")
 _TRAINED = ("pretrained", "trained")
+_REPLACED = {"random": "random", "unsafe": "scripted:unsafe", "other": "trained"}
+"""Policies that replace a member of the team, by name of the row."""
+_WITH_INSTRUMENTS = "learner-instruments"
 
 CRITERIA = {
-    "open_loop": "at most 0.5 of the reference",
-    "value_of_information": "at least 0.1, its interval above 0",
+    "open_loop": "at most 0.5 of the best policy",
+    "value_of_information": "at least 0.1 in each way, intervals above 0",
     "value_of_bench": "at least 0.1 for each",
     "coordination_gain": "at least 0.1, where there are several orders",
     "headroom": "at least 0.15",
@@ -87,7 +113,7 @@ def audit(
     Args:
         scenario: a shipped name, a path, or a loaded scenario.
         budget: one of :data:`~chemlab.agents.evaluate.jobs.BUDGETS`, or numbers of one's own.
-        keep: folder in which results of finished parts are kept, so that a broken-off audit goes on there.
+        keep: folder in which results of finished parts are kept, from which an interrupted audit resumes.
         executor: plays the parts, see :mod:`chemlab.agents.executors`; None: this process.
         watch: called with the name of each part that has been played.
 
@@ -97,18 +123,19 @@ def audit(
 
     Raises:
         DataError: no such scenario.
-        ValueError: unknown budget, or nothing that was played scores above random play.
-        WorkerLost: a part lost its worker again and again.
+        ValueError: unknown budget.
+        WorkerLost: a part lost its worker in every attempt.
     """
     spec = load_scenario(scenario)
     chosen = budget_of(budget)
     crew = Crew(spec, chosen, keep, executor, watch)
     found = crew.run(choosing_jobs(spec))
     reference, best = _best(found, _SCRIPTED), _best(found, _SCRIPTED + _TRAINED)
-    found |= crew.run(measuring_jobs(spec, chosen, reference, found["plan"]["plans"], best))
+    plans = open_loop_plans(found)
+    found |= crew.run(measuring_jobs(spec, chosen, reference, plans, best))
     return {
         "kind": "audit",
-        "format": 1,
+        "format": 2,
         "scenario": spec.name,
         "scenario_hash": scenario_hash(spec),
         "budget": budget if isinstance(budget, str) else "own",
@@ -121,14 +148,21 @@ def audit(
     }
 
 
+def open_loop_plans(found: Mapping[str, dict[str, Any]]) -> list[Any]:
+    """Return the open-loop policies of all contexts, [context, plan, tapes of the benches]; the better kind last."""
+    kinds = {"plan": found["plan"]["plans"], "everybody": found["everybody"]["teams"]}
+    ranked = sorted(kinds, key=lambda name: float(np.mean(found[name]["chosen"])))
+    return [row for name in ranked for row in kinds[name]]
+
+
 def job_count(scenario: Scenario, budget: AuditBudget) -> int:
-    """Return the number of parts of an audit; a trained best policy adds up to three."""
+    """Return the number of parts of an audit; a bundled best policy adds up to three."""
     return len(choosing_jobs(scenario)) + len(measuring_jobs(scenario, budget, "scripted", []))
 
 
 def choosing_jobs(spec: Scenario) -> list[Job]:
-    """All that needs to know nothing: the searches first, they take longest."""
-    jobs = [Job("plan", "plan", {})]
+    """Return the jobs that depend on no other: searches first, which take longest, then policies to choose from."""
+    jobs = [Job("everybody", "everybody", {}), Job("plan", "plan", {})]
     jobs += [Job(f"plan-without-{key}", "plan", {"without": key}) for key in spec.benches]
     for policy in _SCRIPTED + _TRAINED:
         own = {"policy": policy, "split": "validation", "seed": _CHOICE_SEED}
@@ -139,9 +173,10 @@ def choosing_jobs(spec: Scenario) -> list[Job]:
 def measuring_jobs(
     spec: Scenario, budget: AuditBudget, reference: str, plans: list[Any], best: str | None = None
 ) -> list[Job]:
-    """All that needs to know the best scripted policy, the best plan, and the best of all (default: the scripted)."""
+    """Return the jobs that depend on the best scripted policy, the plans found, and the best policy (default: the
+    scripted)."""
     jobs = planner_jobs(budget, plans)
-    jobs.append(Job("replay", "replay", {"policy": reference}))
+    jobs += [Job("idle", "idle", {}), Job("replay", "replay", {"policy": reference})]
     test = {"split": "test", "seed": AUDIT_SEED}
     jobs += [
         Job("random", "play", {"policy": "random", **test}),
@@ -154,10 +189,32 @@ def measuring_jobs(
         jobs += [
             Job(f"without-{key}-{policy}", "play", {"policy": policy, "without": key, **test}) for key in spec.benches
         ]
+    for agent in _members(spec):
+        jobs += [
+            Job(f"role-{agent}-{name}", "play", {"policy": f"{reference},{agent}={other}", **test})
+            for name, other in _REPLACED.items()
+        ]
+    if budget.turns:
+        learners = {"learner-nothing": (False, []), "learner-plan": (False, plans), _WITH_INSTRUMENTS: (True, [])}
+        jobs += [
+            Job(name, "learn", {"instruments": instruments, "plans": begin})
+            for name, (instruments, begin) in learners.items()
+        ]
+    for opening in openings(spec) if budget.worlds and spec.world.draws else ():
+        for way, central in (("central", True), ("feedback", False)):
+            if central or opening == "submission":
+                own = {"opening": opening, "central": central, "plans": plans}
+                jobs.append(Job(f"{way}-{opening}", "inform", own))
     if best in _TRAINED:
         jobs.append(Job("best", "play", {"policy": best, **test}))
-        for name, policy in _unseeing(best).items():
-            jobs.append(Job(name, "play", {"policy": policy, "instruments": False, **test}))
+        jobs += [
+            Job(
+                f"blindfold-{best}-{manager}",
+                "play",
+                {"policy": f"{best},manager={manager}", "instruments": False, **test},
+            )
+            for manager in _CAREFUL
+        ]
     if any(bench.report is not None for bench in spec.benches.values()):
         jobs.append(Job("mute", "play", {"policy": reference, "reports": False, **test}))
     if spec.demand.order:
@@ -167,18 +224,17 @@ def measuring_jobs(
     return jobs
 
 
-def _unseeing(best: str) -> dict[str, str]:
-    """Parts in which the benches of a policy play under scripted managers who can measure nothing, and who plays."""
-    return {f"unseeing-{manager}": f"{best},manager={manager}" for manager in _CAREFUL}
+def _members(spec: Scenario) -> list[str]:
+    """Return the manager and the first agent of each kind of bench."""
+    return list({role_of(agent): agent for agent in reversed(spec.agents())}.values())[::-1]
 
 
 def _best(found: Mapping[str, dict[str, Any]], policies: Sequence[str]) -> str:
     """Return the policy with the best mean on the episodes for choices."""
-    scores = {policy: _scores(found, f"choose-{policy}") for policy in policies}
-    return _greatest(scores)[0]
+    return _greatest({policy: _scores(found, f"choose-{policy}") for policy in policies})[0]
 
 
-def _untold(reason: str) -> dict[str, Any]:
+def _missing(reason: str) -> dict[str, Any]:
     return {"value": None, "low": None, "high": None, "reason": reason}
 
 
@@ -188,53 +244,48 @@ def _scores(found: Mapping[str, dict[str, Any]], name: str) -> FloatArray | None
 
 
 def _greatest(candidates: Mapping[str, FloatArray | None]) -> tuple[str, FloatArray]:
-    """The candidate with the best mean."""
+    """Return the candidate with the best mean."""
     there = {name: scores for name, scores in candidates.items() if scores is not None}
     name = max(there, key=lambda one: there[one].mean())
     return name, there[name]
 
 
+def _named(found: Mapping[str, dict[str, Any]], *starts: str) -> dict[str, FloatArray | None]:
+    """Return the scores of all parts whose names begin so."""
+    return {name: _scores(found, name) for name in found if name.startswith(starts)}
+
+
 def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, chosen: str) -> dict[str, Any]:
-    curve = foreseen(found, "curves")
-    plan, test = np.array(found["plan"]["scores"]), np.array(found["test"]["scores"])
-    random = np.array(found["random"]["scores"])
-    best = np.array(found["best"]["scores"]) if "best" in found else test
-    unseeing = {} if best is test else {name: _scores(found, name) for name in _unseeing(chosen)}
-    # Whoever knows the world can do what the others did there.
-    others = [test, plan, best, *(scores for scores in unseeing.values() if scores is not None)]
-    oracle = np.maximum.reduce([foreseen(found), *others])
+    test, plan, random = (np.array(found[name]["scores"]) for name in ("test", "plan", "random"))
+    ways = {name: _scores(found, name) for name in ("idle", "replay", "plan", "everybody")}
+    ways["plan-replay"] = np.array(found["plan"]["everybody"])
+    seeing = {policy: test, chosen: _scores(found, "best"), _WITH_INSTRUMENTS: _scores(found, _WITH_INSTRUMENTS)}
+    scripted = _named(found, "blindfold-") | ways
+    learners = {name: own for name, own in _named(found, "learner-").items() if name != _WITH_INSTRUMENTS}
+    feedback, central = _named(found, "feedback-"), _named(found, "central-")
+    rows = {**seeing, **scripted, **learners, **feedback, **central}
+    oracle = np.maximum.reduce([foreseen(found), random, *(own for own in rows.values() if own is not None)])
+    idle = np.array(found["idle"]["scores"])
+    if oracle.mean() <= max(random.mean(), idle.mean()) + 1e-9:
+        return {"impossible": _impossible(spec, random, idle), "criteria": dict.fromkeys(CRITERIA)}
     scale = Scale(random, oracle)
-    if scale.span <= 0.0:
-        raise ValueError(
-            f"{spec.name}: no policy and no plan that was tried scores above random legal play "
-            f"({random.mean():.3f} in the mean), so there is no scale and nothing to audit; check that the scenario "
-            "can be solved (stock, limits, prices), or give a budget that tries more plans"
-        )
-    ways = {"replay": _scores(found, "replay"), "plan": plan, "everybody": np.array(found["plan"]["everybody"])}
-    way, blind = _greatest(ways)
-    blindfolded = {name: _scores(found, f"blindfold-{name}") for name in _CAREFUL} | {"plan": plan}
-    reference = scale.mean(test)
+    best_name, best = _greatest(seeing)
+    reference, top = scale.mean(test), scale.mean(best)
+    others = np.maximum.reduce([own for own in (random, *rows.values()) if own is not None])
+    memoryless, mute, apart = (_scores(found, name) for name in ("memoryless", "mute", "apart"))
     measures: dict[str, Any] = {
-        "random": {**interval(scale.mean(random)), "score": float(random.mean())},
-        "reference": {**interval(reference), "score": float(test.mean()), "way": policy},
-        "best": {**interval(scale.mean(best)), "score": float(best.mean()), "way": chosen},
-        "open_loop": {
-            **interval(scale.mean(blind)),
-            "score": float(blind.mean()),
-            "way": way,
-            "ways": {name: float(scale.mean(scores)[0]) for name, scores in ways.items() if scores is not None},
-        },
+        "random": _row(scale, {"random": random}),
+        "reference": _row(scale, {policy: test}),
+        "best": _row(scale, {best_name: best}),
+        "strongest": _row(scale, rows),
+        "open_loop": {**_row(scale, ways), "ways": _each(scale, ways)},
         "oracle": {
-            **interval(scale.mean(oracle)),
-            "score": float(oracle.mean()),
-            "curve": [float(scale.mean(np.maximum.reduce([column, *others]))[0]) for column in curve.T],
+            **_row(scale, {"planner": oracle}),
+            "curve": [float(scale.mean(np.maximum(column, others))[0]) for column in foreseen(found, "curves").T],
         },
-        "value_of_information": _value(reference, scale, blindfolded)
-        if spec.instruments
-        else _untold("the scenario has no instruments"),
-        "value_to_best": _value(scale.mean(best), scale, unseeing)
-        if unseeing and spec.instruments
-        else _untold("the best is scripted" if spec.instruments else "the scenario has no instruments"),
+        "value_of_information": _information(
+            spec, top, scale, {"scripted": scripted, "feedback": learners | feedback, "central": learners | central}
+        ),
         "value_of_bench": {
             key: _value(
                 reference,
@@ -244,27 +295,44 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
             )
             for key in spec.benches
         },
-        "value_of_memory": _untold("the scripted manager has nothing to forget"),
-        "coordination_gain": _untold("there is one order"),
-        "value_of_reports": _untold("benches report nothing"),
+        "value_of_role": {agent: _role(found, agent, reference, scale) for agent in _members(spec)},
+        "value_of_memory": _missing("the scripted manager has nothing to forget")
+        if memoryless is None
+        else interval(reference - scale.mean(memoryless)),
+        "value_of_reports": _missing("benches report nothing")
+        if mute is None
+        else interval(reference - scale.mean(mute)),
+        "coordination_gain": _missing(
+            "there is one order" if spec.orders == 1 else "no bundled policy takes one order at a time"
+        )
+        if apart is None
+        else interval(reference - scale.mean(apart)),
         "contention": _contention(found),
-        "headroom": interval(1.0 - scale.mean(best)),
+        "headroom": interval(1.0 - top),
         "generalization": interval(reference - scale.mean(np.array(found["train"]["scores"])))
         if spec.world.draws
-        else _untold("the scenario draws no world"),
+        else _missing("the scenario has no hidden parameters"),
         "open_loop_deviation": interval(scale.deviation(plan)),
     }
-    memoryless = _scores(found, "memoryless")
-    if memoryless is not None:
-        measures["value_of_memory"] = interval(reference - scale.mean(memoryless))
-    mute, apart = _scores(found, "mute"), _scores(found, "apart")
-    if mute is not None:
-        measures["value_of_reports"] = interval(reference - scale.mean(mute))
-    if apart is not None:
-        measures["coordination_gain"] = interval(reference - scale.mean(apart))
-    elif spec.orders > 1:
-        measures["coordination_gain"] = _untold("no bundled policy takes one order at a time")
-    return {**measures, "criteria": _criteria(spec, measures)}
+    return {**measures, "criteria": _criteria(measures)}
+
+
+def _impossible(spec: Scenario, random: FloatArray, idle: FloatArray) -> str:
+    return (
+        f"{spec.name}: impossible: no policy and no plan that was tried scores above random legal play "
+        f"({random.mean():.3f}) and above submitting the first vessel at once ({idle.mean():.3f}), so there is no "
+        "scale; check that the scenario can be solved (stock, limits, prices), or give a budget that tries more plans"
+    )
+
+
+def _row(scale: Scale, candidates: Mapping[str, FloatArray | None]) -> dict[str, Any]:
+    """Return the normalized score of the best candidate, its raw score and its name."""
+    name, scores = _greatest(candidates)
+    return {**interval(scale.mean(scores)), "score": float(scores.mean()), "way": name}
+
+
+def _each(scale: Scale, candidates: Mapping[str, FloatArray | None]) -> dict[str, float]:
+    return {name: float(scale.mean(scores)[0]) for name, scores in candidates.items() if scores is not None}
 
 
 def _contention(found: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
@@ -280,14 +348,39 @@ def _value(reference: FloatArray, scale: Scale, others: Mapping[str, FloatArray 
     return {**interval(reference - scale.mean(scores)), "without": name}
 
 
-def _criteria(spec: Scenario, measures: Mapping[str, Any]) -> dict[str, bool | None]:
+def _information(
+    spec: Scenario, best: FloatArray, scale: Scale, ways: Mapping[str, Mapping[str, FloatArray | None]]
+) -> dict[str, Any]:
+    """Return the least value of information of all ways that were measured, and each of them."""
+    if not spec.instruments:
+        return _missing("the scenario has no instruments")
+    values = {
+        name: _value(best, scale, others)
+        if any(own is not None for own in others.values())
+        else _missing("the budget has no turns for learners")
+        for name, others in ways.items()
+    }
+    known = [value for value in values.values() if value["value"] is not None]
+    return {**min(known, key=lambda value: value["value"]), "ways": values}
+
+
+def _role(found: Mapping[str, dict[str, Any]], agent: str, reference: FloatArray, scale: Scale) -> dict[str, Any]:
+    """Return the greatest loss when a member of the team is replaced, and the loss for each replacement."""
+    teams = {name: _scores(found, f"role-{agent}-{name}") for name in _REPLACED}
+    losses = {name: interval(reference - scale.mean(own)) for name, own in teams.items() if own is not None}
+    worst = max(losses, key=lambda name: losses[name]["value"])
+    return {**losses[worst], "without": worst, "ways": losses}
+
+
+def _criteria(measures: Mapping[str, Any]) -> dict[str, bool | None]:
     """Return which of :data:`CRITERIA` are met; None where one does not apply."""
     information, deviation = measures["value_of_information"], measures["open_loop_deviation"]["value"]
-    coordination, reference = measures["coordination_gain"]["value"], measures["reference"]["value"]
-    met = information["value"] is not None and information["value"] >= 0.1 and (information["low"] or 0.0) > 0.0
+    coordination, best = measures["coordination_gain"]["value"], measures["best"]["value"]
+    known = [value for value in information.get("ways", {}).values() if value["value"] is not None]
     return {
-        "open_loop": bool(reference > 0.0 and measures["open_loop"]["value"] <= 0.5 * reference),
-        "value_of_information": bool(met),
+        "open_loop": bool(best > 0.0 and measures["open_loop"]["value"] <= 0.5 * best),
+        "value_of_information": bool(known)
+        and all(value["value"] >= 0.1 and (value["low"] or 0.0) > 0.0 for value in known),
         "value_of_bench": all(own["value"] >= 0.1 for own in measures["value_of_bench"].values()),
         "coordination_gain": None if coordination is None else bool(coordination >= 0.1),
         "headroom": bool(measures["headroom"]["value"] >= 0.15),
@@ -295,23 +388,35 @@ def _criteria(spec: Scenario, measures: Mapping[str, Any]) -> dict[str, bool | N
     }
 
 
+_SEVERAL = {"value_of_bench": "value of {}", "value_of_role": "{} replaced", "value_of_information": "information, {}"}
+"""Measures of several rows, and the names of these."""
+
+
 def measure_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """An audit's measures in words: name, value with its interval (or why there is none), and whose it is."""
+    """Yield an audit's measures: name, value with interval (or why there is none), and the policy that it is of."""
     for name, measure in found.items():
-        if isinstance(measure, dict) and "value" in measure:
-            said = measure["reason"] if measure["value"] is None else statistics.interval_text(measure)
-            yield name.replace("_", " "), said, measure.get("way") or measure.get("without") or ""
-        elif name == "value_of_bench":
-            yield from (
-                (f"value of {key}", statistics.interval_text(own), own["without"]) for key, own in measure.items()
-            )
+        if not isinstance(measure, dict):
+            continue
+        if "value" in measure:
+            yield _words(name.replace("_", " "), measure)
+        if name in _SEVERAL:
+            several = measure.get("ways", {}) if "value" in measure else measure
+            yield from (_words(_SEVERAL[name].format(key), own) for key, own in several.items())
+
+
+def _words(name: str, measure: Mapping[str, Any]) -> tuple[str, str, str]:
+    said = measure["reason"] if measure["value"] is None else statistics.interval_text(measure)
+    return name, said, measure.get("way") or measure.get("without") or ""
 
 
 def verdict(found: Mapping[str, Any]) -> str:
     """Return an audit's criteria as a sentence."""
+    if "impossible" in found:
+        return str(found["impossible"])
     failed = [name for name, met in found["criteria"].items() if met is False]
     if not failed:
         return f"{found['scenario']}: every criterion is met"
     if "open_loop" in failed:
-        return f"{found['scenario']}: an open-loop plan solves it; not met: {', '.join(failed)}"
+        way = found["open_loop"]["way"]
+        return f"{found['scenario']}: an open-loop policy ({way}) solves it; not met: {', '.join(failed)}"
     return f"{found['scenario']}: not met: {', '.join(failed)}"

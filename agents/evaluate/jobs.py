@@ -26,11 +26,12 @@ from chemlab.roles.manager_actions import ManagerActions
 
 from ..episodes import play_laboratory
 from ..executors import Inline, completed
-from ..plans import all_contexts
+from ..plans import Context, all_contexts
 from ..policies import make_policies, scripted_manager
 from ..runs import versions
 from .contention import CONTENDED, Contention
-from .plans import PlanSearch, best_in_episode, replay_actions, search_plan
+from .informed import informed_scores
+from .plans import FoundPlan, PlanSearch, Tape, TeamPlan, best_in_episode, replay_actions, search_plan
 
 __all__ = ["AUDIT_SEED", "BUDGETS", "AuditBudget", "Crew", "Job", "budget_of", "foreseen", "planner_jobs"]
 
@@ -39,6 +40,8 @@ AUDIT_SEED = 4_000_000
 _NO_BUDGET = 1e-9
 _CHUNK = 10
 """Episodes that one process searches in, one after the other."""
+_WORLDS_PER_PLAN = 8
+"""Training worlds of a controller for each one whose best plan it may choose."""
 _TENTHS = 10
 """Into so many parts the oracle's curve divides its budget."""
 _PART_BYTES = 10_000_000
@@ -55,6 +58,8 @@ class AuditBudget:
         fewer: the same for each bench left out.
         donors: of replayed episodes, for each public context.
         planned: plans that the oracle tries in each episode.
+        turns: turns that each adversarial learner learns from; 0: no learners.
+        worlds: training worlds from which a controller learns to choose among plans; 0: no such controllers.
     """
 
     episodes: int
@@ -62,11 +67,13 @@ class AuditBudget:
     fewer: int
     donors: int
     planned: int
+    turns: int = 0
+    worlds: int = 0
 
 
 BUDGETS = {
-    "small": AuditBudget(episodes=40, plans=2_000, fewer=400, donors=20, planned=240),
-    "full": AuditBudget(episodes=200, plans=40_000, fewer=4_000, donors=20, planned=1_500),
+    "small": AuditBudget(40, plans=2_000, fewer=400, donors=20, planned=240, turns=50_000, worlds=128),
+    "full": AuditBudget(200, plans=40_000, fewer=4_000, donors=20, planned=1_500, turns=2_000_000, worlds=512),
 }
 """``small``: under two minutes on two cores; ``full``: under thirty."""
 
@@ -119,8 +126,7 @@ def _play(
         mute = {key: bench.model_copy(update={"report": None}) for key, bench in scenario.benches.items()}
         scenario = scenario.model_copy(update={"benches": mute})
     if not instruments:
-        limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
-        scenario = scenario.model_copy(update={"limits": limits})
+        scenario = _without_instruments(scenario)
 
     def policies(labs: Laboratories) -> Any:
         with warnings.catch_warnings():
@@ -144,15 +150,68 @@ def _play(
 
 
 def _plan(scenario: Scenario, budget: AuditBudget, without: str = "", split: str = "test") -> dict[str, Any]:
-    """The best constant plan that a search finds in training worlds, and its scores; with all benches, also those with
-    the benches' actions repeated."""
+    """Search for the best open-loop manager in training worlds, and score it; with all benches, also with the benches'
+    actions of a donor's episode."""
     most = budget.fewer if without else budget.plans
     search = search_plan(scenario, budget=most, without=[without] if without else ())
-    found: dict[str, Any] = {"scores": search.play(budget.episodes, AUDIT_SEED, split).tolist()}
+    chosen = [one.score for one in search.found]
+    found: dict[str, Any] = {"scores": search.play(budget.episodes, AUDIT_SEED, split).tolist(), "chosen": chosen}
     if not without:
         found["plans"] = [[list(context), list(plan)] for context, plan in search.plans.items()]
         found["everybody"] = _replayed(scenario, budget, search, split)
     return found
+
+
+def _everybody(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
+    """Search for the best open-loop policy of all agents in training worlds, and score it."""
+    search = search_plan(scenario, budget=budget.plans, free=True)
+    teams = [[list(one.context), *one.team.as_list()] for one in search.found]
+    chosen = [one.score for one in search.found]
+    return {"scores": search.play(budget.episodes, AUDIT_SEED, "test").tolist(), "teams": teams, "chosen": chosen}
+
+
+def _idle(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
+    """Score the submission of the first vessel for the first order, and so on, without any experiment."""
+    nothing = [FoundPlan(context, (), 0.0, 0) for context in all_contexts(scenario)]
+    return {"scores": PlanSearch(scenario, "scripted", nothing, 0).play(budget.episodes, AUDIT_SEED, "test").tolist()}
+
+
+def _without_instruments(scenario: Scenario) -> Scenario:
+    limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
+    return scenario.model_copy(update={"limits": limits})
+
+
+def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: list[Any]) -> dict[str, Any]:
+    """Score a team that has learned, from nothing or from the last open-loop policy of each context."""
+    from .adversary import learned_scores  # needs PyTorch
+
+    spec = scenario if instruments else _without_instruments(scenario)
+    begin = {context: teams[-1] for context, teams in _known(plans).items()}
+    return {"scores": learned_scores(spec, budget.turns, budget.episodes, AUDIT_SEED, begin or None)}
+
+
+def _inform(scenario: Scenario, budget: AuditBudget, opening: str, central: bool, plans: list[Any]) -> dict[str, Any]:
+    """Score a controller without instruments that chooses among plans by observations."""
+    scores = informed_scores(
+        _without_instruments(scenario),
+        opening,
+        central,
+        _known(plans),
+        budget.worlds,
+        max(budget.worlds // _WORLDS_PER_PLAN, 1),
+        budget.planned,
+        budget.episodes,
+        AUDIT_SEED,
+    )
+    return {"scores": scores, **({"reason": "the best plan has one submission"} if scores is None else {})}
+
+
+def _known(plans: list[Any]) -> dict[Context, list[TeamPlan]]:
+    """Return open-loop policies by context, of [context, plan] or [context, plan, tapes of the benches]."""
+    known: dict[Context, list[TeamPlan]] = {}
+    for context, plan, *benches in plans:
+        known.setdefault(tuple(context), []).append(TeamPlan.of([plan, *(benches or [()])]))
+    return known
 
 
 def _replayed(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch, split: str = "test") -> list[float]:
@@ -168,8 +227,8 @@ def _replay(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, A
 def _foresee(
     scenario: Scenario, budget: AuditBudget, first: int, plans: list[Any], split: str = "test"
 ) -> dict[str, Any]:
-    """The best that a search finds in each of some episodes, and what it had found by each tenth of its budget."""
-    known = {tuple(context): tuple(plan) for context, plan in plans}
+    """Search for the best plan of each of some episodes; return its score, and the best by each tenth of the budget."""
+    known = _known(plans)
     scores, curves = [], []
     for episode in range(first, min(first + _CHUNK, budget.episodes)):
         seed = AUDIT_SEED + episode
@@ -227,6 +286,10 @@ def _alone(scenario: Scenario) -> Scenario:
 _KINDS: dict[str, Callable[..., dict[str, Any]]] = {
     "play": _play,
     "plan": _plan,
+    "everybody": _everybody,
+    "idle": _idle,
+    "learn": _learn,
+    "inform": _inform,
     "replay": _replay,
     "foresee": _foresee,
     "apart": _apart,
@@ -234,11 +297,11 @@ _KINDS: dict[str, Callable[..., dict[str, Any]]] = {
 
 
 def planner_jobs(budget: AuditBudget, plans: list[Any], split: str = "test") -> list[Job]:
-    """The best plan of every episode, in worlds that the planner knows.
+    """Return the jobs of the planner that knows the hidden parameters of each episode.
 
     Args:
         budget: how many episodes, and how many plans are tried in each.
-        plans: [context, plan] that the search begins with.
+        plans: [context, plan] or [context, plan, tapes of the benches] that the search begins with.
         split: worlds.
     """
     other = {} if split == "test" else {"split": split}
@@ -269,14 +332,16 @@ class _Result(BaseModel):
     scores: list[float] | None
     reason: str = ""
     contention: list[list[float]] = []
+    chosen: list[float] = []
     plans: list[tuple[list[str], list[int]]] = []
+    teams: list[tuple[list[str], list[int], list[Tape | None]]] = []
     everybody: list[float] = []
     curves: list[list[float]] = []
 
     def is_of(self, job: Job, budget: AuditBudget, scenario: Scenario) -> bool:
         """Return whether the result has the job's fields, as many episodes, and legal plans."""
         given, wanted = self.model_fields_set, {"scores"}
-        if job.kind == "play" and self.scores is None:
+        if job.kind in ("play", "inform") and self.scores is None:
             return given == {"scores", "reason"}
         episodes = job.arguments.get("episodes") or budget.episodes
         if job.kind == "play" and job.arguments.get("contended"):
@@ -286,16 +351,37 @@ class _Result(BaseModel):
             episodes = min(_CHUNK, budget.episodes - job.arguments["first"])
         if job.kind == "plan" and not job.arguments.get("without"):
             wanted |= {"plans", "everybody"}
-        lists = [getattr(self, name) for name in wanted - {"plans"}]
+        if job.kind == "everybody":
+            wanted |= {"teams"}
+        contexts = all_contexts(scenario)
+        if job.kind in ("plan", "everybody"):
+            wanted |= {"chosen"}
+        lists = [getattr(self, name) for name in wanted - {"plans", "teams", "chosen"}]
         rows = [*((row, len(CONTENDED)) for row in self.contention), *((row, _TENTHS) for row in self.curves)]
         count = len(ManagerActions.of(scenario))
         return (
             given == wanted
             and all(part is not None and len(part) == episodes for part in lists)
             and all(len(row) == width for row, width in rows)
-            and ("plans" not in wanted or {tuple(context) for context, _ in self.plans} == {*all_contexts(scenario)})
-            and all(0 <= action < count for _, plan in self.plans for action in plan)
+            and ("chosen" not in wanted or len(self.chosen) == len(contexts))
+            and ("plans" not in wanted or {tuple(context) for context, _ in self.plans} == {*contexts})
+            and ("teams" not in wanted or {tuple(row[0]) for row in self.teams} == {*contexts})
+            and all(0 <= action < count for row in (*self.plans, *self.teams) for action in row[1])
+            and (not self.teams or all(_fits(tapes, Laboratories(scenario)) for _, _, tapes in self.teams))
         )
+
+
+def _fits(tapes: Sequence[Tape | None], labs: Laboratories) -> bool:
+    """Return whether tapes are those of the benches, with actions of their spaces."""
+    if len(tapes) not in (0, len(labs.benches)):
+        return False
+    pairs = zip(tapes, labs.benches, strict=False)
+    return all(
+        bench.action_space.contains(action if bench.action_count else np.array(action, dtype=np.float32))
+        for tape, bench in pairs
+        for actions in tape or ()
+        for action in actions or ()
+    )
 
 
 class _Part(BaseModel):

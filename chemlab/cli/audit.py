@@ -55,9 +55,9 @@ def measures(
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the results as JSON.")] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the value of observations, instruments, benches and planning, against an open-loop plan.
+    """Measure the value of observations, instruments, benches, roles and planning, against open-loop policies.
 
-    Scores are normalized: 0 is random legal play, 1 the oracle, a planner with the hidden parameters of each episode.
+    Scores are normalized: 0 is random legal play, 1 a planner's lower bound of the optimum of each episode.
     Acceptance criteria apply to scenarios with hidden parameters.
     """
     with readable_errors():
@@ -88,11 +88,12 @@ def _show(found: dict[str, Any]) -> None:
     """Print the measures, the acceptance criteria and a verdict."""
     from ..agents.evaluate.audit import CRITERIA, measure_rows, verdict
 
-    title = f"{found['scenario']}: {found['budget_episodes']} episodes, reference {found['policy']}; 0 random, 1 oracle"
-    show_table(title, ("measure", "value [95 % interval]", "by"), measure_rows(found))
-    words = {True: "met", False: "not met", None: "does not apply"}
-    criteria = [(name, CRITERIA[name], words[met]) for name, met in found["criteria"].items()]
-    show_table("Acceptance criteria", ("criterion", "requires", ""), criteria)
+    if "impossible" not in found:
+        title = f"{found['scenario']}: {found['budget_episodes']} episodes; 0 random, 1 planner's lower bound"
+        show_table(title, ("measure", "value [95 % interval]", "by"), measure_rows(found))
+        words = {True: "met", False: "not met", None: "does not apply"}
+        criteria = [(name, CRITERIA[name], words[met]) for name, met in found["criteria"].items()]
+        show_table("Acceptance criteria", ("criterion", "requires", ""), criteria)
     out.print(verdict(found), markup=False)
 
 

@@ -17,9 +17,9 @@ from helpers import slow_but
 from scipy import stats
 
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.evaluate.audit import audit, choosing_jobs, measuring_jobs, verdict
-from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job
-from chemlab.agents.evaluate.plans import best_in_episode
+from chemlab.agents.evaluate.audit import audit, choosing_jobs, measure_rows, measuring_jobs, open_loop_plans, verdict
+from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job, foreseen
+from chemlab.agents.evaluate.plans import best_in_episode, search_plan
 from chemlab.agents.evaluate.scale import Scale, interval
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario, scenario_names
@@ -28,8 +28,8 @@ from chemlab.record import scenario_hash
 
 TINY = AuditBudget(episodes=12, plans=60, fewer=20, donors=3, planned=20)
 MEASURES = (
-    "random reference best open_loop oracle value_of_information value_to_best value_of_bench value_of_memory "
-    "coordination_gain contention value_of_reports headroom generalization open_loop_deviation criteria"
+    "random reference best strongest open_loop oracle value_of_information value_of_bench value_of_role "
+    "value_of_memory coordination_gain contention value_of_reports headroom generalization open_loop_deviation criteria"
 )
 
 
@@ -66,14 +66,68 @@ def test_the_interval_of_a_scale_that_does_not_vary_is_students() -> None:
 
 
 def test_a_scenario_that_cannot_be_solved_is_said_to_be_one() -> None:
-    """No stock and no prices: whatever anybody does comes to 0, so there is nothing to divide by."""
+    """One tick and no prices: every policy scores 0, so there is no scale, and a sentence takes its place."""
     spec = load_scenario("wurtz_dodecane_direct")
     limits = spec.limits.model_copy(update={"ticks": 1})
     costs = spec.costs.model_copy(update={"stock_per_mol": {}, "waste_per_l": 0.0, "tick": 0.0, "illegal_action": 0.0})
     instruments = {name: one.model_copy(update={"price": 0.0}) for name, one in spec.instruments.items()}
     nothing = {"limits": limits, "costs": costs, "instruments": instruments}
-    with pytest.raises(ValueError, match="wurtz_dodecane_direct: no policy and no plan that was tried scores above"):
-        audit(spec.model_copy(update=nothing), AuditBudget(2, 4, 2, 1, 4))
+    found = audit(spec.model_copy(update=nothing), AuditBudget(2, 4, 2, 1, 4))
+    assert found["impossible"] == verdict(found)
+    assert "no policy and no plan that was tried scores above random legal play" in found["impossible"]
+    assert set(found["criteria"].values()) == {None}
+    assert list(measure_rows(found)) == []
+
+
+def test_doing_nothing_is_no_solution() -> None:
+    """Where random actions cost something, doing nothing scores above them: the scenario stays impossible."""
+    spec = load_scenario("wurtz_dodecane_direct")
+    limits = spec.limits.model_copy(update={"ticks": 1})
+    found = audit(spec.model_copy(update={"limits": limits}), AuditBudget(4, 4, 2, 1, 4))
+    assert "impossible" in found
+
+
+COLD = Path(__file__).parent / "cold.toml"
+"""A scenario of which every bench needs to be left cold: no observation is needed."""
+
+
+def test_constant_actions_of_benches_are_searched() -> None:
+    """Scripted benches heat, so that a plan of the manager alone fails; with a constant cold bench it does not."""
+    plan, everybody = (search_plan(COLD, budget=400, free=free) for free in (False, True))
+    assert everybody.found[0].benches[0] is not None
+    assert everybody.play(20, split="test").mean() > plan.play(20, split="test").mean() + 0.3
+
+
+@pytest.mark.slow
+def test_a_scenario_with_a_cold_way_is_found_out() -> None:
+    found = audit(COLD, "small")
+    assert found["criteria"]["open_loop"] is False
+    assert found["open_loop"]["way"] == "everybody"
+    assert "an open-loop policy (everybody) solves it" in verdict(found)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "measure"), [("campaign", "value_of_memory"), ("unlabelled", "value_of_bench")])
+def test_a_need_is_measured(name: str, measure: str) -> None:
+    """Batches of one world need memory; a vessel that is to react and to be distilled needs two benches."""
+    found = audit(name, "small")
+    own = found[measure]
+    for value in [own] if measure == "value_of_memory" else own.values():
+        assert value["value"] >= 0.1
+        assert value["low"] > 0.0
+    assert len(found["value_of_bench"]) == (1 if measure == "value_of_memory" else 2)
+
+
+def test_the_oracle_is_never_below_a_policy(unlabelled: tuple[dict[str, Any], Path]) -> None:
+    """Neither in the mean nor in an episode: the scale of the rows ends at 1."""
+    found, keep = unlabelled
+    scored = {path.stem: json.loads(path.read_text())["result"]["scores"] for path in keep.glob("*.json")}
+    planner = foreseen({name: {"scores": own} for name, own in scored.items() if name.startswith("foresee")})
+    rows = [np.array(scored[name]) for name in ("random", "test", "idle", "plan", "everybody", "replay")]
+    oracle = np.maximum.reduce([planner, *rows])
+    assert oracle.mean() <= found["oracle"]["score"] + 1e-12
+    assert found["strongest"]["value"] <= 1.0
+    assert max(found["open_loop"]["ways"].values()) <= found["strongest"]["value"]
 
 
 @pytest.fixture(scope="module")
@@ -86,8 +140,12 @@ def test_an_audit_says_everything_that_it_promises(unlabelled: tuple[dict[str, A
     found, _ = unlabelled
     assert set(MEASURES.split()) <= set(found)
     assert set(found["value_of_bench"]) == {"rxn", "dit"}
-    told = [found[name] for name in MEASURES.split() if name not in ("value_of_bench", "criteria")]
-    for measure in [*told, *found["value_of_bench"].values()]:
+    assert set(found["value_of_role"]) == {"manager_0", "rxn_0", "dit_0"}
+    assert found["value_of_information"]["value"] == found["value_of_information"]["ways"]["scripted"]["value"]
+    assert {row[0] for row in measure_rows(found)} >= {"value of rxn", "rxn_0 replaced", "information, scripted"}
+    several = ("value_of_bench", "value_of_role")
+    told = [found[name] for name in MEASURES.split() if name not in (*several, "criteria")]
+    for measure in [*told, *(own for name in several for own in found[name].values())]:
         if measure["value"] is None:
             assert measure["reason"]
         else:
@@ -192,13 +250,27 @@ def test_a_part_that_is_no_result_of_the_job_is_played_again(unlabelled: tuple[d
             assert crew.kept(job) is None
     finally:
         path.write_text(whole)
+    parts = {name: json.loads((keep / f"{name}.json").read_text()) for name in ("plan", "everybody")}
+    plans = open_loop_plans({name: part["result"] for name, part in parts.items()})
+    team = parts["everybody"]["result"]["teams"][0]
+    (keep / "everybody.json").write_text(
+        json.dumps(
+            {
+                **parts["everybody"],
+                "result": {**parts["everybody"]["result"], "teams": [[*team[:2], [[[10**6]]] * 2]] * 3},
+            }
+        )
+    )
+    assert crew.kept(Job("everybody", "everybody", {})) is None
+    (keep / "everybody.json").write_text(json.dumps(parts["everybody"]))
+    assert crew.kept(Job("everybody", "everybody", {})) is not None
     # Rows that are not all as long would be no table.
     for name, table, width in (("test", "contention", 5), ("foresee-0", "curves", 10)):
         path = keep / f"{name}.json"
         part = json.loads(path.read_text())
         rows = part["result"][table]
         assert {len(row) for row in rows} == {width}
-        jobs = measuring_jobs(load_scenario("unlabelled"), TINY, "scripted", result["plans"])
+        jobs = measuring_jobs(load_scenario("unlabelled"), TINY, "scripted", plans)
         (job,) = (job for job in jobs if job.name == name)
         assert crew.kept(job) == part["result"]
         whole = path.read_text()
@@ -223,7 +295,7 @@ def test_whoever_knows_the_world_is_never_below_who_looks() -> None:
     labs = Laboratories("unlabelled", 4, split="test")
     scores = play_laboratory(labs, make_policies("scripted", labs, 0), None, 70).returns
     for member in range(4):
-        best, curve = best_in_episode(labs.scenario, 70 + member, "test", 20, {})
+        best, curve = best_in_episode(labs.scenario, 70 + member, "test", 20)
         # The scripted manager's own plan there, without its measurements.
         assert best >= scores[member] + labs.state.charges[member, 0] - 1e-9
         assert [score for _, score in curve] == sorted(score for _, score in curve)

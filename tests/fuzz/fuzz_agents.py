@@ -260,7 +260,7 @@ def try_part(folder: Path, rng: np.random.Generator) -> None:
     plain = {"scores": [0.0, 0.5, 1.0]}
     plans = [[list(context), [1, 2]] for context in all_contexts(labs.scenario)]
     jobs: list[tuple[Job, dict[str, Any]]] = [
-        (Job("a", "plan", {}), {**plain, "plans": plans, "everybody": [0.0, 0.0, 0.0]}),
+        (Job("a", "plan", {}), {**plain, "plans": plans, "everybody": [0.0, 0.0, 0.0], "chosen": [0.0] * len(plans)}),
         (Job("a", "play", {"policy": "random", "contended": True}), {**plain, "contention": [[0.0] * 5] * 3}),
         (Job("a", "foresee", {"first": 0, "plans": []}), {**plain, "curves": [[0.0] * 10] * 3}),
     ]

@@ -1,0 +1,161 @@
+"""Adversarial learners of an audit: PPO of all roles, without memory, with or without instruments.
+
+What they reach without instruments is what can be learned without paying for a measurement, from any channel that the
+scenario has. They are feed-forward: what earlier observations told is lost unless the scenario shows it again.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Policy
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.lab.engine import Laboratories
+
+from ..episodes import play_laboratory
+from ..plans import Context
+from ..policies import make_policies
+from ..roles import MANAGER_ROLE, role_of
+from .plans import SEARCH_SEED, TeamPlan, Trials
+
+if TYPE_CHECKING:
+    from ..train.ppo import PPOTeam
+
+__all__ = ["learned_scores"]
+
+_ENVS, _ROLLOUT = 64, 64
+_DONORS, _EPOCHS = 16, 40
+"""Episodes of every context that are cloned, and passes over them."""
+_CHECKS, _CHECKED = 4, 64
+"""Evaluations in training, after which the best weights are kept, and their episodes."""
+_CHECK_SEED = 4_600_000
+
+
+def learned_scores(
+    scenario: Scenario,
+    turns: int,
+    episodes: int,
+    seed: int,
+    begin: Mapping[Context, TeamPlan] | None = None,
+    split: str = "test",
+) -> list[float]:
+    """Train a team with PPO, and score it.
+
+    Every agent's reward is the team's result. Of four checkpoints, each played greedily and with sampled actions, the
+    best in ``validation`` is scored.
+
+    Args:
+        scenario: where.
+        turns: turns of all agents together that are learned from.
+        episodes: episode i has seed + i.
+        seed: of the first.
+        begin: open-loop policies by context that are cloned first; None: training starts from nothing.
+        split: worlds of the episodes.
+    """
+    import torch
+
+    from ..train.arguments import LeanPPO
+    from ..train.ppo import PPOTeam
+
+    spec = scenario.configured(rewards="cooperative")
+    settings = LeanPPO(envs=_ENVS, rollout=_ROLLOUT, refund=0.5 if begin is None else 0.0, processed=0.0)
+    team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
+    if begin is not None:
+        _clone(team, spec, begin)
+    best: tuple[float, dict[str, Any], bool] = (-np.inf, {}, False)
+    learned = 0
+    for check in range(_CHECKS + 1):
+        while learned < turns * check // _CHECKS:
+            remaining = 1.0 - learned / turns
+            team.collect(remaining)
+            learned += max(team.update(remaining), 1)
+        for sampled in (False, True):
+            score = float(np.mean(_score(team, spec, _CHECKED, _CHECK_SEED, "validation", sampled)))
+            if score > best[0]:
+                states = {role: copy.deepcopy(own.network.state_dict()) for role, own in team.learners.items()}
+                best = score, states, sampled
+    for role, own in team.learners.items():
+        own.network.load_state_dict(best[1][role])
+    torch.manual_seed(seed)
+    return _score(team, spec, episodes, seed, split, best[2])
+
+
+class _Learned:
+    """A role of a team as a policy."""
+
+    def __init__(self, team: PPOTeam, role: str, sampled: bool) -> None:
+        self._learner, self._sampled = team.learners[role], sampled
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.envs.players.Policy`."""
+        import torch
+
+        seen, allowed = observation[:, self._learner.columns], None if mask is None else mask != 0
+        if self._sampled:
+            actions = self._learner.act(seen, allowed)[0]
+        else:
+            with torch.no_grad():
+                legal = None if allowed is None else torch.from_numpy(allowed)
+                actions = self._learner.network.distribution(torch.from_numpy(seen), legal).mode.numpy()
+        return actions if mask is not None else np.clip(actions, 0.0, 1.0).astype(np.float64)
+
+
+def _score(team: PPOTeam, spec: Scenario, episodes: int, seed: int, split: str, sampled: bool) -> list[float]:
+    labs = Laboratories(spec, episodes, split=split)
+    policies = {agent: _Learned(team, role_of(agent), sampled) for agent in labs.agents}
+    scores: list[float] = play_laboratory(labs, policies, None, seed).returns.tolist()
+    return scores
+
+
+class _Recorded:
+    """Plays as another policy does, and keeps observations, masks and actions."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy = policy
+        self.turns: list[tuple[ObservationArray, MaskArray | None, npt.NDArray[Any]]] = []
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.envs.players.Policy`."""
+        actions = self._policy.act(observation, mask, step, members)
+        self.turns.append((observation.copy(), None if mask is None else mask != 0, np.array(actions)))
+        return actions
+
+
+def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan]) -> None:
+    """Fit the networks to what open-loop policies play in training worlds."""
+    import torch
+
+    turns: dict[str, list[tuple[Any, Any, Any]]] = {}
+    for context, plan in begin.items():
+        seeds = range(SEARCH_SEED, SEARCH_SEED + _DONORS)
+        trials = Trials(spec, context, seeds, 1)
+        recorded = [
+            _Recorded(policy) for policy in trials.team_policies([plan], make_policies("scripted", trials.labs))
+        ]
+        trials.play(recorded, 1)
+        for agent, own in zip(trials.labs.agents, recorded, strict=True):
+            turns.setdefault(role_of(agent), []).extend(own.turns)
+    for role, own in turns.items():
+        learner = team.learners[role]
+        observed = torch.from_numpy(np.concatenate([seen for seen, _, _ in own])[:, learner.columns])
+        masks = None if own[0][1] is None else torch.from_numpy(np.concatenate([mask for _, mask, _ in own]))
+        actions = torch.from_numpy(np.concatenate([action for _, _, action in own]))
+        if masks is None:
+            actions = actions.float()
+        for _ in range(_EPOCHS):
+            for rows in torch.from_numpy(team.rng.permutation(len(actions))).split(1024):  # type: ignore[no-untyped-call]
+                distribution = learner.network.distribution(observed[rows], None if masks is None else masks[rows])
+                loss = -distribution.log_prob(actions[rows]).mean()  # type: ignore[no-untyped-call]
+                learner.optimizer.zero_grad()
+                loss.backward()
+                learner.optimizer.step()
