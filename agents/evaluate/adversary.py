@@ -139,12 +139,11 @@ def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan]) -> 
     for context, plan in begin.items():
         seeds = range(SEARCH_SEED, SEARCH_SEED + _DONORS)
         trials = Trials(spec, context, seeds, 1)
-        recorded = [
-            _Recorded(policy) for policy in trials.team_policies([plan], make_policies("scripted", trials.labs))
-        ]
+        policies = make_policies("scripted", trials.labs)
+        recorded = [_Recorded(policy) for policy in trials.team_policies([plan], policies)]
         trials.play(recorded, 1)
-        for agent, own in zip(trials.labs.agents, recorded, strict=True):
-            turns.setdefault(role_of(agent), []).extend(own.turns)
+        for agent, each in zip(trials.labs.agents, recorded, strict=True):
+            turns.setdefault(role_of(agent), []).extend(each.turns)
     for role, own in turns.items():
         learner = team.learners[role]
         observed = torch.from_numpy(np.concatenate([seen for seen, _, _ in own])[:, learner.columns])
@@ -155,7 +154,7 @@ def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan]) -> 
         for _ in range(_EPOCHS):
             for rows in torch.from_numpy(team.rng.permutation(len(actions))).split(1024):  # type: ignore[no-untyped-call]
                 distribution = learner.network.distribution(observed[rows], None if masks is None else masks[rows])
-                loss = -distribution.log_prob(actions[rows]).mean()  # type: ignore[no-untyped-call]
+                loss = -distribution.log_prob(actions[rows]).mean()
                 learner.optimizer.zero_grad()
-                loss.backward()
+                loss.backward()  # type: ignore[no-untyped-call]
                 learner.optimizer.step()

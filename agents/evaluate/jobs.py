@@ -72,8 +72,8 @@ class AuditBudget:
 
 
 BUDGETS = {
-    "small": AuditBudget(40, plans=2_000, fewer=400, donors=20, planned=240, turns=50_000, worlds=128),
-    "full": AuditBudget(200, plans=40_000, fewer=4_000, donors=20, planned=1_500, turns=2_000_000, worlds=512),
+    "small": AuditBudget(40, plans=2_000, fewer=400, donors=20, planned=240),
+    "full": AuditBudget(200, plans=40_000, fewer=4_000, donors=20, planned=1_500),
 }
 """``small``: under two minutes on two cores; ``full``: under thirty."""
 
@@ -366,7 +366,8 @@ class _Result(BaseModel):
             and ("chosen" not in wanted or len(self.chosen) == len(contexts))
             and ("plans" not in wanted or {tuple(context) for context, _ in self.plans} == {*contexts})
             and ("teams" not in wanted or {tuple(row[0]) for row in self.teams} == {*contexts})
-            and all(0 <= action < count for row in (*self.plans, *self.teams) for action in row[1])
+            and all(0 <= action < count for _, plan in self.plans for action in plan)
+            and all(0 <= action < count for _, plan, _ in self.teams for action in plan)
             and (not self.teams or all(_fits(tapes, Laboratories(scenario)) for _, _, tapes in self.teams))
         )
 

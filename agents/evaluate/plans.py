@@ -932,15 +932,21 @@ class _Taped:
 
     def __init__(self, tapes: Sequence[Tape | None], bench: Bench, policy: Policy) -> None:
         self._policy, self._end = policy, bench.end_action
-        rest: Any = bench.end_action if bench.action_count else [0.0] * int(bench.action_space.shape[0])
+        shape = bench.action_space.shape or ()
         known = {tape: number for number, tape in enumerate(dict.fromkeys(tape for tape in tapes if tape))}
-        self._which = np.array([-1 if not tape else known[tape] for tape in tapes])
+        self._which = np.array([known[tape] if tape else -1 for tape in tapes])
         self._experiment = np.full(len(tapes), -1)
         most = max(map(len, known), default=1)
         longest = max((len(actions or ()) for tape in known for actions in tape), default=1)
-        padded = [[_held(tape[min(e, len(tape) - 1)] or (rest,), longest) for e in range(most)] for tape in known]
-        self._actions = np.array(padded, dtype=np.int64 if bench.action_count else np.float64)
-        self._played = np.array([[tape[min(e, len(tape) - 1)] is not None for e in range(most)] for tape in known])
+        kind = np.int64 if bench.action_count else np.float64
+        self._actions = np.full((len(known), most, longest, *shape), bench.end_action if not shape else 0.0, dtype=kind)
+        self._played = np.ones((len(known), most), dtype=np.bool_)
+        for tape, number in known.items():
+            for e in range(most):
+                actions = tape[min(e, len(tape) - 1)]
+                self._played[number, e] = actions is not None
+                if actions:
+                    self._actions[number, e] = [*actions, *[actions[-1]] * (longest - len(actions))]
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -966,10 +972,6 @@ class _Taped:
                 chosen = np.where(allowed[rows, chosen], chosen, other)
             played[taped] = chosen
         return played
-
-
-def _held(actions: Sequence[Any], longest: int) -> list[Any]:
-    return [*actions, *[actions[-1]] * (longest - len(actions))]
 
 
 def replay_actions(

@@ -261,6 +261,10 @@ def try_part(folder: Path, rng: np.random.Generator) -> None:
     plans = [[list(context), [1, 2]] for context in all_contexts(labs.scenario)]
     jobs: list[tuple[Job, dict[str, Any]]] = [
         (Job("a", "plan", {}), {**plain, "plans": plans, "everybody": [0.0, 0.0, 0.0], "chosen": [0.0] * len(plans)}),
+        (
+            Job("a", "everybody", {}),
+            {**plain, "teams": [[*plan, [None] * len(labs.benches)] for plan in plans], "chosen": [0.0] * len(plans)},
+        ),
         (Job("a", "play", {"policy": "random", "contended": True}), {**plain, "contention": [[0.0] * 5] * 3}),
         (Job("a", "foresee", {"first": 0, "plans": []}), {**plain, "curves": [[0.0] * 10] * 3}),
     ]
@@ -270,7 +274,7 @@ def try_part(folder: Path, rng: np.random.Generator) -> None:
     if kept is None:
         raise ValueError(f"{folder}: is played again")
     assert set(kept) == set(result)
-    assert all(np.isfinite(kept[name]).all() for name in kept if name != "plans")
+    assert all(np.isfinite(kept[name]).all() for name in kept if name not in ("plans", "teams"))
     if "plans" in kept:
         played = {tuple(context): tuple(plan) for context, plan in kept["plans"]}
         mask = labs.mask(0, labs.members)
