@@ -51,11 +51,13 @@ def play_seats(scenario: str, seats: list[str], **options: Any) -> Solver:
     async def solve(state: TaskState, generate: Generate) -> TaskState:
         room = Room(scenario, seats, **{"calls": 1000, **options, "seed": state.metadata["seed"]})
         tools = {seat: [_tool(room, seat, verb) for verb in room.verbs(seat)] for seat in seats}
-        talks: dict[str, list[ChatMessage]] = {
-            seat: [ChatMessageSystem(content=room.brief(seat)), ChatMessageUser(content=room.call(seat, "look").text)]
-            for seat in seats
-        }
-        while agent := room.turn()[0]:
+        talks: dict[str, list[ChatMessage]] = {seat: [ChatMessageSystem(content=room.brief(seat))] for seat in seats}
+        before = ""
+        while (now := room.turn())[0]:
+            agent, view = now
+            if agent != before:
+                talks[agent].append(ChatMessageUser(content=view))
+            before = agent
             output = await get_model(role=agent).generate(talks[agent], tools[agent])
             room.spent(agent, output.usage.total_tokens if output.usage else 0)
             talks[agent].append(output.message)

@@ -34,7 +34,7 @@ from .ledger import LEDGER, append_entry
 from .policies import agent_policy
 from .verbs import Argument, ToolError, Verb, bench_verbs, manager_verbs, number_of, plain
 
-__all__ = ["CANARY", "LabTools", "Reply", "Room", "ToolError", "input_schema"]
+__all__ = ["CANARY", "LabTools", "Reply", "Room", "ToolError", "call_of", "input_schema"]
 
 CANARY = "chemlab-transcript canary 5f0e3c7a-91d4-4f0e-8a55-6c1b2d9e7f43: not for training data"
 """First line of every transcript, so that corpora can leave transcripts out."""
@@ -273,7 +273,7 @@ class Room:
         """(agent that has the turn, everything it observes); an empty name when the episode is over."""
         with self._changed:
             agent = self._current()
-            return (agent, self._display(agent, True)) if agent else ("", self._end_words())
+            return (agent, self._situation(agent, True)) if agent else ("", self._end_words())
 
     def _current(self) -> str:
         assert self._labs is not None
@@ -501,6 +501,21 @@ class Room:
 
 def _renamed(known: Mapping[str, str], name: str) -> str:
     return known.get(name, name)
+
+
+def call_of(text: str) -> tuple[str, dict[str, Any]]:
+    """(verb, arguments) of the last ``{"verb": ..., "arguments": {...}}`` in a text; an empty verb if there is none."""
+    decoder, found = json.JSONDecoder(), ("", dict[str, Any]())
+    at = text.find("{")
+    while at >= 0:
+        try:
+            given, end = decoder.raw_decode(text, at)
+        except (ValueError, RecursionError):
+            given, end = None, at + 1
+        if isinstance(given, dict) and isinstance(given.get("verb"), str):
+            found = given["verb"], given.get("arguments", {})
+        at = text.find("{", end)
+    return found
 
 
 def _is_small(arguments: Any) -> bool:

@@ -1,11 +1,13 @@
 """Scripted callers of seats, and the tokens of their episodes: ``python -m studies.tools.seats [SCENARIO ...]``.
 
-A scripted policy at every seat plays by calling verbs. The table counts tokens with tiktoken's ``o200k_base`` where it
-can be loaded (``TIKTOKEN_CACHE_DIR`` names a folder with its file), else as 1.4 times the number of words.
+A scripted policy at every seat plays by calling verbs. Tokens are those of the vocabulary ``o200k_base``, which the
+package bpe-openai contains (``pip install bpe-openai``).
 """
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import itertools
 import statistics
 import sys
@@ -16,49 +18,35 @@ import numpy as np
 
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.seats import Room
-from chemlab.agents.verbs import Verb
+from chemlab.agents.verbs import ToolError
 
 __all__ = ["call_for", "main", "play_scripted"]
 
 Call = tuple[str, dict[str, Any]]
 
 
-def tokenizer() -> tuple[str, Callable[[str], int]]:
-    """(name, function that counts the tokens of a text)."""
-    try:
-        import tiktoken
-
-        encoding = tiktoken.get_encoding("o200k_base")
-        return "o200k_base", lambda text: len(encoding.encode(text))
-    except Exception:  # it is not installed, or its file cannot be fetched
-        return "1.4 x words", lambda text: round(1.4 * len(text.split()))
-
-
 def call_for(room: Room, agent: str, action: Any) -> Call:
-    """The call that stands for an action: found by trying all."""
+    """The call that stands for an action."""
     if isinstance(action, np.ndarray) and action.ndim:
         step = next(verb for verb in room.verbs(agent) if verb.name == "step")
         moves = zip(step.arguments[:2], action[:2].tolist(), strict=True)
         changes = {move.name: (2.0 * value - 1.0) * move.high for move, value in moves}
         return "step", changes | {a.name: v for a, v in zip(step.arguments[2:], action[2:].tolist(), strict=True)}
+    return _calls(room, agent)[int(action)]
+
+
+@functools.lru_cache(maxsize=64)
+def _calls(room: Room, agent: str) -> dict[int, Call]:
+    """All calls of an agent's discrete verbs, by the action that they stand for."""
+    found: dict[int, Call] = {}
     for verb in room.verbs(agent):
-        for given in choices(verb):
-            if verb.action is not None and agrees(verb, given, int(action)):
-                return verb.name, given
-    raise AssertionError(f"{agent}: no verb plays {action}")
-
-
-def choices(verb: Verb) -> list[dict[str, Any]]:
-    names = [argument.name for argument in verb.arguments]
-    return [dict(zip(names, values, strict=True)) for values in itertools.product(*(a.options for a in verb.arguments))]
-
-
-def agrees(verb: Verb, given: dict[str, Any], action: int) -> bool:
-    assert verb.action is not None
-    try:
-        return bool(verb.action(given) == action)
-    except ValueError:
-        return False
+        names = [argument.name for argument in verb.arguments]
+        for values in itertools.product(*(argument.options for argument in verb.arguments)):
+            given = dict(zip(names, values, strict=True))
+            if verb.action is not None:
+                with contextlib.suppress(ToolError):  # these do not go together
+                    found.setdefault(verb.action(given), (verb.name, given))
+    return found
 
 
 def play_scripted(
@@ -118,16 +106,17 @@ def measure(name: str, count: Callable[[str], int]) -> list[str]:
 
 def main(names: list[str]) -> None:
     """Print the table, as Markdown."""
+    import bpe_openai
+
     from chemlab.config.loading import scenario_names
 
-    kind, count = tokenizer()
-    print(f"Tokens ({kind}):\n")
+    encoding = bpe_openai.get_encoding("o200k_base")
     print(
         "| scenario | brief | look, median | look, max | reply, median | reply, max | calls | episode of a seat, max |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for name in names or scenario_names():
-        print(f"| {' | '.join(measure(name, count))} |", flush=True)
+        print(f"| {' | '.join(measure(name, lambda text: len(encoding.encode(text))))} |", flush=True)
 
 
 if __name__ == "__main__":

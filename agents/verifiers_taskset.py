@@ -1,0 +1,79 @@
+"""Seats of a room as a taskset and an environment of verifiers: ``vf-eval chemlab-seats``."""
+
+import json
+from collections.abc import Iterable
+from contextlib import AsyncExitStack
+from typing import Any
+
+from pydantic import Field
+
+try:
+    import anyio.to_thread
+    import verifiers.v1 as vf
+except ImportError as error:
+    raise ImportError('verifiers is missing: pip install "chemlab-marl[verifiers]"') from error
+
+from .seats import MANAGER_AGENT, Room, call_of, input_schema
+
+__all__ = ["Laboratory", "Seats"]
+
+
+class LaboratoryConfig(vf.TasksetConfig):
+    """Scenario, seats, number of episodes, and options of :class:`~chemlab.agents.seats.Room`."""
+
+    scenario: str = "wurtz_dodecane"
+    seats: tuple[str, ...] = ("manager_0",)
+    episodes: int = 10
+    options: dict[str, Any] = Field(default_factory=dict)
+
+
+class Laboratory(vf.Taskset[vf.Task, LaboratoryConfig]):
+    """Episodes of one scenario as tasks."""
+
+    def load(self) -> Iterable[vf.Task]:
+        """The tasks: one is like another, because every room draws its own world."""
+        return [vf.Task(vf.TaskData(name=f"{self.config.scenario} {k}")) for k in range(self.config.episodes)]
+
+
+class SeatsConfig(vf.EnvConfig):
+    """The models of the manager's seat and of benches' seats; they answer with text, which holds a call."""
+
+    manager: vf.AgentConfig = vf.AgentConfig(harness={"id": "null"}, runtime={"type": "subprocess"})
+    bench: vf.AgentConfig = vf.AgentConfig(harness={"id": "null"}, runtime={"type": "subprocess"})
+
+
+class Seats(vf.Env[SeatsConfig]):
+    """Every seat is an interaction of its own, all with the laboratory's score as reward."""
+
+    async def run(self, task: vf.Task, agents: vf.Agents) -> None:
+        """Play an episode; one ends early where an interaction does."""
+        config, before, text = self.taskset.config, "", ""
+        room = Room(config.scenario, config.seats, **{"calls": 1000, **config.options})
+        async with AsyncExitStack() as stack:
+            talks = {}
+            for seat in room.seats:
+                player = agents.manager if seat == MANAGER_AGENT else agents.bench
+                data = vf.TaskData(name=task.data.name, system_prompt=_instructions(room, seat))
+                talks[seat] = await stack.enter_async_context(player.interaction(vf.Task(data)))
+            while (now := room.turn())[0]:
+                agent, view = now
+                segment = await talks[agent].turn(text if agent == before else view)
+                if segment.terminated:
+                    break
+                used = talks[agent].trace.calls[-1].usage
+                room.spent(agent, used.input_tokens + used.completion_tokens if used else 0)
+                text = (await anyio.to_thread.run_sync(room.call, agent, *call_of(segment.last_reply))).text
+                before = agent
+            room.close()
+            for seat, talk in talks.items():
+                talk.trace.record_reward("raw_score", room.score)
+                for name, count in room.report()["seats"][seat].items():
+                    talk.trace.record_metric(name, float(count))
+
+
+def _instructions(room: Room, seat: str) -> str:
+    verbs = [f"{verb.name}: {verb.meaning} {json.dumps(input_schema(verb)['properties'])}" for verb in room.verbs(seat)]
+    example = '{"verb": "look", "arguments": {}}'
+    return "\n".join(
+        [room.brief(seat), "Verbs, with their arguments:", *verbs, f"End every answer with a call: {example}"]
+    )

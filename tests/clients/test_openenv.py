@@ -1,0 +1,58 @@
+"""OpenEnv's client plays a seat of a room over a WebSocket, and its validator accepts the environment's folder."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from callers import SALT, SEED, played
+
+pytest.importorskip("openenv", reason="needs openenv (extra openenv)")
+import uvicorn
+from openenv.core.generic_client import GenericEnvClient
+
+from chemlab.agents.openenv_server import seat_app
+
+ROOT = Path(__file__).parents[2]
+
+
+@contextmanager
+def served(app: Any) -> Iterator[str]:
+    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="error"))
+    thread = threading.Thread(target=server.run, daemon=True)
+    thread.start()
+    while not server.started:
+        assert thread.is_alive()
+        threading.Event().wait(0.05)
+    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
+    server.should_exit = True
+    thread.join(20)
+
+
+def test_an_episode(tmp_path: Path) -> None:
+    calls, record = played(("manager_0",), tmp_path / "here")
+    app = seat_app(scenario="unlabelled", folder=tmp_path / "there", salt=SALT, seed=SEED)
+    with served(app) as url, GenericEnvClient(base_url=url, message_timeout_s=300).sync() as client:
+        first = client.reset(seed=1)
+        assert "manager_0 in a simulated" in first.observation["result"]
+        tools = client.step({"type": "list_tools"}).observation["tools"]
+        assert {"start", "measure", "submit", "look", "wait"} <= {tool["name"] for tool in tools}
+        wrong = client.step({"type": "call_tool", "tool_name": "measure", "arguments": {"slot": 77}})
+        assert wrong.observation["result"].startswith("Error: measure: slot must be one of 0, 1,")
+        for _, verb, given in calls:
+            last = client.step({"type": "call_tool", "tool_name": verb, "arguments": given})
+            assert (last.reward == 0.0) is not last.done
+    assert last.done
+    assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
+
+
+def test_the_folder_is_valid() -> None:
+    command = [Path(sys.executable).with_name("openenv"), "validate", ROOT / "recipes" / "openenv", "--skip-build"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
