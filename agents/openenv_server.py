@@ -17,7 +17,9 @@ try:
 except ImportError as error:
     raise ImportError('openenv is missing: pip install "chemlab-marl[openenv]"') from error
 
-from .seats import MANAGER_AGENT, Room, input_schema
+from chemlab.lab.engine import MANAGER_AGENT
+
+from .seats import Room, input_schema
 
 __all__ = ["SeatEnvironment", "seat_app"]
 

@@ -13,7 +13,9 @@ try:
 except ImportError as error:
     raise ImportError('verifiers is missing: pip install "chemlab-marl[verifiers]"') from error
 
-from .seats import MANAGER_AGENT, Room, call_of, input_schema
+from chemlab.lab.engine import MANAGER_AGENT
+
+from .seats import Room, call_of, input_schema
 
 __all__ = ["Laboratory", "Seats"]
 
