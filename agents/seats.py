@@ -41,6 +41,7 @@ CANARY = "chemlab-transcript canary 5f0e3c7a-91d4-4f0e-8a55-6c1b2d9e7f43: not fo
 
 LONGEST_WAIT_S = 15.0
 _MOST_ARGUMENTS = 64
+_LONGEST_REASON = 200
 _UNNOTICED = 0.03
 """Largest change of a spectrum that a reply does not repeat it for; ``look`` always shows it as it is."""
 
@@ -154,6 +155,7 @@ class Room:
             self._calls, self._wrong = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
             self._characters, self._tokens = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
             self._transcript: list[dict[str, Any]] = []
+            self._played = 0
             self._status, self._over, self._began = "running", False, time.monotonic()
             self._episode += 1
             self._open_books({} if goal is None else {"goal": goal})
@@ -299,6 +301,7 @@ class Room:
         checked = labs.checked(number, action)
         seen, mask = labs.observe(number, labs.members)[0], labs.mask(number, labs.members)
         labs.act(number, labs.members, checked)
+        self._played += 1
         if self._recorder is not None:
             self._recorder.turn([Play(number, seen, None if mask is None else mask[0], checked[0])])
         for agent, score in zip(labs.agents, labs.scores[0].tolist(), strict=True):
@@ -317,7 +320,7 @@ class Room:
             agent: the seat.
             verb: name of the verb.
             arguments: by name; ``turn``, the number of the turn that the call is meant for, makes a repeated call act
-                once.
+                once; ``reason``, a text of at most 200 characters, stands in the transcript and nowhere else.
         """
         with self._changed:
             if not isinstance(agent, str) or agent not in self.seats:
@@ -329,7 +332,7 @@ class Room:
                 self._finish("out of calls")
                 self._close_books()
                 return Reply(self._end_words(), True)
-            began = self._episode
+            began, played = self._episode, self._played
             arguments = {} if arguments is None else arguments
             try:
                 reply = self._answer(agent, verb, arguments)
@@ -339,7 +342,8 @@ class Room:
             if began == self._episode:
                 self._characters[agent] += len(reply.text)
                 shown = {plain(k): plain(v, 1000) for k, v in arguments.items()} if _is_small(arguments) else {}
-                entry = {"agent": agent, "verb": plain(verb), "arguments": shown, **asdict(reply)}
+                at = min(self._played, played + 1)  # the turn of the record that shows it
+                entry = {"at": at, "agent": agent, "verb": plain(verb), "arguments": shown, **asdict(reply)}
                 self._transcript.append(entry)
                 if self._over:
                     self._close_books()
@@ -352,7 +356,9 @@ class Room:
         if not isinstance(verb, str) or verb not in verbs:
             raise ToolError(f"unknown verb {plain(verb)}; verbs: {', '.join(verbs)}")
         given = dict(arguments)
-        turn = given.pop("turn", None)
+        turn, reason = given.pop("turn", None), given.pop("reason", "")
+        if not isinstance(reason, str) or len(reason) > _LONGEST_REASON:
+            raise ToolError(f"{verb}: reason must be a text of at most {_LONGEST_REASON} characters")
         known = verbs[verb].checked(given)
         if verb == "look":
             return Reply(self._display(agent, True))

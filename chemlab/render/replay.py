@@ -15,6 +15,7 @@ from importlib.resources import files
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from ..lab.engine import Laboratories
 from ..lab.text import action_words, reading_words
@@ -136,15 +137,46 @@ def _materials(labs: Laboratories, scene: dict[str, Any]) -> list[dict[str, Any]
     return found
 
 
+class _Call(BaseModel):
+    """A line of a transcript: a call of a language agent, and the reply."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    at: int
+    agent: str
+    verb: str
+    arguments: dict[str, Any]
+    text: str
+    error: bool
+
+    def words(self) -> list[Any]:
+        """Turn, agent, call, reason, reply, and whether it was refused."""
+        given = {name: value for name, value in self.arguments.items() if name != "reason"}
+        call = f"{self.verb} {' '.join(f'{name}={value}' for name, value in given.items())}".strip()
+        return [self.at, self.agent, call, str(self.arguments.get("reason", "")), self.text, self.error]
+
+
+def _calls(record: Record) -> list[list[Any]]:
+    """The calls of the transcript beside a record; empty where there is none."""
+    path = record.path.with_name(record.path.name.partition(".")[0] + ".transcript.jsonl")
+    if not path.is_file():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines()[1:]
+    try:
+        return [_Call.model_validate_json(line).words() for line in lines]
+    except ValueError as error:
+        raise RecordError(f"{path}: is no transcript; move it away, or restore it") from error
+
+
 def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
     """Return the data of the replay page as JSON data; ``replay.html`` reads it.
 
     Args:
-        record: A record, finished or not.
+        record: A record, finished or not. A transcript beside it (``NAME.transcript.jsonl``) is shown with it.
         trust: Allow imports of code that the record names.
 
     Raises:
-        RecordError: the record cannot be replayed here.
+        RecordError: the record cannot be replayed here, or the file beside it is no transcript.
     """
     replay = Replay(record, trust)
     labs, pool = replay.laboratories, _Pool()
@@ -215,6 +247,7 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
         "costs": [[float(f"{x:.4g}") for x in row] for row in costs],
         "results": results,
         "turns": turns,
+        "calls": _calls(record),
         "experiments": experiments,
         "shapes": pool.shapes,
         "pool": pool.entries,

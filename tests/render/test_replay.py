@@ -16,12 +16,13 @@ from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
+from chemlab.agents.seats import Room
 from chemlab.cli import app
 from chemlab.config.loading import dump_scenario, restore_scenario, scenario_names
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
-from chemlab.record import Recorder, Replay, read_record
+from chemlab.record import Recorder, RecordError, Replay, read_record
 from chemlab.render.replay import replay_data, replay_page
 
 runner = CliRunner()
@@ -187,6 +188,38 @@ def test_a_record_that_cannot_go_on(episode: Path, tmp_path: Path) -> None:
     assert data["verified"]["status"] == "tampered"
 
 
+@pytest.fixture(scope="module")
+def called(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A seat's episode: a refused call, a free one, and one with a reason, in which nothing is markup."""
+    folder = tmp_path_factory.mktemp("called")
+    room = Room("unlabelled", folder=folder)
+    room.call("manager_0", "measure", {"slot": 77, "instrument": "uv_vis"})
+    room.call("manager_0", "look")
+    room.call("manager_0", "measure", {"slot": 1, "instrument": "uv_vis", "reason": "<b>acid?</b>"})
+    room.call("manager_0", "discard", {"slot": 1})
+    room.close()
+    return folder / "episode-0000.jsonl.part"
+
+
+def test_calls_stand_beside_the_turns(called: Path) -> None:
+    data = replay_data(read_record(called))
+    calls = data["calls"]
+    assert [call[:4] for call in calls] == [
+        [0, "manager_0", "measure slot=77 instrument=uv_vis", ""],
+        [0, "manager_0", "look", ""],
+        [1, "manager_0", "measure slot=1 instrument=uv_vis", "<b>acid?</b>"],
+        [2, "manager_0", "discard slot=1", ""],
+    ]
+    assert [call[5] for call in calls] == [True, False, False, False]
+    assert data["turns"][0]["plays"][0][1] == "measure slot 1 with uv_vis"
+    transcript = called.with_name("episode-0000.transcript.jsonl")
+    text = transcript.read_text()
+    transcript.write_text("{}\n[]\n")
+    with pytest.raises(RecordError, match="is no transcript"):
+        replay_page(read_record(called))
+    transcript.write_text(text)
+
+
 # -- in the browser -------------------------------------------------------------------------------------------
 
 
@@ -210,6 +243,20 @@ def page(browser: Any, page_file: Path, episode: Path) -> Iterator[Any]:
     assert said == []
     assert all(url.startswith((page_file.as_uri(), "data:")) for url in asked)
     page.close()
+
+
+def test_calls_are_shown_as_text(browser: Any, called: Path, page: Any) -> None:
+    assert page.locator("#calls-card").is_hidden(), "there is no transcript"
+    file = called.parent / "page.html"
+    file.write_text(replay_page(read_record(called)), encoding="utf-8")
+    own = browser.new_page()
+    own.goto(file.as_uri())
+    assert own.locator("#calls > div").count() == 2
+    assert "slot must be one of 0, 1" in own.locator("#calls .warn").inner_text()
+    own.keyboard.press("ArrowRight")
+    own.wait_for_function("document.querySelectorAll('#calls > div').length === 3")
+    assert "<b>acid?</b>" in own.locator("#calls > div").first.inner_text()
+    own.close()
 
 
 def test_no_other_script_runs(browser: Any, page_file: Path) -> None:
