@@ -1,4 +1,4 @@
-"""Single-agent views of the laboratory with background policies by name; see :mod:`chemlab.envs.focal`."""
+"""One role of the laboratory as an environment, with background policies by name; see :mod:`chemlab.envs.role_env`."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy.typing as npt
 
-from chemlab.envs.focal import FocalEnv, FocalVectorEnv, Policies
 from chemlab.envs.players import Players
+from chemlab.envs.role_env import Policies, RoleEnv, RoleVectorEnv
 from chemlab.kernels.arrays import IntArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 
 from .policies import agent_policy
 from .roles import role_of
 
-__all__ = ["Background", "background_players", "focal_env", "focal_vector_env"]
+__all__ = ["Background", "background_players", "role_env", "role_vector_env"]
 
 Background = str | Mapping[str, Any]
 """Policies of the other agents: a policy's name for all, or a name, policy, model or function by agent or role;
@@ -23,39 +23,39 @@ others are scripted.
 """
 
 
-def focal_env(
+def role_env(
     scenario: Any = "wurtz_dodecane", agent: str = MANAGER_AGENT, background: Background = "scripted", **arguments: Any
-) -> FocalEnv:
+) -> RoleEnv:
     """Return the laboratory for one agent.
 
     Args:
         scenario: a bundled name, a path to a TOML file, or a loaded scenario.
         agent: name of the acting agent.
         background: policies of the others.
-        arguments: further arguments of :class:`~chemlab.envs.focal.FocalEnv` (``rewards``, ``render_mode``, ...).
+        arguments: further arguments of :class:`~chemlab.envs.role_env.RoleEnv` (``rewards``, ``render_mode``, ...).
 
     Raises:
         DataError: the scenario is invalid or unknown.
         ValueError: the agent, a policy or the render mode is unknown.
         TypeError: a background policy is not a policy.
     """
-    return FocalEnv(scenario, agent, background_policies(background), **arguments)
+    return RoleEnv(scenario, agent, background_policies(background), **arguments)
 
 
-def focal_vector_env(
+def role_vector_env(
     num_envs: int = 1,
     scenario: Any = "wurtz_dodecane",
     agent: str = MANAGER_AGENT,
     background: Background = "scripted",
     **arguments: Any,
-) -> FocalVectorEnv:
-    """Return a batch of ``num_envs`` laboratories for one agent; otherwise as :func:`focal_env`.
+) -> RoleVectorEnv:
+    """Return a batch of ``num_envs`` laboratories for one agent; otherwise as :func:`role_env`.
 
     Args:
-        num_envs, scenario, agent, background: see :func:`focal_env`.
-        arguments: further arguments of :class:`~chemlab.envs.focal.FocalVectorEnv` (``autoreset_mode``, ``copy``, ...).
+        num_envs, scenario, agent, background: see :func:`role_env`.
+        arguments: further arguments of :class:`~chemlab.envs.role_env.RoleVectorEnv` (``autoreset_mode``, ...).
     """
-    return FocalVectorEnv(num_envs, scenario, agent, background_policies(background), **arguments)
+    return RoleVectorEnv(num_envs, scenario, agent, background_policies(background), **arguments)
 
 
 def background_policies(background: Background) -> Policies:

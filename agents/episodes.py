@@ -10,8 +10,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchVectorEnv
 from chemlab.envs.players import Players, Policy
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import FloatArray, IntArray
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import action_words
@@ -62,7 +62,7 @@ class Played:
         )
 
 
-def _case(env: BenchVectorEnv, goal: str, member: int) -> str:
+def _case(env: RoleVectorEnv, goal: str, member: int) -> str:
     """Return the random companion of the initial state; '' if it is not random."""
     companion = env.bench.spec.start.companion
     if companion is None or companion.probability in (0.0, 1.0):
@@ -77,7 +77,7 @@ def _case(env: BenchVectorEnv, goal: str, member: int) -> str:
 
 
 def play_bench(
-    env: BenchVectorEnv,
+    env: RoleVectorEnv,
     policy: Policy,
     goal: str | Sequence[str],
     seed: int | Sequence[int],

@@ -18,8 +18,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
-from chemlab.envs.bench_env import BenchVectorEnv
-from chemlab.envs.vector import BatchEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.episodes import Guarded
 
 from .advice import Advisor
@@ -40,13 +39,13 @@ class ChemlabVecEnv(Guarded, VecEnv):
     """A batch as SB3's ``VecEnv``: N members stepped by one call, each reset as soon as it ends.
 
     Args:
-        env: number of members N, or an existing batch: a :class:`~chemlab.envs.bench_env.BenchVectorEnv` or
-            :class:`~chemlab.envs.focal.FocalVectorEnv` (:func:`chemlab.agents.background.focal_vector_env`) with
-            ``autoreset_mode="SameStep"``, bare or in Gymnasium's vector wrappers (observations must stay arrays).
+        env: number of members N, or an existing batch: a :class:`~chemlab.envs.role_env.RoleVectorEnv`
+            (in the laboratory: :func:`chemlab.agents.background.role_vector_env`) with ``autoreset_mode="SameStep"``,
+            bare or in Gymnasium's vector wrappers (observations must stay arrays).
         show_masks: whether observations end with the mask of discrete actions, one number per action, for learners that
             do not support masks (:class:`~chemlab.agents.recurrent.MaskedLstmPolicy`).
         advisor: source of teacher hints in the observations (before the masks), for discrete actions.
-        arguments: with a number, :class:`BenchVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
+        arguments: with a number, :class:`RoleVectorEnv`'s own: ``scenario``, ``bench``, ``goals``, ``threads``, ...
 
     Infos: a member's info has ``TimeLimit.truncated`` (True only under wrappers that truncate; ends of experiments,
     submissions and limits terminate), ``cost`` (weighted safety events of the step) and ``illegal_action``; in views of
@@ -73,12 +72,14 @@ class ChemlabVecEnv(Guarded, VecEnv):
         **arguments: Any,
     ) -> None:
         if isinstance(env, (int, np.integer)):
-            mode = arguments.pop("autoreset_mode", AutoresetMode.SAME_STEP)
-            env = BenchVectorEnv(int(env), autoreset_mode=mode, **arguments)
+            chosen: dict[str, Any] = {"autoreset_mode": AutoresetMode.SAME_STEP, **arguments}
+            if "agent" not in arguments:
+                chosen.setdefault("bench", "rxn")
+            env = RoleVectorEnv(int(env), **chosen)
         elif arguments:
             raise ValueError(f"an existing batch takes no arguments, given {', '.join(arguments)}")
         batch = env.unwrapped if isinstance(env, gymnasium.vector.VectorEnv) else env
-        if not isinstance(batch, BatchEnv):
+        if not isinstance(batch, RoleVectorEnv):
             raise TypeError(f"needs a number of members or one of chemlab's batches, given {env!r}")
         if batch.autoreset_mode is not AutoresetMode.SAME_STEP:
             raise ValueError(f"autoreset_mode must be SAME_STEP, as SB3 does it, given {batch.autoreset_mode}")
@@ -273,7 +274,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
 class _Masks:
     """The ``action_masks`` method of one member."""
 
-    def __init__(self, batch: BatchEnv, member: int) -> None:
+    def __init__(self, batch: RoleVectorEnv, member: int) -> None:
         self._batch, self._member = batch, member
 
     def __call__(self) -> npt.NDArray[np.bool_]:

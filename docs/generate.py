@@ -168,7 +168,7 @@ def _bench_ids() -> str:
     """Return tables of every registered single bench."""
     parts = []
     for name, spec in gymnasium.registry.items():
-        if spec.entry_point == "chemlab.envs.bench_env:BenchEnv" and "bench" in spec.kwargs:
+        if spec.entry_point == "chemlab.envs.role_env:RoleEnv" and "scenario" in spec.kwargs:
             bench = ExperimentBatch(spec.kwargs["scenario"], spec.kwargs["bench"]).bench
             scored = f"Score: {bench.score_meaning}. Step limit: {bench.spec.step_limit}."
             doc = _markdown(inspect.getdoc(type(bench)) or "")
@@ -202,8 +202,7 @@ def _environments() -> dict[str, str]:
     return {
         "laboratory": _environment("Laboratory (AEC)", f"{lab}.aec", _spaces_of_all(labs), ["env", "raw_env"]),
         "parallel": _environment("Laboratory (parallel)", f"{lab}.parallel", same, ["parallel_env"]),
-        "focal": _environment("One agent's view", f"{lab}.focal", same, ["FocalEnv", "FocalVectorEnv"]),
-        "benches": _environment("Single benches", f"{lab}.bench_env", _bench_ids(), ["BenchEnv", "BenchVectorEnv"]),
+        "role": _environment("One role", f"{lab}.role_env", _bench_ids(), ["RoleEnv", "RoleVectorEnv"]),
         "batched": _environment("Many laboratories at once", f"{lab}.batch", same, ["BatchedLaboratory"])
         + "\n## Class\n\n"
         + _autodoc(f".. autoclass:: {lab}.batch.BatchedLaboratory", "   :no-index:"),

@@ -25,7 +25,7 @@ from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook, lea
 from scipy.signal import lfilter
 
 from chemlab import raw_env
-from chemlab.agents.background import focal_vector_env
+from chemlab.agents.background import role_vector_env
 from chemlab.agents.demonstrations import write_datasets
 from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.policies import as_policy, make_policies
@@ -64,7 +64,7 @@ def examples(demonstrated: Any, gamma: float) -> tuple[npt.NDArray[Any], ...]:
 
 def begun(budget: Budget) -> Any:
     """Return an untrained learner for the manager."""
-    envs = ChemlabVecEnv(focal_vector_env(64, SCENARIO, autoreset_mode="SameStep"))
+    envs = ChemlabVecEnv(role_vector_env(64, SCENARIO, autoreset_mode="SameStep"))
     return learner("maskable-ppo", envs, budget, n_steps=16, batch_size=256)
 
 

@@ -22,7 +22,7 @@ from recipe_parts import AUDIT_SEED, PLAIN, Budget, Outcome, cook, learned
 from stable_baselines3 import HerReplayBuffer
 from stable_baselines3.common.env_util import make_vec_env
 
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 from chemlab.kernels.arrays import FloatArray
 
 PRODUCTS = ("E", "F", "G", "H", "I")
@@ -38,7 +38,7 @@ class Mixtures(gymnasium.Wrapper[Any, Any, Any, Any]):
     """A reaction bench whose goal is a mixture [6]: mol of each product, and 1 (the experiment is over)."""
 
     def __init__(self, goals: FloatArray) -> None:
-        super().__init__(BenchEnv("fictitious", "rxn", goals=PRODUCTS[0], actions="discrete"))
+        super().__init__(RoleEnv("fictitious", bench="rxn", goals=PRODUCTS[0], actions="discrete"))
         goal = gymnasium.spaces.Box(0.0, np.inf, (len(PRODUCTS) + 1,), np.float32)
         own = self.env.observation_space
         self.observation_space: gymnasium.Space[Any] = gymnasium.spaces.Dict(

@@ -21,7 +21,7 @@ from recipe_parts import AUDIT_SEED, PLAIN, SCRIPTED, Budget, Outcome, cook, lea
 
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
-from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import FloatArray
 
 GOAL = "I"
@@ -31,7 +31,7 @@ SMALLEST = 0.1
 """Minimum standard deviation of the sampled actions, whose range is 1."""
 
 
-def tried(env: BenchVectorEnv, sequences: FloatArray) -> FloatArray:
+def tried(env: RoleVectorEnv, sequences: FloatArray) -> FloatArray:
     """Return [copies] the return of each copy with sequences [copies, steps, numbers]."""
     returns, running = np.zeros(env.num_envs), np.ones(env.num_envs, dtype=np.bool_)
     for step in range(sequences.shape[1]):
@@ -41,7 +41,7 @@ def tried(env: BenchVectorEnv, sequences: FloatArray) -> FloatArray:
     return returns
 
 
-def planned(env: BenchVectorEnv, seed: int, rounds: int, random: np.random.Generator) -> tuple[float, float, int]:
+def planned(env: RoleVectorEnv, seed: int, rounds: int, random: np.random.Generator) -> tuple[float, float, int]:
     """Plan an episode; return (return, cost, steps tried)."""
     env.reset(seed=[seed] * COPIES, options={"goal": GOAL})
     earned, cost, steps = 0.0, 0.0, 0

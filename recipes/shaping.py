@@ -22,7 +22,7 @@ from recipe_parts import PLAIN, SCRIPTED, Budget, Outcome, cook, learned, score,
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.roles.bench import channel_slices
 
 TARGET = Target(load_scenario("wurtz_dodecane"), "rxn")
@@ -64,7 +64,7 @@ class PotentialShaping(gymnasium.vector.VectorWrapper):
 
 def shaped_envs() -> ChemlabVecEnv:
     """The reaction bench for Stable-Baselines3, shaped."""
-    batch = BenchVectorEnv(16, TARGET.scenario, TARGET.bench, GOAL, autoreset_mode="SameStep")
+    batch = RoleVectorEnv(16, TARGET.scenario, bench=TARGET.bench, goals=GOAL, autoreset_mode="SameStep")
     left = channel_slices(batch.bench.channels)["reagents"]
     return ChemlabVecEnv(PotentialShaping(batch, lambda seen: PRICE * (1.0 - seen[:, left].mean(axis=1)), GAMMA))
 

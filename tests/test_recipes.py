@@ -15,7 +15,7 @@ import pytest
 from helpers import script
 
 from chemlab.agents.demonstrations import demonstrations
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.record import read_record
 
 ROOT = Path(__file__).parent.parent
@@ -144,9 +144,9 @@ def test_shaping_keeps_the_order_of_returns(limit: int | None, monkeypatch: pyte
         pytest.importorskip(package)
     monkeypatch.syspath_prepend(str(ROOT / "recipes"))
     shaping: Any = script("recipes/shaping.py")
-    weights = np.sin(np.arange(BenchEnv("wurtz_dodecane", "ext").observation_space.shape[0], dtype=np.float64))
+    weights = np.sin(np.arange(RoleEnv("wurtz_dodecane", bench="ext").observation_space.shape[0], dtype=np.float64))
     gamma, members = 0.93, 4
-    batches = [BenchVectorEnv(members, "wurtz_dodecane", "ext", autoreset_mode="SameStep") for _ in range(2)]
+    batches = [RoleVectorEnv(members, "wurtz_dodecane", bench="ext", autoreset_mode="SameStep") for _ in range(2)]
     env, plain = shaping.PotentialShaping(batches[0], lambda seen: seen @ weights, gamma), batches[1]
     first = env.reset(seed=3)[0].copy()
     plain.reset(seed=3)

@@ -25,7 +25,7 @@ from chemlab.config.loading import dump_scenario, load_scenario, restore_scenari
 from chemlab.config.materials import DataError, read_toml
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import lab_starts
 from chemlab.roles.manager_state import LIMIT
@@ -481,7 +481,7 @@ def test_the_most_of_a_mixed_product_by_feeding() -> None:
 
 def test_the_laboratory_itself_comes_to_the_maximum_of_a_mixed_product() -> None:
     slow = {"base": "wurtz_any", "name": "slow", "benches": {"rxn": {"tick": 1000.0, "step_limit": 3}}}
-    env = BenchEnv(load_scenario(slow), "rxn")
+    env = RoleEnv(load_scenario(slow), bench="rxn")
     env.reset(seed=0, options={"goal": "5-methylundecane"})
     made = sum(float(env.step(np.array([0.5, 0.5, 1.0, 1.0, 0.0, 1.0], dtype=np.float32))[1]) for _ in range(3))
     assert made == pytest.approx(env.batch.scenario.theoretical_maximum_mol["5-methylundecane"], rel=1e-3)

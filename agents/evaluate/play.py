@@ -14,7 +14,7 @@ import numpy as np
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
 from chemlab.config.scenario import Scenario
-from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 
 from ..episodes import Played, play_bench, play_laboratory
@@ -79,10 +79,10 @@ class Target:
             "split": self.split,
         }
 
-    def environment(self, members: int) -> BenchVectorEnv:
+    def environment(self, members: int) -> RoleVectorEnv:
         """A batch of the bench."""
         assert self.bench is not None, "laboratories have no single-bench environment"
-        return BenchVectorEnv(
+        return RoleVectorEnv(
             members,
             scenario=self.scenario,
             bench=self.bench,
@@ -132,7 +132,7 @@ def find_target(name: str, bench: str | None = None, starts: str = "paper", spli
     """
     if name in gymnasium.registry:
         spec = gymnasium.spec(name)
-        if not str(spec.vector_entry_point).endswith(":BenchVectorEnv"):
+        if not str(spec.vector_entry_point).endswith(":RoleVectorEnv"):
             raise ValueError(f"{name}: not a single bench of chemlab")
         arguments: dict[str, Any] = {"scenario": "wurtz_dodecane", "bench": "rxn", "starts": starts, **spec.kwargs}
         return Target(load_scenario(arguments["scenario"]), arguments["bench"], arguments["starts"], name, split)

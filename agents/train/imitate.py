@@ -16,9 +16,8 @@ import numpy.typing as npt
 import torch
 from sb3_contrib.common.recurrent.type_aliases import RNNStates
 
-from chemlab.envs.bench_env import BenchVectorEnv
-from chemlab.envs.focal import FocalVectorEnv
 from chemlab.envs.players import as_policy
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray
 
 from ..advice import Advisor, with_advice
@@ -45,7 +44,7 @@ _VALUES = 0.5
 
 def imitate(
     model: Any,
-    batch: BenchVectorEnv | FocalVectorEnv,
+    batch: RoleVectorEnv,
     policy: Policy,
     steps: int,
     seed: int,
@@ -263,7 +262,7 @@ class _Examples(NamedTuple):
 
 
 def _examples(
-    batch: BenchVectorEnv | FocalVectorEnv,
+    batch: RoleVectorEnv,
     policy: Policy,
     learner: Policy | None,
     steps: int,

@@ -47,7 +47,6 @@ try:
     from stable_baselines3 import PPO
     from stable_baselines3.common.buffers import RolloutBuffer
     from stable_baselines3.common.logger import Logger
-    from stable_baselines3.common.vec_env import VecEnv
 
     from ..centralised import CentralisedPolicy, MaskableCentralisedPolicy
     from ..learners import load_learner, load_team, save_team
@@ -60,39 +59,6 @@ except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 __all__ = ["Team"]
-
-
-class _Spaces(VecEnv):
-    """Provides an environment's spaces to a learner. Experience is collected elsewhere."""
-
-    def __init__(self, observation_space: gymnasium.Space[Any], action_space: gymnasium.Space[Any]) -> None:
-        super().__init__(1, observation_space, action_space)
-
-    def reset(self) -> Any:
-        raise NotImplementedError("experience is collected by the laboratory")
-
-    def step_async(self, actions: Any) -> None:
-        raise NotImplementedError("experience is collected by the laboratory")
-
-    def step_wait(self) -> Any:
-        raise NotImplementedError("experience is collected by the laboratory")
-
-    def close(self) -> None:
-        """Do nothing."""
-
-    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        if attr_name == "render_mode":
-            return [None]
-        raise AttributeError(attr_name)
-
-    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        raise AttributeError(attr_name)
-
-    def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
-        raise AttributeError(method_name)
-
-    def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        return [False]
 
 
 class _Learner:
@@ -282,7 +248,11 @@ class Team(Trainee):
                 np.append(*both) for both in ((space.low, self._whole.space.low), (space.high, self._whole.space.high))
             )
             space = gymnasium.spaces.Box(low, high, dtype=np.float32)
-        model: Any = (MaskablePPO if discrete else PPO)(network, _Spaces(space, actions), **settings)
+        algorithm: Any = MaskablePPO if discrete else PPO
+        model = algorithm(network, None, **settings, _init_setup_model=False)
+        # Experience is collected by the laboratory, so the learner has spaces but no environment.
+        model.observation_space, model.action_space, model.n_envs = space, actions, 1
+        model._setup_model()
         model.set_logger(Logger(None, []))
         return model
 

@@ -13,14 +13,13 @@ from gymnasium.vector import AutoresetMode
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
-from chemlab.envs.bench_env import BenchVectorEnv
-from chemlab.envs.focal import FocalVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.roles.bench import Bench
 
 from ..advice import AdvisedPolicy, Advisor
-from ..background import background_policies, focal_vector_env
+from ..background import background_policies, role_vector_env
 from ..episodes import play_bench, play_laboratory
 from ..policies import Policy, agent_policy, bench_policy, is_scripted
 from ..pretrained import Card, Workplace, fingerprint, given_as
@@ -47,7 +46,7 @@ class Task(ABC):
         return fingerprint(self.workplace)
 
     @abstractmethod
-    def batch(self, members: int) -> BenchVectorEnv | FocalVectorEnv:
+    def batch(self, members: int) -> RoleVectorEnv:
         """Return a batch for training, which resets its members in the same step."""
 
     def prepare(self, batch: Any, shares: Mapping[str, float] | None) -> None:
@@ -115,7 +114,7 @@ class BenchTask(Task):
     """One bench of a scenario.
 
     Args:
-        scenario, bench, goals, starts: as for :class:`~chemlab.envs.bench_env.BenchEnv`.
+        scenario, bench, goals, starts: as for :class:`~chemlab.envs.role_env.RoleEnv`.
         splits: splits of worlds for training and for evaluation.
 
     Raises:
@@ -131,18 +130,26 @@ class BenchTask(Task):
         splits: tuple[str, str] = ("train", "validation"),
     ) -> None:
         self._source = _BenchSource(load_scenario(scenario), bench, goals, starts, splits)
-        self._batches: dict[int, BenchVectorEnv] = {}
+        self._batches: dict[int, RoleVectorEnv] = {}
         self.workplace: Bench = self.batch(1).bench
         self.scenario, self.agent = self.workplace.scenario, bench
         self.goals = self.scenario.goals if goals is None else tuple(goals)
 
-    def batch(self, members: int) -> BenchVectorEnv:
+    def batch(self, members: int) -> RoleVectorEnv:
         """See :class:`Task`."""
         return self._made(members, self._source.splits[0])
 
-    def _made(self, members: int, split: str) -> BenchVectorEnv:
+    def _made(self, members: int, split: str) -> RoleVectorEnv:
         s = self._source
-        return BenchVectorEnv(members, s.scenario, s.bench, s.goals, s.starts, AutoresetMode.SAME_STEP, split=split)
+        return RoleVectorEnv(
+            members,
+            s.scenario,
+            bench=s.bench,
+            goals=s.goals,
+            starts=s.starts,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+            split=split,
+        )
 
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
         """See :class:`Task`."""
@@ -206,9 +213,9 @@ class LaboratoryTask(Task):
         self.workplace = env.laboratories.roles[env.focal].workplace
         self._labs: dict[int, Laboratories] = {}
 
-    def batch(self, members: int) -> FocalVectorEnv:
+    def batch(self, members: int) -> RoleVectorEnv:
         """See :class:`Task`."""
-        return focal_vector_env(
+        return role_vector_env(
             members,
             self.scenario,
             self.agent,
@@ -217,7 +224,7 @@ class LaboratoryTask(Task):
             split=self._splits[0],
         )
 
-    def prepare(self, batch: FocalVectorEnv, shares: Mapping[str, float] | None) -> None:
+    def prepare(self, batch: RoleVectorEnv, shares: Mapping[str, float] | None) -> None:
         """See :class:`Task`."""
         batch.laboratories.prepare(shares)
 

@@ -79,14 +79,7 @@ def env(
 ) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
     """Return the laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
     laboratory = raw_env(scenario, render_mode, rewards, split, actions)
-    return OrderEnforcedLaboratory(laboratory)
-
-
-class OrderEnforcedLaboratory(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
-    """PettingZoo's order-enforcing wrapper, with a readable name."""
-
-    def __repr__(self) -> str:
-        return f"<{type(self).__name__} around {self.env!r}>"
+    return OrderEnforcingWrapper(laboratory)
 
 
 class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):

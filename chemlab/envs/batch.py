@@ -18,7 +18,7 @@ from ..lab.hidden import World
 from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
 from .global_state import GlobalState
-from .vector import checked_actions, parsed_reset
+from .inputs import checked_actions, parsed_reset
 
 __all__ = ["BatchedLaboratory"]
 

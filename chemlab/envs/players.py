@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..kernels.arrays import IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
 from ..roles.manager_state import RUNNING
-from .vector import checked_actions
+from .inputs import checked_actions
 
 __all__ = ["Memory", "Players", "Policy", "as_policy"]
 

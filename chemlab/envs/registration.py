@@ -28,7 +28,7 @@ _BENCHES: dict[str, dict[str, str]] = {
     "RealWurtzExtraction": {"scenario": "wurtz_real", "bench": "ext"},
     "RealWurtzDistillation": {"scenario": "wurtz_real", "bench": "dit"},
     "BenzoicAcidCrystallization": {"scenario": "recrystallization", "bench": "cry"},
-    "Bench": {},
+    "Bench": {"bench": "rxn"},
 }
 
 
@@ -44,18 +44,18 @@ def _register_laboratory() -> None:
 
 
 def _register_views() -> None:
-    """Register the single-bench and single-agent environments with Gymnasium.
+    """Register the environments of one role with Gymnasium.
 
     Entry points are strings, so nothing heavy is imported.
     """
     from gymnasium.envs.registration import register, registry
 
     views: dict[str, tuple[str, str, dict[str, str]]] = {
-        name: ("chemlab.envs.bench_env:BenchEnv", "chemlab.envs.bench_env:BenchVectorEnv", arguments)
+        name: ("chemlab.envs.role_env:RoleEnv", "chemlab.envs.role_env:RoleVectorEnv", arguments)
         for name, arguments in _BENCHES.items()
     }
     for name, arguments in (("LabManager", {"agent": "manager_0"}), ("LabAgent", {})):
-        views[name] = "chemlab.agents.background:focal_env", "chemlab.agents.background:focal_vector_env", arguments
+        views[name] = "chemlab.agents.background:role_env", "chemlab.agents.background:role_vector_env", arguments
     for name, (entry_point, vector_entry_point, arguments) in views.items():
         if f"chemlab/{name}-v0" not in registry:
             register(

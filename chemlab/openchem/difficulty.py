@@ -29,7 +29,7 @@ from ..agents.policies import make_policies
 from ..config.datafile import DataError
 from ..config.loading import load_scenario
 from ..config.scenario import Scenario
-from ..envs.bench_env import BenchVectorEnv
+from ..envs.role_env import RoleVectorEnv
 from ..kernels.arrays import FloatArray
 from ..lab.engine import Laboratories
 from ..physics.chemistry import AMOUNTS
@@ -138,7 +138,7 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     slowly = dict.fromkeys([(), reagents, *((name,) for name in reagents)])
     kelvins = np.linspace(options.temperature_k.low, options.temperature_k.high, _TEMPERATURES)
     recipes = list(itertools.product(kelvins.tolist(), slowly))
-    env = BenchVectorEnv(len(recipes), scenario, key, autoreset_mode="Disabled", actions="native")
+    env = RoleVectorEnv(len(recipes), scenario, bench=key, autoreset_mode="Disabled", actions="native")
     assert isinstance(env.bench, ReactionBench)
     policy = _Constant(env.bench, recipes, wanted)
     observation, _ = env.reset(seed=0, options={"goal": goal})
@@ -155,7 +155,7 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     return Conditions(round(kelvin, 1), slow, float(made[best] / most), float(made[best] / max(used[best], _TRACE_MOL)))
 
 
-def _totals(env: BenchVectorEnv) -> FloatArray:
+def _totals(env: RoleVectorEnv) -> FloatArray:
     """Return [N, M] mol of each material in bottles, vessels and waste."""
     shelf = env.batch.shelf
     inside = shelf.vessels[:, :, AMOUNTS : AMOUNTS + shelf.stock.shape[1]]

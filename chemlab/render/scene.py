@@ -591,7 +591,7 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
     """Return the scene of one experiment on a single bench.
 
     Args:
-        batch: Batch of experiments of a :class:`chemlab.envs.bench_env.BenchEnv` after a reset; it is not changed.
+        batch: Batch of experiments of a :class:`chemlab.envs.role_env.RoleEnv` after a reset; it is not changed.
         member: Environment index.
     """
     scenario, shelf, experiments = batch.scenario, batch.shelf, batch.experiments

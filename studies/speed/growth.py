@@ -33,7 +33,7 @@ from chemlab import BatchedLaboratory, load_scenario
 from chemlab.agents.policies import RandomPolicy
 from chemlab.config.files import replace_between
 from chemlab.config.scenario import Scenario
-from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 
 BASE = "wurtz_dodecane"
 _FEW_REACTIONS, _FEW_MATERIALS = 6, 20
@@ -149,7 +149,7 @@ class BenchPlay(Play):
     """Reaction benches alone."""
 
     def __init__(self, spec: Scenario, count: int) -> None:
-        self._envs = BenchVectorEnv(count, scenario=spec, bench="rxn", copy=False)
+        self._envs = RoleVectorEnv(count, scenario=spec, bench="rxn", copy=False)
         self._envs.reset(seed=0)
         self._envs.action_space.seed(0)
         self._actions = [self._envs.action_space.sample() for _ in range(64)]

@@ -16,7 +16,7 @@ from chemlab import raw_env
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario, scenario_names
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 from chemlab.render.draw import draw
 from chemlab.render.scene import bench_scene, laboratory_scene
 
@@ -39,7 +39,7 @@ def laboratory(name: str, episodes: int) -> dict[str, float]:
 
 def bench(name: str, key: str, frames: int) -> dict[str, float]:
     """Return the same for a single bench."""
-    env = BenchEnv(name, key)
+    env = RoleEnv(name, bench=key)
     env.action_space.seed(0)
     seconds: list[float] = []
     over = True

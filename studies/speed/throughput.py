@@ -24,11 +24,11 @@ import numpy as np
 
 import chemlab  # noqa: F401 - registers the environments
 from chemlab import BatchedLaboratory, load_scenario, parallel_env, raw_env
-from chemlab.agents.background import focal_vector_env
+from chemlab.agents.background import role_vector_env
 from chemlab.agents.policies import RandomPolicy
 from chemlab.config.files import replace_between
 from chemlab.config.scenario import Scenario
-from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.laboratory import env as laboratory_env
 
 ROUNDS = 5
@@ -108,7 +108,7 @@ def parts(name: str, seconds: float) -> dict[str, float]:
     them.
     """
     envs = gymnasium.make_vec(f"chemlab/{name}-v0", num_envs=256, vectorization_mode="vector_entry_point", copy=False)
-    assert isinstance(envs, BenchVectorEnv)
+    assert isinstance(envs, RoleVectorEnv)
     envs.reset(seed=0)
     actions = [envs.action_space.sample() for _ in range(16)]
     bench, spent = envs.bench, {"physics": 0.0, "observation": 0.0}
@@ -215,7 +215,7 @@ def batched_laboratory(count: int, seconds: float, scenario: str | Scenario = "w
 
 def manager_view(count: int, seconds: float) -> float:
     """Return manager decisions per second of ``count`` laboratories with scripted benches, random legal decisions."""
-    envs = focal_vector_env(count, autoreset_mode="SameStep", copy=False)
+    envs = role_vector_env(count, autoreset_mode="SameStep", copy=False)
     policy, members, steps = RandomPolicy(0, 0), np.arange(count), np.zeros(count, dtype=np.int64)
     observations, infos = envs.reset(seed=0)
 

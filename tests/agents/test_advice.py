@@ -232,10 +232,10 @@ def test_a_batch_shows_the_advice_and_goes_on_alike() -> None:
 def test_nothing_comes_after_a_limit() -> None:
     """Learners add what an episode cut short would have been worth: they must not where that is nothing."""
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.background import focal_vector_env
+    from chemlab.agents.background import role_vector_env
     from chemlab.agents.sb3 import ChemlabVecEnv
 
-    batch = focal_vector_env(4, "unlabelled", autoreset_mode="SameStep")
+    batch = role_vector_env(4, "unlabelled", autoreset_mode="SameStep")
     venv, wait = ChemlabVecEnv(batch), np.full(4, batch.action_count - 1)
     venv.reset()
     ended = []
@@ -243,7 +243,7 @@ def test_nothing_comes_after_a_limit() -> None:
         _, _, dones, infos = venv.step(wait)
         ended += [infos[i] for i in np.flatnonzero(dones)]
     assert not any(info["TimeLimit.truncated"] for info in ended)
-    twin = focal_vector_env(4, "unlabelled", autoreset_mode="SameStep")
+    twin = role_vector_env(4, "unlabelled", autoreset_mode="SameStep")
     twin.reset(seed=0)
     while True:
         _, _, terminated, truncated, _ = twin.step(wait)
@@ -257,11 +257,11 @@ def test_who_plays_in_later_rounds_sees_the_advice_too(monkeypatch: pytest.Monke
     pytest.importorskip("sb3_contrib")
     from sb3_contrib import MaskablePPO
 
-    from chemlab.agents.background import focal_vector_env
+    from chemlab.agents.background import role_vector_env
     from chemlab.agents.sb3 import ChemlabVecEnv
     from chemlab.agents.train import imitate as module
 
-    batch = focal_vector_env(4, "rush", autoreset_mode="SameStep")
+    batch = role_vector_env(4, "rush", autoreset_mode="SameStep")
     teacher = agent_policy("scripted", batch.laboratories, 0)
     venv = ChemlabVecEnv(batch, advisor=Advisor(teacher, batch.action_count))
     model, own = MaskablePPO("MlpPolicy", venv, n_steps=16, seed=0, device="cpu"), []

@@ -25,7 +25,7 @@ from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.tasks import LaboratoryTask
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.materials import DataError
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import SUBMIT, lab_starts
 
@@ -155,7 +155,7 @@ def test_recording_is_repeatable_and_keeps_what_a_vessel_was() -> None:
 
 
 def test_either_kind_of_start_is_drawn_as_often() -> None:
-    env = BenchVectorEnv(600, "wurtz_dodecane", "dit", starts="both")
+    env = RoleVectorEnv(600, "wurtz_dodecane", bench="dit", starts="both")
     env.reset(seed=0, options={"goal": "dodecane"})
     product = np.array([env.batch.shelf.vessel(i, 0).amounts().get("dodecane", 0.0) for i in range(600)])
     paper = np.isclose(product, 1.0, atol=1e-9)
@@ -267,7 +267,7 @@ def test_a_clone_that_has_to_remember() -> None:
     actions = np.repeat(first, turns)
     lengths = draw.integers(2, turns + 1, size=episodes)  # and episodes are not equally long
     kept = (np.arange(turns) < lengths[:, None]).ravel()
-    seen = np.zeros((episodes, turns, BenchEnv(bench="dit").observation_space.shape[0]), dtype=np.float32)
+    seen = np.zeros((episodes, turns, RoleEnv(bench="dit").observation_space.shape[0]), dtype=np.float32)
     seen[:, 0, 0] = first
     shown = (seen.reshape(len(actions), -1)[kept], np.ones((kept.sum(), venv.action_space.n), dtype=np.int8))
     returns = actions[kept].astype(np.float32)

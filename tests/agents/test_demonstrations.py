@@ -19,8 +19,8 @@ from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchEnv
 from chemlab.envs.parallel import parallel_env
+from chemlab.envs.role_env import RoleEnv
 from chemlab.record import Play, Recorder, read_record
 from chemlab.render.history import RecordReplay
 
@@ -134,7 +134,7 @@ def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: P
             continue
         number = labs.agents.index(move.begun)
         bench, experiments = labs.benches[number - 1], labs.experiments[number - 1]
-        env = BenchEnv(scenario, bench.key)
+        env = RoleEnv(scenario, bench=bench.key)
         env.reset(seed=0, options={"goal": bench.goals.names[experiments.goal[0]]})
         env.batch.shelf.rows[:] = labs.shelf.rows[experiments.places[0]]
         env.batch.shelf.stock[0] = labs.shelf.stock[0]
@@ -278,7 +278,7 @@ def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path
     write_datasets([scripted], "tests/benches")
     for agent, key in (("rxn_0", "rxn"), ("ext_0", "ext"), ("dit_0", "dit")):
         dataset = minari.load_dataset(f"tests/benches/{agent}-v0")
-        env = BenchEnv("wurtz_dodecane", key)
+        env = RoleEnv("wurtz_dodecane", bench=key)
         assert dataset.observation_space == env.observation_space
         assert dataset.action_space == env.action_space
         recovered = dataset.recover_environment()

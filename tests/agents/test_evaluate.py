@@ -26,7 +26,7 @@ from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 
 runner = CliRunner()
 DIT = "chemlab/WurtzDistillation-v0"
@@ -40,7 +40,7 @@ def test_a_batch_plays_what_single_environments_play(bench: str, goal: str) -> N
     played = play_bench(batch, bench_policy("scripted", batch.bench), goal, 30, record=True)
     assert played.actions is not None
     for i in range(4):
-        env = BenchEnv(target.scenario, bench)
+        env = RoleEnv(target.scenario, bench=bench)
         env.reset(seed=30 + i, options={"goal": goal})
         total, steps, over = 0.0, 0, False
         for action in played.actions[i]:
@@ -102,7 +102,7 @@ def test_cases_are_what_is_in_the_vessel() -> None:
     assert set(cases) == {"with NaCl", "without NaCl"}
     assert 15 < cases.count("with NaCl") < 49  # 5 standard deviations
     for member in range(4):
-        single = BenchEnv("wurtz_dodecane", "dit")
+        single = RoleEnv("wurtz_dodecane", bench="dit")
         single.reset(seed=5 + member, options={"goal": "5-methylundecane"})
         assert cases[member].startswith("without") != ("Na+" in single.batch.shelf.vessel(0, 0).amounts(1e-6))
     assert set(play_bench(env, policy, "NaCl", 5).cases) == {"with dodecane", "without dodecane"}
@@ -161,7 +161,7 @@ def test_report_is_made_of_the_returns() -> None:
 def test_targets() -> None:
     """Environment ids, benches of scenarios and laboratories."""
     for name, spec in gymnasium.registry.items():
-        if name.startswith("chemlab/") and str(spec.vector_entry_point).endswith(":BenchVectorEnv"):
+        if name.startswith("chemlab/") and str(spec.vector_entry_point).endswith(":RoleVectorEnv"):
             assert find_target(name).bench is not None
     ext = find_target("salt_from_oil", "ext", "lab")
     assert ext.as_dict() == {
@@ -250,7 +250,7 @@ def test_what_is_in_the_way_of_results_is_found_before_anything_is_played(
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    bench = BenchEnv("wurtz_dodecane", "dit").bench
+    bench = RoleEnv("wurtz_dodecane", bench="dit").bench
     monkeypatch.chdir(tmp_path)
     for name in (".", ".."):
         with pytest.raises(ValueError, match=r"config\.json is missing"):
@@ -281,4 +281,4 @@ def test_checkpoints_play_as_their_model(tmp_path: Path) -> None:
         found = policy.act(seen, env.action_masks().astype(np.int8), np.zeros(3, dtype=np.int64), np.arange(3))
         np.testing.assert_array_equal(found, expected)
     with strangers_code(True), pytest.raises(ValueError, match="was trained for"):
-        bench_policy(str(tmp_path), BenchEnv("wurtz_dodecane", "ext").bench)
+        bench_policy(str(tmp_path), RoleEnv("wurtz_dodecane", bench="ext").bench)

@@ -33,7 +33,7 @@ from chemlab.agents.train.tasks import task_of
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
 
@@ -191,7 +191,7 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
     assert folder is not None
     model: Any = load_learner(folder, algo)
     scenario, key = policy.card.scenario, policy.card.bench
-    env = BenchVectorEnv(50, scenario, key, autoreset_mode="SameStep")
+    env = RoleVectorEnv(50, scenario, bench=key, autoreset_mode="SameStep")
     seen, infos = env.reset(seed=3)
     for _ in range(12):
         expected, _ = model.predict(seen, deterministic=True)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario
@@ -162,7 +162,7 @@ def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0", "dit_0"])
 def test_costs_are_weighted_events_in_the_view(agent: str) -> None:
     """``lab_cost`` is of everybody's events in the step; ``cost`` of the agent's own, and part of it."""
-    env = focal_env(SAFE, agent, "random" if agent == "manager_0" else {"manager": "scripted:unsafe"})
+    env = role_env(SAFE, agent, "random" if agent == "manager_0" else {"manager": "scripted:unsafe"})
     labs, rng = env.laboratories, np.random.default_rng(1)
     submits = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT) if agent == "manager_0" else ()
     own = everybody = 0.0
@@ -172,7 +172,7 @@ def test_costs_are_weighted_events_in_the_view(agent: str) -> None:
             _, info = env.reset(seed=step)
             assert info["cost"] == info["lab_cost"] == 0.0
             assert not info["events"].any()
-        mask = labs.mask(env.batch.focal, labs.members)
+        mask = labs.mask(env.focal, labs.members)
         action = wild(None if mask is None else mask[0], env.action_space.shape or (), rng, submits)
         *_, terminated, truncated, info = env.step(action)
         over = terminated or truncated
@@ -188,8 +188,8 @@ def test_costs_are_weighted_events_in_the_view(agent: str) -> None:
 def test_batches_report_the_same_costs() -> None:
     """The batched view's and the batched laboratories' costs are those of the single ones."""
     views = (
-        focal_vector_env(3, SAFE, "ext_0", {"manager": "scripted:unsafe"}),
-        [focal_env(SAFE, "ext_0", {"manager": "scripted:unsafe"}) for _ in range(3)],
+        role_vector_env(3, SAFE, "ext_0", {"manager": "scripted:unsafe"}),
+        [role_env(SAFE, "ext_0", {"manager": "scripted:unsafe"}) for _ in range(3)],
     )
     batch, singles = views
     rng = np.random.default_rng(2)

@@ -28,7 +28,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 
 BENCHES = ["rxn", "ext", "dit"]
 
@@ -44,7 +44,7 @@ def _one_thread() -> Any:
 
 def plan(bench: str, steps: int, members: int, seed: int = 0) -> Any:
     """[steps, members, ...] random actions; 3 % of discrete ones end the experiment."""
-    space = BenchEnv(bench=bench).action_space
+    space = RoleEnv(bench=bench).action_space
     rng = np.random.default_rng(seed)
     if isinstance(space, gymnasium.spaces.Discrete):
         actions = rng.integers(space.n - 1, size=(steps, members))
@@ -60,7 +60,7 @@ def plan(bench: str, steps: int, members: int, seed: int = 0) -> Any:
 @pytest.mark.parametrize("bench", BENCHES)
 def test_members_are_single_environments(bench: str, copy: bool) -> None:
     venv = ChemlabVecEnv(4, bench=bench, copy=copy)
-    singles = [BenchEnv(bench=bench) for _ in range(4)]
+    singles = [RoleEnv(bench=bench) for _ in range(4)]
     assert venv.observation_space == singles[0].observation_space
     assert venv.action_space == singles[0].action_space
     assert venv.seed(20) == [20, 21, 22, 23]
@@ -137,9 +137,9 @@ def test_options() -> None:
     venv.seed(1)
     venv.set_options([{"goal": "dodecane"}, {}, {"goal": "NaCl"}])
     seen = venv.reset()
-    np.testing.assert_array_equal(seen[0], BenchEnv(bench="dit").reset(seed=1, options={"goal": "dodecane"})[0])
-    np.testing.assert_array_equal(seen[1], BenchEnv(bench="dit").reset(seed=2)[0])
-    np.testing.assert_array_equal(seen[2], BenchEnv(bench="dit").reset(seed=3, options={"goal": "NaCl"})[0])
+    np.testing.assert_array_equal(seen[0], RoleEnv(bench="dit").reset(seed=1, options={"goal": "dodecane"})[0])
+    np.testing.assert_array_equal(seen[1], RoleEnv(bench="dit").reset(seed=2)[0])
+    np.testing.assert_array_equal(seen[2], RoleEnv(bench="dit").reset(seed=3, options={"goal": "NaCl"})[0])
     venv.set_options({"goal": "gold"})
     with pytest.raises(ValueError, match="gold"):
         venv.reset()
@@ -180,7 +180,7 @@ def test_attributes_and_methods() -> None:
 @pytest.mark.parametrize("bench", ["ext", "dit"])
 def test_masks_are_where_sb3_contrib_looks(bench: str) -> None:
     venv = ChemlabVecEnv(5, bench=bench)
-    batch = BenchVectorEnv(5, bench=bench, autoreset_mode="SameStep")
+    batch = RoleVectorEnv(5, bench=bench, autoreset_mode="SameStep")
     venv.seed(2)
     venv.reset()
     batch.reset(seed=2)
@@ -228,8 +228,8 @@ def test_observations_that_end_with_the_mask() -> None:
 
 
 def test_an_existing_batch_wrapped_or_not() -> None:
-    batch = BenchVectorEnv(2, bench="rxn", autoreset_mode="SameStep")
-    halved = TransformReward(BenchVectorEnv(2, bench="rxn", autoreset_mode="SameStep"), lambda rewards: 0.5 * rewards)
+    batch = RoleVectorEnv(2, bench="rxn", autoreset_mode="SameStep")
+    halved = TransformReward(RoleVectorEnv(2, bench="rxn", autoreset_mode="SameStep"), lambda rewards: 0.5 * rewards)
     plain_venv, wrapped_venv = ChemlabVecEnv(batch), ChemlabVecEnv(halved)
     for venv in (plain_venv, wrapped_venv):
         venv.seed(0)
@@ -246,11 +246,11 @@ def test_an_existing_batch_wrapped_or_not() -> None:
 
 def test_batches_it_cannot_take() -> None:
     with pytest.raises(ValueError, match="SAME_STEP"):
-        ChemlabVecEnv(BenchVectorEnv(2))
+        ChemlabVecEnv(RoleVectorEnv(2, bench="rxn"))
     with pytest.raises(ValueError, match="SAME_STEP"):
         ChemlabVecEnv(2, autoreset_mode="NextStep")
     with pytest.raises(ValueError, match="no arguments, given bench"):
-        ChemlabVecEnv(BenchVectorEnv(2, autoreset_mode="SameStep"), bench="ext")
+        ChemlabVecEnv(RoleVectorEnv(2, bench="rxn", autoreset_mode="SameStep"), bench="ext")
     with pytest.raises(TypeError, match="one of chemlab's batches"):
         ChemlabVecEnv(gymnasium.make_vec("CartPole-v1", num_envs=2))
 
@@ -375,7 +375,7 @@ def test_evaluation_counts_whole_episodes() -> None:
     assert len(rewards) == 2  # type: ignore[arg-type]
     played = []
     for seed in (9, 10):
-        env = BenchEnv(bench="dit")
+        env = RoleEnv(bench="dit")
         observation, over, total, steps = env.reset(seed=seed)[0], False, 0.0, 0
         while not over:
             action, _ = model.predict(observation, deterministic=True)

@@ -50,7 +50,7 @@ from chemlab.agents.train.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 
 SMALL: dict[str, Any] = {
     "envs": 2,
@@ -381,7 +381,7 @@ def test_evaluations_are_single_environments_with_the_same_seeds() -> None:
     policy = scripted_bench(task.workplace)
     returns = task.returns(policy, 2, 50)
     np.testing.assert_array_equal(returns, task.returns(policy, 2, 50))
-    env = BenchEnv("wurtz_dodecane", "dit")
+    env = RoleEnv("wurtz_dodecane", bench="dit")
     for g, goal in enumerate(task.goals):
         for i in range(2):
             observation, info = env.reset(seed=50 + i, options={"goal": goal})

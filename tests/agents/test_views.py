@@ -11,9 +11,9 @@ from gymnasium.vector import AutoresetMode
 from helpers import EVERY_SCENARIO
 
 import chemlab
-from chemlab.agents.background import background_policies, focal_env, focal_vector_env
+from chemlab.agents.background import background_policies, role_env, role_vector_env
 from chemlab.agents.policies import RandomPolicy, agent_policy, make_policies, policy_names
-from chemlab.envs.focal import FocalEnv, FocalVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs
 
@@ -46,7 +46,7 @@ def chosen(background: Any, scenario: str = LINES) -> dict[str, Any]:
 @pytest.mark.parametrize("scenario", EVERY_SCENARIO)
 def test_ids_make_views_of_any_scenario(scenario: str) -> None:
     env = gymnasium.make("chemlab/LabManager-v0", scenario=scenario)
-    assert isinstance(env.unwrapped, FocalEnv)
+    assert isinstance(env.unwrapped, RoleEnv)
     labs = env.unwrapped.laboratories
     assert env.unwrapped.agent == "manager_0"
     assert env.observation_space == labs.manager.observation_space
@@ -65,7 +65,7 @@ def test_ids_make_batches() -> None:
     envs = gymnasium.make_vec(
         "chemlab/LabManager-v0", num_envs=4, vectorization_mode="vector_entry_point", background="random"
     )
-    assert isinstance(envs.unwrapped, FocalVectorEnv)
+    assert isinstance(envs.unwrapped, RoleVectorEnv)
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     observations, infos = envs.reset(seed=0)
     assert observations in envs.observation_space
@@ -114,7 +114,7 @@ def test_an_agents_own_policy_beats_its_kinds_and_that_beats_the_default() -> No
 def test_policies_given_by_kind_play() -> None:
     """Both extraction benches are played by the policy of their kind."""
     policy = Constant(40)
-    env = focal_env(LINES, "manager_0", {"ext": policy})
+    env = role_env(LINES, "manager_0", {"ext": policy})
     encode = env.laboratories.actions.encode
     env.reset(seed=0)
     env.step(encode("start", "ext_0", 0, "dodecane"))
@@ -127,7 +127,7 @@ def test_policies_given_by_kind_play() -> None:
 def test_nobody_moves_the_focal_agent() -> None:
     """A policy for the focal agent itself may be in the mapping, and is not asked."""
     policy = Constant(0)
-    env = focal_env("wurtz_dodecane", "manager_0", {"manager_0": policy})
+    env = role_env("wurtz_dodecane", "manager_0", {"manager_0": policy})
     env.reset(seed=0)
     env.step(env.laboratories.actions.encode("start", "rxn_0", 0, "dodecane"))
     env.step(env.laboratories.actions.encode("wait"))
@@ -147,8 +147,8 @@ def test_nobody_moves_the_focal_agent() -> None:
 )
 def test_unknown_backgrounds_are_refused(background: Any, error: type[Exception], parts: list[str]) -> None:
     for make in (
-        lambda: focal_env(LINES, background=background),
-        lambda: focal_vector_env(2, LINES, background=background),
+        lambda: role_env(LINES, background=background),
+        lambda: role_vector_env(2, LINES, background=background),
     ):
         with pytest.raises(error) as caught:
             make()
@@ -158,7 +158,7 @@ def test_unknown_backgrounds_are_refused(background: Any, error: type[Exception]
 
 def test_a_policy_by_name_is_the_scripted_one() -> None:
     """Playing the manager's view with the scripted manager is playing the scripted laboratory."""
-    env = focal_env("wurtz_any")
+    env = role_env("wurtz_any")
     labs = env.laboratories
     manager = agent_policy("scripted", labs, 0)
     observation, info = env.reset(seed=3)
@@ -183,7 +183,7 @@ def test_a_policy_by_name_is_the_scripted_one() -> None:
 def test_a_used_view_plays_like_a_new_one(background: str) -> None:
     """Whatever was played before: the same seed is the same episode, policies' memories and streams included."""
 
-    def episode(env: FocalEnv, seed: int, steps: int) -> list[Any]:
+    def episode(env: RoleEnv, seed: int, steps: int) -> list[Any]:
         rng = np.random.default_rng(0)
         observation, info = env.reset(seed=seed)
         seen = [observation]
@@ -196,7 +196,7 @@ def test_a_used_view_plays_like_a_new_one(background: str) -> None:
                 break
         return seen
 
-    env = focal_env("wurtz_dodecane", "dit_0", background)
+    env = role_env("wurtz_dodecane", "dit_0", background)
     first = episode(env, 1, 30)
     episode(env, 2, 7)  # broken off
     for one, other in zip(episode(env, 1, 30), first, strict=True):

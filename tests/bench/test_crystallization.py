@@ -13,8 +13,8 @@ import chemlab  # noqa: F401 - registers the single benches
 from chemlab.agents.policies import RandomPolicy, is_scripted, scripted_bench
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.envs.players import Policy
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, element_matrix
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
@@ -170,8 +170,8 @@ def test_atoms_are_conserved_in_random_play() -> None:
 def test_a_member_of_a_batch_is_a_batch_of_one() -> None:
     arguments: dict[str, Any] = {"scenario": SCENARIO, "bench": BENCH}
     actions = np.random.default_rng(2).integers(0, 34, (25, 6))
-    many, threaded = BenchVectorEnv(6, **arguments), BenchVectorEnv(6, threads=2, **arguments)
-    ones = [BenchEnv(**arguments) for _ in range(6)]
+    many, threaded = RoleVectorEnv(6, **arguments), RoleVectorEnv(6, threads=2, **arguments)
+    ones = [RoleEnv(**arguments) for _ in range(6)]
     first = many.reset(seed=11)[0]
     np.testing.assert_array_equal(threaded.reset(seed=11)[0], first)
     for i, one in enumerate(ones):

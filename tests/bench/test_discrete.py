@@ -16,7 +16,7 @@ from chemlab.agents.policies import RandomPolicy, make_policies
 from chemlab.config.datamodel import written
 from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env, raw_env
 from chemlab.record import Recorder, scenario_hash, verify_record
@@ -25,14 +25,14 @@ from chemlab.roles.kinds import discretised_twin
 
 
 def bench(name: str = "wurtz_dodecane") -> Discretised:
-    made = BenchEnv(name, "rxn", actions="discrete").bench
+    made = RoleEnv(name, bench="rxn", actions="discrete").bench
     assert isinstance(made, Discretised)
     return made
 
 
 def test_each_choice_does_what_its_numbers_do() -> None:
     """Stepped side by side with the continuous bench: observations, rewards and the end are equal to the last digit."""
-    chosen, numbers = BenchVectorEnv(36, bench="rxn", actions="discrete"), BenchVectorEnv(36, bench="rxn")
+    chosen, numbers = RoleVectorEnv(36, bench="rxn", actions="discrete"), RoleVectorEnv(36, bench="rxn")
     rows = chosen.bench.action_rows
     assert rows.shape == (36, 6)
     np.testing.assert_array_equal(chosen.reset(seed=3)[0], numbers.reset(seed=3)[0])
@@ -52,7 +52,7 @@ def test_all_choices_are_legal_differ_and_say_what_they_do() -> None:
         assert one.action_meanings[one.end_action] == "hold"
         np.testing.assert_array_equal(one.action_rows[one.end_action, :2], 0.5)
         assert not one.action_rows[one.end_action, 2:].any()
-    env = BenchEnv(bench="rxn", actions="discrete")
+    env = RoleEnv(bench="rxn", actions="discrete")
     _, info = env.reset(seed=0)
     assert info["action_mask"].all()
     assert env.action_masks().all()
@@ -103,7 +103,7 @@ def test_copies_are_benches_like_it() -> None:
     for other in (copy.copy(one), copy.deepcopy(one), pickle.loads(pickle.dumps(one))):
         assert type(other) is type(one)
         np.testing.assert_array_equal(other.action_rows, one.action_rows)
-    env = BenchVectorEnv(4, bench="rxn", actions="discrete", threads=2)
+    env = RoleVectorEnv(4, bench="rxn", actions="discrete", threads=2)
     other = pickle.loads(pickle.dumps(env))
     np.testing.assert_array_equal(env.reset(seed=1)[0], other.reset(seed=1)[0])
     np.testing.assert_array_equal(env.step(np.arange(4))[0], other.step(np.arange(4))[0])
@@ -117,11 +117,11 @@ def test_scenarios_without_it_are_what_they_were() -> None:
     assert "actions" not in written(scenario.benches["rxn"])
     with pytest.raises(ValueError, match="actions: must be native or discrete, given 'some'"):
         scenario.configured(actions="some")
-    assert discretised_twin(BenchEnv(bench="ext").bench) is None
+    assert discretised_twin(RoleEnv(bench="ext").bench) is None
 
 
 def test_a_random_policy_chooses_among_them() -> None:
-    env = BenchVectorEnv(200, bench="rxn", actions="discrete")
+    env = RoleVectorEnv(200, bench="rxn", actions="discrete")
     observations, infos = env.reset(seed=0)
     actions = RandomPolicy(0, 1).act(observations, infos["action_mask"], np.zeros(200, dtype=np.int64), np.arange(200))
     assert len(set(actions.tolist())) > 30

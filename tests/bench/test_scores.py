@@ -12,7 +12,7 @@ from helpers import mapping
 
 from chemlab.agents.policies import Policy, RandomPolicy, scripted_bench
 from chemlab.config.loading import load_scenario
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.roles.operation_bench import OperationBench
 
@@ -290,7 +290,7 @@ def test_reactions_that_are_too_stiff_are_an_error_that_says_where(tmp_path: Pat
     values = mapping("wurtz_dodecane_direct")
     values |= {"name": "isomers", "reactions": str(tmp_path / "isomers.toml"), "goals": ["1-chlorohexane"]}
     values |= {"lab_goals": ["1-chlorohexane"], "theoretical_maximum_mol": {"1-chlorohexane": 1.0}}
-    env = BenchEnv(load_scenario(values), "rxn")
+    env = RoleEnv(load_scenario(values), bench="rxn")
     env.reset(seed=0)
     with pytest.raises(ArithmeticError, match=r"rxn_0: the reactions of laboratory 0 .* too stiff.*benches\.rxn\.tick"):
         env.step(np.ones(env.action_space.shape))

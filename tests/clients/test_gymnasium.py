@@ -15,7 +15,7 @@ from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
 from helpers import FEATURED, slow_but
 
-from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.background import role_env, role_vector_env
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.record import scenario_hash
 
@@ -124,7 +124,7 @@ def test_wrappers() -> None:
     env = gymnasium.wrappers.RescaleObservation(env, np.float32(-1.0), np.float32(1.0))
     rng = np.random.default_rng(0)
     seen, _ = env.reset(seed=0)
-    bare = focal_env()
+    bare = role_env()
     bare.reset(seed=0)
     earned, steps, over = 0.0, 0, False
     while not over:
@@ -139,7 +139,7 @@ def test_wrappers() -> None:
 
 
 def test_vector_wrappers() -> None:
-    envs = focal_vector_env(4)
+    envs = role_vector_env(4)
     wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
     wrapped = gymnasium.wrappers.vector.NormalizeObservation(wrapped)
     wrapped = gymnasium.wrappers.vector.ClipReward(wrapped, -1.0, 1.0)

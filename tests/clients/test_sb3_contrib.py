@@ -28,7 +28,7 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 import chemlab  # noqa: F401 - registers the environments
-from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.config.loading import load_scenario
 
@@ -70,7 +70,7 @@ def learned(model: Any, steps: int) -> Watch:
 
 def manager_batch(members: int, name: str = "wurtz_dodecane") -> ChemlabVecEnv:
     """The manager's view of a batch of laboratories, for SB3."""
-    return ChemlabVecEnv(focal_vector_env(members, name, autoreset_mode="SameStep"))
+    return ChemlabVecEnv(role_vector_env(members, name, autoreset_mode="SameStep"))
 
 
 # -- its checker ------------------------------------------------------------------------------------------------------
@@ -161,20 +161,20 @@ def test_masked_ppo_operates_a_single_bench(name: str) -> None:
 
 @pytest.mark.parametrize("agent", ["ext_0", "dit_0"])
 def test_masked_ppo_operates_a_bench_in_a_running_laboratory(agent: str) -> None:
-    venv = ChemlabVecEnv(focal_vector_env(4, agent=agent, autoreset_mode="SameStep"))
+    venv = ChemlabVecEnv(role_vector_env(4, agent=agent, autoreset_mode="SameStep"))
     assert learned(MaskablePPO("MlpPolicy", venv, **SMALL), 256).illegal == 0
 
 
 def test_ppo_operates_a_reaction_in_a_running_laboratory() -> None:
-    venv = ChemlabVecEnv(focal_vector_env(4, agent="rxn_0", autoreset_mode="SameStep"))
+    venv = ChemlabVecEnv(role_vector_env(4, agent="rxn_0", autoreset_mode="SameStep"))
     assert not is_masking_supported(venv)
     model = PPO("MlpPolicy", venv, **SMALL)
     assert learned(model, 256).ends > 0
-    env = Monitor(focal_env(agent="rxn_0"))
+    env = Monitor(role_env(agent="rxn_0"))
     mean, _ = evaluate_policy(model, env, n_eval_episodes=1)
     assert np.isfinite(mean)
     # And the trained one can be a colleague of the manager.
-    manager = focal_env(background={"rxn": model})
+    manager = role_env(background={"rxn": model})
     seen, _ = manager.reset(seed=0)
     for _ in range(5):
         mask = manager.action_masks()

@@ -24,7 +24,7 @@ from tianshou.trainer import OffPolicyTrainerParams
 from tianshou.utils.net.common import Net
 
 import chemlab  # noqa: F401 - registers the environments
-from chemlab.agents.background import focal_env
+from chemlab.agents.background import role_env
 from chemlab.laboratory import env as laboratory_env
 
 
@@ -67,7 +67,7 @@ def test_dqn_with_masks_learns(agent: str) -> None:
     torch.manual_seed(0)
 
     def make() -> MaskInObservation:
-        return MaskInObservation(focal_env(agent=agent))
+        return MaskInObservation(role_env(agent=agent))
 
     training, testing = DummyVectorEnv([make] * 3), DummyVectorEnv([make])
     training.seed(0)

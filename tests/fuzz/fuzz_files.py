@@ -38,7 +38,7 @@ from chemlab.config.loading import dump_scenario, load_scenario, restore_scenari
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import shipped_pairs
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.starts import lab_starts
 from chemlab.record import Play, Recorder, verify_record
 
@@ -314,7 +314,7 @@ def attempt(folder: Path, kind: str, bases: Sequence[Files], rng: np.random.Gene
             scenario = recorded_starts(folder, rng)
             for bench in scenario.benches:
                 lab_starts(scenario, bench)
-                env = BenchEnv(scenario, bench, starts="lab")
+                env = RoleEnv(scenario, bench=bench, starts="lab")
                 for _ in range(turns and 2):
                     assert np.isfinite(env.reset(seed=seed)[0]).all()
                     env.step(env.action_space.sample())

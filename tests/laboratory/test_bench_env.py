@@ -29,12 +29,13 @@ from helpers import EVERY_SCENARIO
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
 from chemlab.config.scenario import Scenario
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.envs.focal import FocalVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 
 IDS = sorted(
-    name for name, spec in gymnasium.registry.items() if name.startswith("chemlab/") and "bench" in (spec.kwargs or {})
+    name
+    for name, spec in gymnasium.registry.items()
+    if name.startswith("chemlab/") and {"bench", "scenario"} <= set(spec.kwargs or {})
 )
 DISCRETE = [name for name in IDS if gymnasium.spec(name).kwargs["bench"] != "rxn"]
 CONTINUOUS = [name for name in IDS if name not in DISCRETE]
@@ -42,14 +43,14 @@ STEPS = 120
 """More than two experiments of any bench."""
 
 
-def single(name: str, **arguments: Any) -> BenchEnv:
+def single(name: str, **arguments: Any) -> RoleEnv:
     """The bare single environment of an id."""
-    return BenchEnv(**{**gymnasium.spec(name).kwargs, **arguments})
+    return RoleEnv(**{**gymnasium.spec(name).kwargs, **arguments})
 
 
-def batch(name: str, num_envs: int, **arguments: Any) -> BenchVectorEnv:
+def batch(name: str, num_envs: int, **arguments: Any) -> RoleVectorEnv:
     """The bare batch of an id."""
-    return BenchVectorEnv(num_envs, **{**gymnasium.spec(name).kwargs, **arguments})
+    return RoleVectorEnv(num_envs, **{**gymnasium.spec(name).kwargs, **arguments})
 
 
 def plan(name: str, members: int, steps: int = STEPS, seed: int = 0) -> npt.NDArray[Any]:
@@ -63,14 +64,14 @@ def plan(name: str, members: int, steps: int = STEPS, seed: int = 0) -> npt.NDAr
     return rng.random((steps, members, *(space.shape or ())), dtype=np.float32)
 
 
-def random_legal(env: BenchEnv, rng: np.random.Generator) -> Any:
+def random_legal(env: RoleEnv, rng: np.random.Generator) -> Any:
     """A random legal action."""
     if isinstance(env.action_space, gymnasium.spaces.Discrete):
         return int(rng.choice(np.flatnonzero(env.action_masks())))
     return rng.random(env.action_space.shape)
 
 
-def episode(env: BenchEnv, seed: int, actions: npt.NDArray[Any]) -> Iterator[tuple[Any, ...]]:
+def episode(env: RoleEnv, seed: int, actions: npt.NDArray[Any]) -> Iterator[tuple[Any, ...]]:
     """(observation, reward, terminated, mask) at the reset and after each step, begun anew (unseeded) where it ends."""
     observation, info = env.reset(seed=seed)
     yield observation, 0.0, False, info.get("action_mask")
@@ -146,7 +147,7 @@ def test_a_seed_decides_everything(name: str) -> None:
             np.testing.assert_array_equal(first, second)
 
 
-def beginnings(env: BenchEnv, seed: int | None) -> bytes:
+def beginnings(env: RoleEnv, seed: int | None) -> bytes:
     """The first observations of 20 experiments; seven goals are drawn, so equal ones by chance are out of question."""
     return b"".join(env.reset(seed=seed if i == 0 else None)[0].tobytes() for i in range(20))
 
@@ -179,11 +180,11 @@ def test_observations_stay_in_their_space(name: str) -> None:
 DIGEST = """
 import hashlib, sys
 import numpy as np
-from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 
 digest = hashlib.sha256()
 for scenario, bench in zip(sys.argv[1::2], sys.argv[2::2]):
-    env = BenchVectorEnv(3, scenario, bench)
+    env = RoleVectorEnv(3, scenario, bench=bench)
     digest.update(env.reset(seed=11)[0].tobytes())
     rng = np.random.default_rng(0)
     for _ in range(25):
@@ -221,15 +222,15 @@ def test_copies_go_on_alike(name: str, how: Any) -> None:
         pass
     twin = how(env)
     untouched = how(env).get_state()
-    over, continued = env._over, []
+    over, continued = bool(env.episodes.pending[0]), []
     for action in actions[10:40]:
         continued.append(env.reset()[0] if over else env.step(action)[0])
-        over = env._over
+        over = bool(env.episodes.pending[0])
     assert_same_arrays(twin.get_state(), untouched)
-    over = twin._over
+    over = bool(twin.episodes.pending[0])
     for action, expected in zip(actions[10:40], continued, strict=True):
         np.testing.assert_array_equal(twin.reset()[0] if over else twin.step(action)[0], expected)
-        over = twin._over
+        over = bool(twin.episodes.pending[0])
     assert_same_arrays(twin.get_state(), env.get_state())
 
 
@@ -478,8 +479,8 @@ def test_bad_options_leave_generators_as_they_are() -> None:
 FORK = """
 import os, sys
 import numpy as np
-from chemlab.envs.bench_env import BenchVectorEnv
-env, alone = BenchVectorEnv(4, threads=2), BenchVectorEnv(4)
+from chemlab.envs.role_env import RoleVectorEnv
+env, alone = RoleVectorEnv(4, bench="rxn", threads=2), RoleVectorEnv(4, bench="rxn")
 actions = np.random.default_rng(0).random((6, 4, 6))
 for one in (env, alone):
     one.reset(seed=0)
@@ -523,9 +524,9 @@ def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(sys, "unraisablehook", noise.append)
     for arguments in ({"threads": 0}, {"goals": "gold"}):
         with pytest.raises((ValueError, DataError)):
-            BenchVectorEnv(2, **arguments)
+            RoleVectorEnv(2, **arguments)
         with pytest.raises((ValueError, DataError)):
-            FocalVectorEnv(0)
+            RoleVectorEnv(0)
     gc.collect()
     assert noise == []
 
@@ -550,7 +551,7 @@ def test_returned_arrays_are_copies_unless_asked_otherwise(name: str) -> None:
 @pytest.mark.parametrize("name", IDS)
 def test_make_vec(name: str) -> None:
     env = gymnasium.make_vec(name, num_envs=8, vectorization_mode="vector_entry_point")
-    assert isinstance(env.unwrapped, BenchVectorEnv)
+    assert isinstance(env.unwrapped, RoleVectorEnv)
     assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
     observations, _ = env.reset(seed=0)
     assert observations in env.observation_space
@@ -785,21 +786,21 @@ def test_the_generic_id_is_the_named_one() -> None:
     ],
 )
 def test_unknown_arguments(arguments: dict[str, Any], message: str) -> None:
-    for make in (BenchEnv, BenchVectorEnv):
+    for make in (RoleEnv, RoleVectorEnv):
         with pytest.raises(DataError, match=message):
             make(**arguments)
 
 
 def test_unknown_render_mode() -> None:
     with pytest.raises(ValueError, match=r"ansi.*given 'holography'"):
-        BenchEnv(render_mode="holography")
+        RoleEnv(render_mode="holography")
 
 
 def test_lab_starts_that_nobody_recorded() -> None:
     content = load_scenario("wurtz_dodecane").model_dump(mode="json")
     scenario = load_scenario({**content, "name": "never_played"})
     with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab export starts FILE\.toml"):
-        BenchEnv(scenario, "ext", starts="lab")
+        RoleEnv(scenario, bench="ext", starts="lab")
 
 
 def test_rendering_shows_no_contents() -> None:
@@ -826,7 +827,7 @@ class Idle:
 
 def test_a_reaction_model_of_one_s_own_reaches_the_bench() -> None:
     spec = load_scenario({"base": "wurtz_dodecane", "name": "idle", "benches": {"rxn": {"model": f"{__name__}:Idle"}}})
-    env, vector = BenchEnv(spec, "rxn"), BenchVectorEnv(2, spec, "rxn")
+    env, vector = RoleEnv(spec, bench="rxn"), RoleVectorEnv(2, spec, bench="rxn")
     again = pickle.loads(pickle.dumps(env))
     env.reset(seed=0, options={"goal": "dodecane"})
     vector.reset(seed=0, options={"goal": "dodecane"})

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 from helpers import EVERY_SCENARIO
 
-from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.background import role_env, role_vector_env
 from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.laboratory import env as ordered_env
 from chemlab.laboratory import parallel_env, raw_env
 
@@ -108,10 +108,10 @@ CLASSES: dict[str, tuple[Callable[[str], list[Any]], Callable[..., list[Any]]]] 
     "env": (lambda name: [ordered_env(name)], turns),
     "parallel_env": (lambda name: [parallel_env(name)], rounds),
     "BatchedLaboratory": (lambda name: [BatchedLaboratory(2, name)], rounds),
-    "BenchEnv": (lambda name: benches(BenchEnv, name), singly),
-    "BenchVectorEnv": (lambda name: benches(BenchVectorEnv, name, num_envs=3, threads=2), together),
-    "FocalEnv": (lambda name: [focal_env(name), focal_env(name, load_scenario(name).bench_agents()[0])], singly),
-    "FocalVectorEnv": (lambda name: [focal_vector_env(2, name)], together),
+    "RoleEnv, bench": (lambda name: benches(RoleEnv, name), singly),
+    "RoleVectorEnv, bench": (lambda name: benches(RoleVectorEnv, name, num_envs=3, threads=2), together),
+    "RoleEnv": (lambda name: [role_env(name), role_env(name, load_scenario(name).bench_agents()[0])], singly),
+    "RoleVectorEnv": (lambda name: [role_vector_env(2, name)], together),
 }
 
 

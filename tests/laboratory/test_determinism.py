@@ -22,14 +22,14 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from helpers import EVERY_SCENARIO, FEATURED, slow_but
 
-from chemlab.agents.background import focal_vector_env
+from chemlab.agents.background import role_vector_env
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.envs.parallel import parallel_env
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 
 OTHERS = tuple(name for name in scenario_names() if name not in FEATURED)
@@ -258,7 +258,7 @@ MANAGERS = {"scripted:unsafe": hasty_manager, "busy": busy_manager}
 
 def focal_beginnings(name: str, agent: str, style: str, mode: AutoresetMode, members: int) -> list[list[str]]:
     """[members][EPISODES] beginnings of a batch's episodes for an agent, the others being random policies."""
-    env = focal_vector_env(members, drawn_scenario(name), agent, background="random", autoreset_mode=mode)
+    env = role_vector_env(members, drawn_scenario(name), agent, background="random", autoreset_mode=mode)
     labs, rng = env.laboratories, np.random.default_rng(0)
     seen, infos = env.reset(seed=5)
     found = [[beginning(labs, m, seen[m])] for m in range(members)]
@@ -359,8 +359,8 @@ def test_later_experiments_are_the_same_whatever_was_played_before(bench: str, m
     spec, found = drawn_scenario("alike"), []
     for short in (True, False):
         rng = np.random.default_rng(2)
-        env = BenchVectorEnv(2, spec, bench, autoreset_mode=mode, threads=2)
-        single = BenchEnv(spec, bench)
+        env = RoleVectorEnv(2, spec, bench=bench, autoreset_mode=mode, threads=2)
+        single = RoleEnv(spec, bench=bench)
         seen, _ = env.reset(seed=[7, 8])
         own = [beginning(env.batch, 0, seen[0])]
         alone = []
@@ -377,7 +377,7 @@ def test_later_experiments_are_the_same_whatever_was_played_before(bench: str, m
             seen, _ = single.reset(seed=7 if i == 0 else None)
             alone.append(beginning(single.batch, 0, seen))
             for _ in range(3 if short else 6):
-                if single._over:
+                if single.episodes.pending[0]:
                     break
                 single.step(_step(single, short, rng))
         env.close()
@@ -386,7 +386,7 @@ def test_later_experiments_are_the_same_whatever_was_played_before(bench: str, m
     assert len(set(found[0])) == EPISODES
 
 
-def _step(env: BenchEnv, short: bool, rng: np.random.Generator) -> Any:
+def _step(env: RoleEnv, short: bool, rng: np.random.Generator) -> Any:
     """An action that ends the experiment, where there is one and it is to be ``short``; else any that does not."""
     if not env.bench.action_count:
         return rng.random(env.action_space.shape)  # type: ignore[arg-type]

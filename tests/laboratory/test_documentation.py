@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from chemlab.agents.policies import make_policies
-from chemlab.envs import bench_env
+from chemlab.envs import role_env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.roles import (
@@ -30,12 +30,12 @@ from chemlab.roles import (
 )
 
 ROW = re.compile(r"^\| `(chemlab/[\w-]+)` \| (\w+) of `(\w+)` \| Box\((\d+)\) \| (Box|Discrete)\((\d+)\) \|", re.M)
-ROWS = ROW.findall(bench_env.__doc__ or "")
+ROWS = ROW.findall(role_env.__doc__ or "")
 
 
 def test_the_table_lists_every_registered_bench() -> None:
     """Nothing registered is missing from the module's table."""
-    benches = [name for name, spec in gymnasium.registry.items() if str(spec.entry_point).endswith(":BenchEnv")]
+    benches = [name for name, spec in gymnasium.registry.items() if str(spec.entry_point).endswith(":RoleEnv")]
     registered = set(benches) - {"chemlab/Bench-v0"}
     assert {row[0] for row in ROWS} == registered
 

@@ -20,13 +20,13 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 from helpers import mapping, slow_but
 
-from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.focal import FocalEnv, FocalVectorEnv
 from chemlab.envs.parallel import parallel_env
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs, named_events
 from chemlab.roles.manager_actions import SUBMIT, WAIT, ManagerActions
@@ -184,7 +184,7 @@ def check_step(found: dict[str, Any], step: Any) -> None:
     ),
 )
 def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str) -> None:
-    env, hand = focal_env(name, agent, background), ByHand(name, agent, background)
+    env, hand = role_env(name, agent, background), ByHand(name, agent, background)
     rng = np.random.default_rng(5)
     over, episodes = True, 0
     for step in range(120):
@@ -195,10 +195,10 @@ def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str)
             assert info["elapsed_ticks"] == 0
             assert info["cost"] == 0.0
             assert not info["experiment_over"]
-        action = choose(env.laboratories, env.batch.focal, 0, rng)
+        action = choose(env.laboratories, env.focal, 0, rng)
         result = env.step(action)
         check_step(hand.step(action), result)
-        if env.batch.action_count:
+        if env.episodes.action_count:
             np.testing.assert_array_equal(env.action_masks(), result[4]["action_mask"] == 1)
         over = result[2] or result[3]
         episodes += over
@@ -210,13 +210,13 @@ def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str)
 @pytest.mark.parametrize("rewards", ["cooperative", "mixed"])
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "dit_0"])
 def test_the_view_pays_any_mix(agent: str, rewards: str) -> None:
-    env, hand = focal_env(WURTZ, agent, rewards=rewards), ByHand(WURTZ, agent, "scripted", rewards=rewards)
+    env, hand = role_env(WURTZ, agent, rewards=rewards), ByHand(WURTZ, agent, "scripted", rewards=rewards)
     rng = np.random.default_rng(1)
     env.reset(seed=2)
     hand.reset(2)
     total = 0.0
     for _ in range(300):
-        action = choose(env.laboratories, env.batch.focal, 0, rng)
+        action = choose(env.laboratories, env.focal, 0, rng)
         result = env.step(action)
         check_step(hand.step(action), result)
         total += result[1]
@@ -231,7 +231,7 @@ def test_the_view_pays_any_mix(agent: str, rewards: str) -> None:
 
 @pytest.mark.parametrize("name", [WURTZ, "wurtz_any", "wurtz_two_lines", "wurtz_scarce", "salt_from_oil"])
 def test_the_managers_return_is_the_score(name: str) -> None:
-    env = focal_env(name)
+    env = role_env(name)
     manager = make_policies("scripted", env.laboratories)["manager_0"]
     for seed in range(3):
         observation, info = env.reset(seed=seed)
@@ -243,7 +243,7 @@ def test_the_managers_return_is_the_score(name: str) -> None:
         assert terminated
         labs = env.laboratories
         worth = [
-            mol * purity / env.batch.scenario.theoretical_maximum_mol[labs.scenario.goals[goal]]
+            mol * purity / env.scenario.theoretical_maximum_mol[labs.scenario.goals[goal]]
             for goal, mol, purity in zip(info["goals"], info["submitted_mol"], info["purity"], strict=True)
         ]
         expected = sum(worth) / len(worth) - info["costs"].sum()
@@ -257,7 +257,7 @@ def test_the_managers_return_is_the_score(name: str) -> None:
 def test_elapsed_ticks_discount_in_time(agent: str) -> None:
     """What follows a step is discounted by gamma to the elapsed ticks: the same as gamma to the tick of the turn."""
     gamma = 0.97
-    env, hand = focal_env(WURTZ, agent), ByHand(WURTZ, agent, "scripted")
+    env, hand = role_env(WURTZ, agent), ByHand(WURTZ, agent, "scripted")
     rng = np.random.default_rng(3)
     env.reset(seed=4)
     hand.reset(4)
@@ -265,7 +265,7 @@ def test_elapsed_ticks_discount_in_time(agent: str) -> None:
     expected, rewards, elapsed = 0.0, [], []
     while True:
         tick = int(hand.labs.state.ticks[0]) - first
-        action = choose(env.laboratories, env.batch.focal, 0, rng)
+        action = choose(env.laboratories, env.focal, 0, rng)
         expected += gamma**tick * hand.step(action)["rewards"]
         _, reward, terminated, truncated, info = env.step(action)
         rewards.append(reward)
@@ -321,13 +321,13 @@ def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
 
     background = {agent: (lambda seen, mask: np.full(len(seen), 3)) for agent in ("ext_0", "dit_0")}
     background["rxn_0"] = lambda seen, mask: np.full((len(seen), 6), 0.5)
-    single = FocalEnv(spec, policies=background)
+    single = RoleEnv(spec, policies=background)
     single.reset(seed=0)
     for move in moves:
         _, _, one_over, one_cut, _ = single.step(move)
     ends.append((one_over, one_cut))
     for mode in AutoresetMode:
-        several = FocalVectorEnv(2, spec, policies=background, autoreset_mode=mode)
+        several = RoleVectorEnv(2, spec, policies=background, autoreset_mode=mode)
         several.reset(seed=0)
         for move in moves:
             _, _, overs, cuts, _ = several.step(np.full(2, move))
@@ -336,7 +336,7 @@ def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
     plan = iter([*moves, moves[-1]])
     others = {**background, "manager_0": lambda seen, mask: np.full(len(seen), next(plan))}
     if limit == "ticks":  # and for a bench's agent
-        bench = FocalEnv(spec, "ext_0", {name: policy for name, policy in others.items() if name != "ext_0"})
+        bench = RoleEnv(spec, "ext_0", {name: policy for name, policy in others.items() if name != "ext_0"})
         bench.reset(seed=0)
         found = [bench.step(3) for _ in range(3)]
         assert [step[2] for step in found] == [False, False, True]
@@ -345,7 +345,7 @@ def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.sb3 import ChemlabVecEnv
 
-    venv = ChemlabVecEnv(FocalVectorEnv(2, spec, policies=background, autoreset_mode=AutoresetMode.SAME_STEP))
+    venv = ChemlabVecEnv(RoleVectorEnv(2, spec, policies=background, autoreset_mode=AutoresetMode.SAME_STEP))
     venv.reset()
     for move in moves:
         _, _, dones, infos = venv.step(np.full(2, move))
@@ -368,8 +368,8 @@ def test_members_are_single_environments(name: str, agent: str, background: str,
     """Member i of N = 1, 3 or 8 is the environment with seed s + i, whichever way it is reset."""
     actions: dict[int, list[Any]] = {}
     for count in (8, 3, 1):
-        batch = focal_vector_env(count, name, agent, background, autoreset_mode=mode)
-        singles = [focal_env(name, agent, background) for _ in range(count)]
+        batch = role_vector_env(count, name, agent, background, autoreset_mode=mode)
+        singles = [role_env(name, agent, background) for _ in range(count)]
         rngs = [np.random.default_rng([7, i]) for i in range(count)]
         seen, infos = batch.reset(seed=60)
         for i, single in enumerate(singles):
@@ -379,8 +379,7 @@ def test_members_are_single_environments(name: str, agent: str, background: str,
         over, ends = [False] * count, 0
         for step in range(70):
             chosen = [
-                choose(single.laboratories, single.batch.focal, 0, rng)
-                for single, rng in zip(singles, rngs, strict=True)
+                choose(single.laboratories, single.focal, 0, rng) for single, rng in zip(singles, rngs, strict=True)
             ]
             actions.setdefault(step, chosen)
             assert len(np.atleast_1d(actions[step][0])) == len(np.atleast_1d(chosen[0]))
@@ -438,13 +437,13 @@ def check_infos(infos: dict[str, Any], member: int, info: dict[str, Any]) -> Non
 
 def test_random_members_do_not_play_alike() -> None:
     """Random backgrounds have a stream for every member: the same focal actions, other seeds, other laboratories."""
-    batch = focal_vector_env(6, WURTZ, background="random")
+    batch = role_vector_env(6, WURTZ, background="random")
     batch.reset(seed=0)
     encode = batch.laboratories.actions.encode
     for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
         batch.step(np.full(6, action))
     assert len({row.tobytes() for row in batch.laboratories.shelf.vessels}) == 6
-    again = focal_vector_env(6, WURTZ, background="random")
+    again = role_vector_env(6, WURTZ, background="random")
     again.reset(seed=[0, 0, 2, 2, 4, 5])
     for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
         again.step(np.full(6, action))
@@ -461,11 +460,11 @@ def test_random_members_do_not_play_alike() -> None:
 @pytest.mark.parametrize("background", ["scripted", "random"])
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0"])
 def test_copies_go_on_alike(agent: str, background: str, how: Any) -> None:
-    batch = focal_vector_env(3, WURTZ, agent, background)
+    batch = role_vector_env(3, WURTZ, agent, background)
     batch.reset(seed=1)
     rng = np.random.default_rng(0)
 
-    def play(env: FocalVectorEnv, steps: int, generator: np.random.Generator) -> list[Any]:
+    def play(env: RoleVectorEnv, steps: int, generator: np.random.Generator) -> list[Any]:
         results = []
         for _ in range(steps):
             actions = np.array([choose(env.laboratories, env.focal, i, generator) for i in range(3)])
@@ -480,9 +479,9 @@ def test_copies_go_on_alike(agent: str, background: str, how: Any) -> None:
     for one, other in zip(first, play(twin, 40, same), strict=True):
         for a, b in zip(one[:4], other[:4], strict=True):
             np.testing.assert_array_equal(a, b)
-    single = focal_env(WURTZ, agent, background)
+    single = role_env(WURTZ, agent, background)
     single.reset(seed=1)
-    action = choose(single.laboratories, single.batch.focal, 0, rng)
+    action = choose(single.laboratories, single.focal, 0, rng)
     other_single = how(single)
     np.testing.assert_array_equal(single.step(action)[0], other_single.step(action)[0])
 
@@ -491,7 +490,7 @@ def test_copies_go_on_alike(agent: str, background: str, how: Any) -> None:
 @pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
 def test_states_can_be_put_back(agent: str, background: str) -> None:
     """Everything goes on from a state as it did, policies with a memory included, in any equally made batch."""
-    batch, other = (focal_vector_env(3, WURTZ, agent, background) for _ in range(2))
+    batch, other = (role_vector_env(3, WURTZ, agent, background) for _ in range(2))
     batch.reset(seed=3)
     other.reset(seed=9)
     rng = np.random.default_rng(2)
@@ -562,7 +561,7 @@ def test_models_and_functions_play() -> None:
         return [[0.5, 0.5, 0.0, 0.0, 0.0, 0.0]] * len(observation)
 
     plain, masked = Model(40), Maskable(30)
-    batch = FocalVectorEnv(2, WURTZ, "manager_0", {"rxn_0": rest, "ext_0": plain, "dit_0": masked})
+    batch = RoleVectorEnv(2, WURTZ, "manager_0", {"rxn_0": rest, "ext_0": plain, "dit_0": masked})
     batch.reset(seed=0)
     encode = batch.laboratories.actions.encode
     limit = batch.scenario.benches["rxn"].step_limit
@@ -582,7 +581,7 @@ def test_models_and_functions_play() -> None:
 )
 def test_a_policy_that_talks_nonsense_is_named(nonsense: Any) -> None:
     """The error names its agent; the laboratory asks for a reset, and is then as good as new."""
-    env = focal_env(WURTZ, "manager_0", {"ext_0": lambda observation, mask: nonsense})
+    env = role_env(WURTZ, "manager_0", {"ext_0": lambda observation, mask: nonsense})
     encode = env.laboratories.actions.encode
     env.reset(seed=0)
     env.step(encode("start", "ext_0", 0, "dodecane"))
@@ -592,7 +591,7 @@ def test_a_policy_that_talks_nonsense_is_named(nonsense: Any) -> None:
     with pytest.raises(ResetNeeded):
         env.step(encode("wait"))
     observation, _ = env.reset(seed=5)
-    fresh = focal_env(WURTZ)
+    fresh = role_env(WURTZ)
     np.testing.assert_array_equal(observation, fresh.reset(seed=5)[0])
     for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
         for one, other in zip(env.step(action)[:4], fresh.step(action)[:4], strict=True):
@@ -607,7 +606,7 @@ def test_a_policy_that_fails_spoils_no_later_episode() -> None:
             raise RuntimeError("out of order")
         return np.full(len(observation), 40)
 
-    batch = focal_vector_env(2, WURTZ, "manager_0", {"ext_0": fragile})
+    batch = role_vector_env(2, WURTZ, "manager_0", {"ext_0": fragile})
     encode = batch.laboratories.actions.encode
     batch.reset(seed=0)
     batch.step(np.full(2, encode("start", "ext_0", 0, "dodecane")))
@@ -624,12 +623,12 @@ def test_a_policy_that_fails_spoils_no_later_episode() -> None:
 
 def test_masked_actions_of_the_background_are_lost_turns() -> None:
     """A background policy may play against its mask: that is its own lost turn, no error."""
-    env = focal_env(WURTZ, "manager_0", {"ext_0": lambda observation, mask: mask.argmin(axis=1)})
+    env = role_env(WURTZ, "manager_0", {"ext_0": lambda observation, mask: mask.argmin(axis=1)})
     encode = env.laboratories.actions.encode
     env.reset(seed=0)
     env.step(encode("start", "ext_0", 0, "dodecane"))
     *_, info = env.step(encode("wait"))
-    assert info["elapsed_ticks"] == env.batch.scenario.benches["ext"].step_limit
+    assert info["elapsed_ticks"] == env.scenario.benches["ext"].step_limit
     assert not info["illegal_action"]  # the manager's was not
 
 
@@ -654,7 +653,7 @@ def test_masked_actions_of_the_background_are_lost_turns() -> None:
 def test_bad_arguments(arguments: dict[str, Any], error: type[Exception], parts: list[str]) -> None:
     given: dict[str, Any] = {"policies": dict.fromkeys(("rxn_0", "ext_0", "dit_0"), anything), **arguments}
     with pytest.raises(error) as caught:
-        FocalEnv(**given)
+        RoleEnv(**given)
     for part in parts:
         assert part in str(caught.value)
 
@@ -664,7 +663,7 @@ def test_an_agent_that_never_has_a_turn_is_named() -> None:
         return np.array([row.nonzero()[0][-1] for row in mask])  # submits, recalls or waits: never starts
 
     policies = {"manager_0": idle, "ext_0": anything, "dit_0": anything}
-    env = FocalEnv(WURTZ, "rxn_0", policies)
+    env = RoleEnv(WURTZ, "rxn_0", policies)
     with pytest.raises(RuntimeError, match="rxn_0: had no turn"):
         env.reset(seed=0)
     with pytest.raises(ResetNeeded):
@@ -676,12 +675,12 @@ def test_an_agent_that_never_has_a_turn_is_named() -> None:
 
 @pytest.mark.parametrize(("name", "agent"), CASES)
 def test_gymnasium_finds_nothing_wrong(name: str, agent: str) -> None:
-    check_env(focal_env(name, agent, "scripted" if agent == "manager_0" else "random"), skip_render_check=True)
+    check_env(role_env(name, agent, "scripted" if agent == "manager_0" else "random"), skip_render_check=True)
 
 
 @pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0"])
 def test_a_bad_action_changes_nothing(agent: str) -> None:
-    env = focal_env(WURTZ, agent)
+    env = role_env(WURTZ, agent)
     env.reset(seed=0)
     bad: list[Any] = [None, "x", -1, 10**6, np.full(5, 0.5), np.full(6, np.nan), object()]
     before = env.get_state()
@@ -689,16 +688,16 @@ def test_a_bad_action_changes_nothing(agent: str) -> None:
         with pytest.raises(ValueError, match=agent):
             env.step(action)
     assert_same_state(before, env.get_state())
-    fresh = focal_env(WURTZ, agent)
+    fresh = role_env(WURTZ, agent)
     fresh.reset(seed=0)
-    good = choose(env.laboratories, env.batch.focal, 0, np.random.default_rng(0))
+    good = choose(env.laboratories, env.focal, 0, np.random.default_rng(0))
     np.testing.assert_array_equal(env.step(good)[0], fresh.step(good)[0])
 
 
 def test_batches_are_made_and_refused() -> None:
     with pytest.raises(ValueError, match="at least 1"):
-        focal_vector_env(0)
-    batch = focal_vector_env(2)
+        role_vector_env(0)
+    batch = role_vector_env(2)
     with pytest.raises(ResetNeeded):
         batch.step(np.zeros(2, dtype=np.int64))
     with pytest.raises(ValueError, match="first reset"):
@@ -713,11 +712,11 @@ def test_batches_are_made_and_refused() -> None:
     assert_same_state(before, batch.get_state())
     assert batch.action_masks().shape == (2, len(batch.laboratories.actions))
     with pytest.raises(ValueError, match="rxn_0: continuous"):
-        focal_vector_env(1, WURTZ, "rxn_0").action_masks()
+        role_vector_env(1, WURTZ, "rxn_0").action_masks()
 
 
 def test_arrays_are_copies_unless_asked_otherwise() -> None:
-    keeps, reuses = focal_vector_env(2), focal_vector_env(2, copy=False)
+    keeps, reuses = role_vector_env(2), role_vector_env(2, copy=False)
     kept, infos = keeps.reset(seed=0)
     reused, _ = reuses.reset(seed=0)
     first, mask = kept.copy(), infos["action_mask"].copy()
@@ -733,22 +732,22 @@ def test_arrays_are_copies_unless_asked_otherwise() -> None:
 
 
 def test_goals_can_be_asked_for() -> None:
-    env = focal_env("wurtz_any")
-    for goal in env.batch.scenario.lab_goals:
+    env = role_env("wurtz_any")
+    for goal in env.scenario.lab_goals:
         env.reset(seed=0, options={"goal": goal})
-        assert env.batch.scenario.goals[env.laboratories.state.goal[0, 0]] == goal
+        assert env.scenario.goals[env.laboratories.state.goal[0, 0]] == goal
     for options in ({"goal": "gold"}, {"gaol": "NaCl"}):
         with pytest.raises(ValueError, match="reset options"):
             env.reset(options=options)
 
 
 def test_render_and_meanings() -> None:
-    env = focal_env(WURTZ, render_mode="ansi")
+    env = role_env(WURTZ, render_mode="ansi")
     env.reset(seed=0)
     assert WURTZ.split("_")[1] in str(env.render())
     assert len(env.action_meanings) == env.action_space.n  # type: ignore[attr-defined]
-    assert len(focal_env(WURTZ, "rxn_0").action_meanings) == 6
+    assert len(role_env(WURTZ, "rxn_0").action_meanings) == 6
     spaces = itertools.chain.from_iterable(
-        (env.observation_space, env.action_space) for env in (focal_env(WURTZ, agent) for agent in ("ext_0", "dit_0"))
+        (env.observation_space, env.action_space) for env in (role_env(WURTZ, agent) for agent in ("ext_0", "dit_0"))
     )
     assert all(isinstance(space, gymnasium.Space) for space in spaces)

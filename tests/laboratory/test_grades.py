@@ -11,7 +11,7 @@ from helpers import laboratory, manager, mapping
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices
 
@@ -114,7 +114,7 @@ def test_reports_say_what_is_there_as_well_as_sensors_can() -> None:
 def test_single_benches_meet_the_same_grades_and_are_told_the_same() -> None:
     values = load_scenario(graded(purity_at_least=0.2))
     labs = Laboratories(values)
-    env, batch = BenchEnv(values, "rxn"), BenchVectorEnv(6, values, "rxn")
+    env, batch = RoleEnv(values, bench="rxn"), RoleVectorEnv(6, values, bench="rxn")
     assert env.observation_space == labs.observation_space(1)
     seen, _ = batch.reset(seed=3)
     slices = channel_slices(labs.benches[0].channels)

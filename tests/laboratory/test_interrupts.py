@@ -19,11 +19,11 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 import chemlab
-from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.background import role_env, role_vector_env
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
 from chemlab.envs.parallel import parallel_env
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.sandbox import Flask
 
@@ -162,14 +162,14 @@ def batched() -> Played:
 
 
 def focal() -> Played:
-    env = focal_env(WURTZ)
+    env = role_env(WURTZ)
     return Played(
         lambda: env.reset(seed=SEED), lambda k: env.step(script(env.laboratories, 0, k)), lambda: env.get_state()[:-2]
     )
 
 
 def focal_vector() -> Played:
-    env = focal_vector_env(2, WURTZ, autoreset_mode=AutoresetMode.SAME_STEP)
+    env = role_vector_env(2, WURTZ, autoreset_mode=AutoresetMode.SAME_STEP)
     return Played(
         lambda: env.reset(seed=SEED),
         lambda k: env.step(np.array([script(env.laboratories, 0, k), env.laboratories.actions.encode("submit", 0)])),
@@ -182,21 +182,21 @@ def _bench_action(count: int, k: int) -> int:
 
 
 def bench() -> Played:
-    env = BenchEnv(WURTZ, "ext")
+    env = RoleEnv(WURTZ, bench="ext")
 
     def step(k: int) -> Any:
         return env.step(1 + 2 * k)
 
-    return Played(lambda: env.reset(seed=SEED), step, lambda: env.get_state()[:-1])
+    return Played(lambda: env.reset(seed=SEED), step, lambda: env.get_state()[:-2])
 
 
 def bench_vector() -> Played:
-    env = BenchVectorEnv(3, WURTZ, "ext", threads=2, autoreset_mode=AutoresetMode.NEXT_STEP)
+    env = RoleVectorEnv(3, WURTZ, bench="ext", threads=2, autoreset_mode=AutoresetMode.NEXT_STEP)
     count = env.action_count
     return Played(
         lambda: env.reset(seed=SEED),
         lambda k: env.step(np.array([_bench_action(count, k), 3, count - 1])),
-        lambda: env.get_state()[:-1],
+        lambda: env.get_state()[:-2],
     )
 
 
@@ -217,7 +217,7 @@ def sb3() -> Played:
             info.get("episode", {}).pop("t", None)
         return found
 
-    return Played(reset, step, lambda: [*env.batch.get_state()[:-1], env._returns, env._lengths])
+    return Played(reset, step, lambda: [*env.batch.get_state()[:-2], env._returns, env._lengths])
 
 
 ENVIRONMENTS = {

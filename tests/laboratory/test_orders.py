@@ -14,7 +14,7 @@ import pytest
 from helpers import allowed, laboratory, manager, mapping, slow_but
 
 import chemlab.scenarios
-from chemlab.agents.background import focal_env, focal_vector_env
+from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario, scenario_names
@@ -403,14 +403,14 @@ def test_returns_are_the_mix(name: str, rewards: Any) -> None:
 def test_returns_of_the_view_are_the_mix(agent: str, rewards: Any) -> None:
     """The focal agent's return, single and batched, from the scores its infos report and the laboratory's result."""
     mix, name = mix_of(rewards), "wurtz_dodecane"
-    env, batch = focal_env(name, agent, rewards=rewards), focal_vector_env(1, name, agent, rewards=rewards)
+    env, batch = role_env(name, agent, rewards=rewards), role_vector_env(1, name, agent, rewards=rewards)
     policy = make_policies("scripted", env.laboratories)[agent]
     labs = env.laboratories
     observation, _ = env.reset(seed=1)
     batch.reset(seed=1)
     total, scores, over = 0.0, 0.0, False
     while not over:
-        number = env.batch.focal
+        number = env.focal
         step = labs.state.actions if number == 0 else labs.experiments[number - 1].steps
         action = policy.act(observation[None], labs.mask(number, labs.members), step[:1].copy(), labs.members)[0]
         observation, reward, terminated, truncated, info = env.step(action)
@@ -457,8 +457,8 @@ def test_unknown_mixes_are_refused(rewards: Any) -> None:
         lambda: raw_env(LINES, rewards=rewards),
         lambda: parallel_env(LINES, rewards=rewards),
         lambda: BatchedLaboratory(2, LINES, rewards=rewards),
-        lambda: focal_env(LINES, rewards=rewards),
-        lambda: focal_vector_env(2, LINES, rewards=rewards),
+        lambda: role_env(LINES, rewards=rewards),
+        lambda: role_vector_env(2, LINES, rewards=rewards),
     ]
     for make in makers:
         with pytest.raises(ValueError, match=r"reward") as caught:

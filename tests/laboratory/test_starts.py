@@ -11,7 +11,7 @@ import pytest
 import chemlab
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.envs.bench_env import BenchVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import Start, goals_met, lab_starts, starts_file, write_starts
 
@@ -93,4 +93,4 @@ def test_goals_that_a_bench_has_met(tmp_path: Path) -> None:
     starts_file(mine).write_text('{"scenario": "mine", "vessels": [], "benches": {}}', encoding="utf-8")
     assert goals_met(mine, "rxn") == ["F", "E"]
     with pytest.raises(DataError, match=r"no vessel of goal 'F' for bench 'fin'; choose from E"):
-        BenchVectorEnv(1, "relay", "fin", starts="lab")
+        RoleVectorEnv(1, "relay", bench="fin", starts="lab")

@@ -20,7 +20,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import CLOCK, TEMPERATURE
 from chemlab.record import Recorder, verify_record
@@ -83,7 +83,7 @@ def test_heating_may_be_weak_instead() -> None:
     for key, actuator in (("rxn", "heat"), ("dit", "heat"), ("ext", "stir")):
         values["benches"][key]["wear"] = {"actuator": actuator, "gain": 0.25}
     worn = load_scenario({**values, "name": "weak"})
-    weak, sound = BenchEnv(worn), BenchEnv("wurtz_dodecane")
+    weak, sound = RoleEnv(worn, bench="rxn"), RoleEnv("wurtz_dodecane", bench="rxn")
     warm = np.array([1.0, 0.5, 0.0, 0.0, 0.0, 0.0], dtype=np.float32)
     rises = []
     for env in (weak, sound):
@@ -93,7 +93,7 @@ def test_heating_may_be_weak_instead() -> None:
         rises.append(env.batch.shelf.vessel(0, 0).temperature_k - before)
     assert rises[0] == pytest.approx(0.25 * rises[1], rel=1e-3)
     for bench, process, column in (("dit", "heat", TEMPERATURE), ("ext", "mix", CLOCK)):
-        weak, sound = BenchEnv(worn, bench), BenchEnv("wurtz_dodecane", bench)
+        weak, sound = RoleEnv(worn, bench=bench), RoleEnv("wurtz_dodecane", bench=bench)
         table = cast(OperationBench, sound.bench).table
         of_kind = [a for a, words in enumerate(sound.action_meanings) if words.startswith(process)]
         small = min(of_kind, key=lambda a: table[a, 4])
@@ -194,7 +194,7 @@ def test_waiting_for_a_fitter_may_end_the_episode() -> None:
 
 def test_single_benches_wear_and_break_too() -> None:
     spec = scenario({"spread": 0.5, "life": 8.0})
-    one, several = BenchEnv(spec), BenchVectorEnv(4, spec, threads=2)
+    one, several = RoleEnv(spec, bench="rxn"), RoleVectorEnv(4, spec, bench="rxn", threads=2)
     lengths = []
     for seed in range(6):
         one.reset(seed=seed)
@@ -303,7 +303,7 @@ def test_worlds_draw_the_condition_of_benches_and_instruments() -> None:
         assert labs.state.bias[member] == pytest.approx(drawn["bias"][GC])
         assert labs.state.trend[member] == pytest.approx(drawn["trend"][GC])
         assert max(drawn["gain"].values()) < 2.0
-    bench = BenchEnv(spec)
+    bench = RoleEnv(spec, bench="rxn")
     bench.reset(seed=3)
     assert bench.batch.experiments.gain[0, 0] == pytest.approx(0.5 * bench.batch.worlds.values(0)["gain"]["rxn"])
 

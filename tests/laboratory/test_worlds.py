@@ -18,8 +18,7 @@ from chemlab.config.materials import DataError
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
-from chemlab.envs.focal import FocalEnv, FocalVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env
 from chemlab.physics.chemistry import element_matrix
@@ -107,12 +106,12 @@ def everything(labs: Any, member: int) -> list[np.ndarray[Any, Any]]:
 def test_every_view_of_a_seed_has_the_same_world() -> None:
     spec = scenario()
     aec, rounds = raw_env(spec), parallel_env(spec)
-    focal = FocalEnv(spec, policies=lambda labs: make_policies("scripted", labs))
+    focal = RoleEnv(spec, policies=lambda labs: make_policies("scripted", labs))
     batched, several = (
         BatchedLaboratory(3, spec),
-        FocalVectorEnv(3, spec, policies=lambda labs: make_policies("scripted", labs)),
+        RoleVectorEnv(3, spec, policies=lambda labs: make_policies("scripted", labs)),
     )
-    bench, benches = BenchEnv(spec, "rxn"), BenchVectorEnv(3, spec, "rxn", threads=2)
+    bench, benches = RoleEnv(spec, bench="rxn"), RoleVectorEnv(3, spec, bench="rxn", threads=2)
     for seed in (0, 17):
         singles: list[Any] = [aec, rounds, focal, bench]
         for env in singles:
@@ -140,7 +139,7 @@ def test_results_depend_neither_on_the_batch_nor_on_threads() -> None:
     for members, threads in ((4, 1), (4, 3), (1, 1)):
         played = np.zeros((steps, 4))
         for first in range(0, 4, members):
-            env = BenchVectorEnv(members, spec, "rxn", threads=threads, autoreset_mode="SameStep")
+            env = RoleVectorEnv(members, spec, bench="rxn", threads=threads, autoreset_mode="SameStep")
             env.reset(seed=first)
             for step in range(steps):
                 _, rewards, *_ = env.step(actions[step, first : first + members])
@@ -227,7 +226,7 @@ def test_a_bottle_gives_what_is_in_it(bench: str) -> None:
     wash = {"wash": DRAWS["reagent"] | {"material": "water", "inert": "diethyl_ether"}}
     spec = scenario(DRAWS | wash)
     litres = {name: m.molar_mass_g_mol / m.density_kg_l / 1000.0 for name, m in spec.materials.items()}
-    env = BenchVectorEnv(6, spec, bench)
+    env = RoleVectorEnv(6, spec, bench=bench)
     env.reset(seed=0)
     batch = env.batch
     shelf, total = batch.shelf, batch.shelf.total()
@@ -313,8 +312,8 @@ def test_worlds_that_cannot_be_asked_for_change_nothing(world: Any, message: str
         raw_env(spec),
         parallel_env(spec),
         BatchedLaboratory(2, spec),
-        BenchEnv(spec),
-        BenchVectorEnv(2, spec),
+        RoleEnv(spec, bench="rxn"),
+        RoleVectorEnv(2, spec, bench="rxn"),
     ]
     for env in makers:
         env.reset(seed=1)
@@ -332,8 +331,8 @@ def test_worlds_that_cannot_be_asked_for_change_nothing(world: Any, message: str
 @pytest.mark.parametrize("bench", [False, True])
 def test_snapshots_copies_and_pickles_carry_the_world(bench: bool) -> None:
     spec = scenario()
-    env = BenchVectorEnv(2, spec, "rxn") if bench else BatchedLaboratory(2, spec)
-    owner: Any = env.batch if isinstance(env, BenchVectorEnv) else env.laboratories
+    env = RoleVectorEnv(2, spec, bench="rxn") if bench else BatchedLaboratory(2, spec)
+    owner: Any = env.batch if isinstance(env, RoleVectorEnv) else env.laboratories
     env.reset(seed=3)
     saved = [array.copy() for array in owner.arrays()]
     there = [everything(owner, member) for member in range(2)], [owner.worlds.number(member) for member in range(2)]

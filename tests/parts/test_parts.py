@@ -23,7 +23,7 @@ from chemlab.config.materials import DataError
 from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.bench_env import BenchEnv, BenchVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs, named_events
 from chemlab.laboratory import env as laboratory_env
@@ -96,7 +96,7 @@ def test_the_instrument_reads() -> None:
 
 
 def test_the_operation_acts() -> None:
-    env = BenchEnv(FILE, "ext", goals="dodecane")
+    env = RoleEnv(FILE, bench="ext", goals="dodecane")
     observation, info = env.reset(seed=0)
     assert env.action_meanings[A_QUARTER] == "blow diethyl_ether off EV, 0.25 fraction"
     shelf, experiments, spec = env.batch.shelf, env.batch.experiments, env.batch.scenario
@@ -162,8 +162,8 @@ def test_rewards_in_the_laboratory() -> None:
 
 def test_a_kernel_is_the_same_operation(tmp_path: Path) -> None:
     (tmp_path / "my_kernels.py").write_text((HERE / "my_kernels.py").read_text())
-    plain = BenchEnv(FILE, "ext")
-    compiled = BenchEnv(copied(tmp_path, '"my_parts.py:EVAPORATE"', '"my_kernels.py:EVAPORATE"'), "ext")
+    plain = RoleEnv(FILE, bench="ext")
+    compiled = RoleEnv(copied(tmp_path, '"my_parts.py:EVAPORATE"', '"my_kernels.py:EVAPORATE"'), bench="ext")
     for env in (plain, compiled):
         env.reset(seed=3)
     for action in (A_TENTH, WATER, DRAIN_10, A_QUARTER, EVERYTHING, A_TENTH, DRAIN_50):
@@ -188,8 +188,8 @@ def test_interface() -> None:
 
 @pytest.mark.parametrize(("members", "threads"), [(1, 1), (3, 2), (7, 3)])
 def test_a_batch_of_benches_plays_what_one_plays(members: int, threads: int) -> None:
-    batch = BenchVectorEnv(members, FILE, "ext", autoreset_mode="Disabled", threads=threads)
-    singles = [BenchEnv(FILE, "ext") for _ in range(members)]
+    batch = RoleVectorEnv(members, FILE, bench="ext", autoreset_mode="Disabled", threads=threads)
+    singles = [RoleEnv(FILE, bench="ext") for _ in range(members)]
     seen, _ = batch.reset(seed=5)
     np.testing.assert_array_equal(seen, [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])
     rng = np.random.default_rng(0)
@@ -300,7 +300,7 @@ def test_pictures_and_text() -> None:
 
 
 def test_copies_and_pickles() -> None:
-    env = BenchEnv(FILE, "ext")
+    env = RoleEnv(FILE, bench="ext")
     env.reset(seed=1)
     copies = [env, copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
     for action in (A_TENTH, WATER, DRAIN_50):
@@ -319,7 +319,7 @@ def test_copies_and_pickles() -> None:
 
 def test_another_process_finds_the_files(tmp_path: Path) -> None:
     """One that has never seen the scenario, and runs elsewhere."""
-    env = BenchEnv(FILE, "fil"), BenchEnv(FILE, "ext")
+    env = RoleEnv(FILE, bench="fil"), RoleEnv(FILE, bench="ext")
     for each in env:
         each.reset(seed=1)
     (tmp_path / "envs").write_bytes(pickle.dumps(env))
@@ -330,11 +330,11 @@ def test_another_process_finds_the_files(tmp_path: Path) -> None:
 
 def test_vectors_of_processes() -> None:
     vectors = pytest.importorskip("stable_baselines3.common.vec_env")
-    made = vectors.SubprocVecEnv([lambda: BenchEnv(FILE, "ext")] * 2, start_method="spawn")
+    made = vectors.SubprocVecEnv([lambda: RoleEnv(FILE, bench="ext")] * 2, start_method="spawn")
     try:
         made.seed(7)
         seen = made.reset()
-        alone = BenchEnv(FILE, "ext")
+        alone = RoleEnv(FILE, bench="ext")
         np.testing.assert_array_equal(seen[1], alone.reset(seed=8)[0])
         _, rewards, _, _ = made.step(np.array([A_TENTH, A_QUARTER]))
         assert rewards[1] == alone.step(A_QUARTER)[1]
@@ -438,7 +438,7 @@ def test_what_a_part_of_a_bench_does_wrong_is_named(tmp_path: Path, old: str, ne
     path = copied(tmp_path, f"my_parts.py:{old}", f"my_parts.py:{new}", MISTAKES)
 
     def play() -> None:
-        env = BenchEnv(path, "ext")
+        env = RoleEnv(path, bench="ext")
         env.reset(seed=0)
         env.step(A_TENTH)
 

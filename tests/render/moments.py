@@ -14,7 +14,7 @@ from chemlab.agents.policies import make_policies, scripted_bench
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import CLOCK, CLOCK_WAS
 from chemlab.render.scene import Scene, bench_scene, laboratory_scene
@@ -46,7 +46,7 @@ def episode(name: str) -> tuple[Scene, ...]:
 @functools.lru_cache(maxsize=len(BENCHES))
 def experiment(name: str, key: str) -> tuple[Scene, ...]:
     """An experiment on a single bench: its first scene, some in between, the one after its end."""
-    env = BenchEnv(name, key)
+    env = RoleEnv(name, bench=key)
     observation, info = env.reset(seed=1)
     policy = scripted_bench(env.bench)
     scenes, over, step = [bench_scene(env.batch)], False, 0

@@ -18,7 +18,7 @@ from helpers import EVERY_SCENARIO, slow_but
 from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
 from chemlab.config.loading import scenario_names
-from chemlab.envs.bench_env import BenchEnv
+from chemlab.envs.role_env import RoleEnv
 from chemlab.physics.shelf import T_MIX
 from chemlab.render import draw as drawing
 from chemlab.render.canvas import TextBox
@@ -257,7 +257,7 @@ def test_a_bench_renders_arrays(name: str, key: str) -> None:
     assert isinstance(frame, np.ndarray)
     assert frame.shape == (540, 960, 3)
     bench = env.unwrapped
-    assert isinstance(bench, BenchEnv)
+    assert isinstance(bench, RoleEnv)
     before = bench.get_state()
     np.testing.assert_array_equal(env.render(), frame)
     for array, kept in zip(bench.get_state(), before, strict=True):
@@ -270,9 +270,9 @@ def test_pictures_need_pillow_and_neither_a_screen_nor_pygame() -> None:
     """Without Pillow they say what is missing."""
     code = (
         "import os, sys; os.environ.pop('DISPLAY', None); sys.modules['pygame'] = None\n"
-        "from chemlab.envs.bench_env import BenchEnv\n"
+        "from chemlab.envs.role_env import RoleEnv\n"
         "assert 'PIL' not in sys.modules, 'imported before it is needed'\n"
-        "env = BenchEnv(render_mode='rgb_array'); env.reset(seed=0); sys.modules['PIL'] = None\n"
+        "env = RoleEnv(bench='rxn', render_mode='rgb_array'); env.reset(seed=0); sys.modules['PIL'] = None\n"
         "try:\n    env.render()\nexcept ImportError as error:\n    print(error)\n"
         "del sys.modules['PIL']; print(env.render().shape)\n"
     )
@@ -311,7 +311,7 @@ def test_a_window_shows_the_same_frames_and_closes(monkeypatch: pytest.MonkeyPat
 def test_a_bench_for_people_shows_every_step(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame = pytest.importorskip("pygame")
-    env = BenchEnv("wurtz_dodecane", "rxn", render_mode="human")
+    env = RoleEnv("wurtz_dodecane", bench="rxn", render_mode="human")
     env.metadata = {**env.metadata, "render_fps": 1000}
     env.reset(seed=0)
     first = pygame.surfarray.array3d(pygame.display.get_surface())

@@ -1,0 +1,106 @@
+"""Checks of what a batch is given: actions, and the arguments of its reset."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+import numpy.typing as npt
+
+from ..kernels.rng import checked_seed
+from ..lab.hidden import World
+
+__all__ = ["checked_actions", "parsed_reset"]
+
+
+def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
+    """Return True if every number is in [low, high] (False for NaN)."""
+    return not values.size or bool(low <= values.min() and values.max() <= high)
+
+
+def checked_actions(
+    agent: str,
+    actions: Any,
+    count: int,
+    space: gymnasium.Space[Any],
+    rows: npt.NDArray[np.bool_] | None = None,
+) -> npt.NDArray[Any]:
+    """Return a batch of actions as int64 [B] or float64 [B, n].
+
+    Args:
+        agent: name of the agent, for the error message.
+        actions: the given actions.
+        count: batch size B.
+        space: action space of a member.
+        rows: [B] rows that count; others may have any values.
+
+    Raises:
+        ValueError: an action is outside the space, or the batch has another shape.
+    """
+    try:
+        values = np.asarray(actions)
+    except ValueError:  # lists of different lengths
+        values = np.empty((), dtype=object)
+    # Kernels need native contiguous arrays, whatever layout, width and byte order is given.
+    if isinstance(space, gymnasium.spaces.Discrete):
+        last = int(space.n) - 1
+        if values.dtype.kind in "iu" and values.shape == (count,):
+            numbers = np.ascontiguousarray(values, dtype=np.int64)
+            if _all_within(numbers if rows is None else numbers[rows], 0, last):
+                return numbers
+        raise ValueError(f"{agent}: actions must be {count} integers from 0 to {last}, given {actions!r}")
+    shape = (count, *(space.shape or ()))
+    if values.dtype.kind in "fiu" and values.shape == shape:
+        numbers = np.ascontiguousarray(values, dtype=np.float64)
+        if _all_within(numbers if rows is None else numbers[rows], 0.0, 1.0):
+            return numbers
+    raise ValueError(f"{agent}: actions must be {list(shape)} finite numbers from 0 to 1, given {actions!r}")
+
+
+def parsed_reset(
+    seed: int | Sequence[int | None] | None,
+    options: dict[str, Any] | None,
+    count: int,
+    goals: Sequence[str],
+    begun: bool,
+    random: np.random.Generator,
+) -> tuple[npt.NDArray[np.bool_], list[int | None], str | None, World | None]:
+    """Parse the arguments of a batch's ``reset``.
+
+    Args:
+        seed: s seeds member i with s + i; a sequence gives each member its own (None: the next episode of its series);
+            without a seed, members that have never been seeded get one from ``random``.
+        options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}``.
+        count: number of members N.
+        goals: possible goals.
+        begun: whether the batch has been reset before.
+        random: source of seeds.
+
+    Returns:
+        Members to reset [N], a seed or None for each, a goal or None, a world or None.
+
+    Raises:
+        ValueError: an option or goal is unknown, a mask or seeds have the wrong length, or a seed is not a non-negative
+            integer.
+    """
+    options = options or {}
+    if set(options) - {"reset_mask", "goal", "world"} or options.get("goal", goals[0]) not in goals:
+        raise ValueError(f"reset options: known: reset_mask; world; goal, one of {', '.join(goals)}; given {options!r}")
+    mask = np.asarray(options.get("reset_mask", np.ones(count, dtype=np.bool_)))
+    if mask.shape != (count,) or mask.dtype != np.bool_:
+        raise ValueError(f"reset_mask must be {count} booleans, given {mask.dtype} of shape {mask.shape}")
+    if not (begun or mask.all()):
+        raise ValueError("reset_mask: the first reset must be of all members")
+    seeds: list[int | None]
+    if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, str):
+        seeds = [checked_seed(own, f"seed[{i}]") for i, own in enumerate(seed)]
+        if len(seeds) != count:
+            raise ValueError(f"seed: needs one for each of {count} members, given {len(seeds)}")
+    elif seed is None and not begun:
+        seeds = [int(s) for s in random.integers(2**63, size=count)]
+    else:
+        first = checked_seed(seed)
+        seeds = [None if first is None else first + i for i in range(count)]
+    return mask, seeds, options.get("goal"), options.get("world")
