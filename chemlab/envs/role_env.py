@@ -220,7 +220,7 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
         if bench is None:
             _reject("a role in the laboratory (without bench=...)", goals=goals, starts=starts, threads=threads)
             labs = Laboratories(scenario, num_envs, **settings)
-            own = LaboratoryEpisodes(labs, agent or MANAGER_AGENT, policies, mode)
+            own = LaboratoryEpisodes(labs, MANAGER_AGENT if agent is None else agent, policies, mode)
         else:
             _reject("a bench alone", agent=agent, policies=policies, rewards=settings.get("rewards"))
             loaded = load_scenario(scenario, **settings)
@@ -363,10 +363,10 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
         Raises:
             ValueError: it is of another batch; nothing changes.
         """
-        begun = np.zeros(1, dtype=np.bool_)
-        put_back([*self.episodes.arrays(), begun], state[:-1])
+        begun, memories = np.zeros(1, dtype=np.bool_), np.empty(1, dtype=object)
+        put_back([*self.episodes.arrays(), begun, memories], state)
         self._begun = bool(begun[0])
-        self.episodes.set_memory(state[-1][0])
+        self.episodes.set_memory(memories[0])
         return self._returned(self.episodes.observations)
 
     def close_extras(self, **kwargs: Any) -> None:

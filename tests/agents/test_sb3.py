@@ -157,7 +157,7 @@ def test_attributes_and_methods() -> None:
     venv.seed(0)
     venv.reset()
     assert venv.render_mode is None
-    assert venv.get_attr("threads") == [2, 2, 2]
+    assert venv.get_attr("agent") == ["ext_0"] * 3
     assert venv.get_attr("action_space", [0, 2]) == [venv.action_space] * 2
     assert venv.get_attr("observation_space", 1) == [venv.observation_space]
     assert not venv.has_attr("no_such_thing")

@@ -788,7 +788,7 @@ def test_the_generic_id_is_the_named_one() -> None:
 def test_unknown_arguments(arguments: dict[str, Any], message: str) -> None:
     for make in (RoleEnv, RoleVectorEnv):
         with pytest.raises(DataError, match=message):
-            make(**arguments)
+            make(**{"bench": "rxn", **arguments})
 
 
 def test_unknown_render_mode() -> None:

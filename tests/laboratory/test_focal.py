@@ -636,7 +636,9 @@ def test_masked_actions_of_the_background_are_lost_turns() -> None:
     ("arguments", "error", "parts"),
     [
         ({"agent": "rxn_1"}, ValueError, ["'rxn_1'", "manager_0, rxn_0, ext_0, dit_0"]),
-        ({"agent": None}, ValueError, ["None", "manager_0"]),
+        ({"agent": ""}, ValueError, ["''", "manager_0"]),
+        ({"starts": "paper", "goals": "dodecane"}, ValueError, ["goals, starts", "bench"]),
+        ({"bench": "rxn", "agent": "rxn_0"}, ValueError, ["agent, policies", "bench alone"]),
         ({"policies": None}, ValueError, ["missing for rxn_0, ext_0, dit_0", "none"]),
         ({"policies": {"rxn_0": anything}}, ValueError, ["missing for ext_0, dit_0", "given rxn_0"]),
         (
