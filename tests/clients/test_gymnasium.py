@@ -236,7 +236,7 @@ def test_specs_are_json_that_makes_the_same_environment(how: str, tmp_path: Path
         assert env.spec is not None
         again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
         np.testing.assert_array_equal(env.reset(seed=5)[0], again.reset(seed=5)[0])
-        one, other = (each.unwrapped.batch.scenario for each in (env, again))  # type: ignore[attr-defined]
+        one, other = (each.unwrapped.scenario for each in (env, again))  # type: ignore[attr-defined]
         assert scenario_hash(one) == scenario_hash(other)
         batch = gymnasium.make_vec(name, num_envs=2, scenario=scenario, autoreset_mode=AutoresetMode.SAME_STEP)
         assert batch.spec is not None
