@@ -26,7 +26,7 @@ from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Channel, channel_slices
-from chemlab.roles.manager_actions import SUBMIT, ManagerActions
+from chemlab.roles.manager_actions import START, SUBMIT, ManagerActions
 from chemlab.roles.manager_view import order_channels
 
 from .names import current_name
@@ -68,9 +68,14 @@ class Playback:
     Args:
         actions: the manager's actions.
         plans: the sequences.
+
+    Attributes:
+        started: [N, benches] experiments of each bench in the episode so far.
     """
 
     def __init__(self, actions: ManagerActions, plans: Sequence[Plan]) -> None:
+        self._table = actions.table
+        self.started: IntArray = np.zeros((len(plans), len(actions.bench_agents)), dtype=np.int64)
         longest = max(map(len, plans), default=0)
         self._steps: IntArray = np.full((len(plans), longest + 1), _END, dtype=np.int64)
         for row, plan in zip(self._steps, plans, strict=True):
@@ -94,8 +99,10 @@ class Playback:
             self._next, self._plan = (
                 np.append(array, np.zeros(lacking, np.int64)) for array in (self._next, self._plan)
             )
+            self.started = np.resize(self.started, (len(self._next), self.started.shape[1]))
         fresh = step == 0
         if fresh.any():
+            self.started[members[fresh]] = 0
             self._plan[members[fresh]] = self.choose(observation[fresh], members[fresh])
             self._next[members[fresh]] = 0
         plan, position, rows = self._plan[members], self._next[members], np.arange(len(members))
@@ -108,6 +115,8 @@ class Playback:
                 break
             position += left_out
         self._next[members] = position + legal
+        begun = np.flatnonzero(legal & (self._table[meant, 0] == START))
+        self.started[members[begun], self._table[meant[begun], 1]] += 1
         submissions = mask[:, self._submissions] != 0
         submit = np.where(submissions.any(axis=1), self._submissions[submissions.argmax(axis=1)], mask.argmax(axis=1))
         return np.where(legal, meant, np.where(may_wait, self._wait, submit))

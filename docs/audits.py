@@ -24,14 +24,10 @@ FOLDER = ROOT / "docs" / "results" / "audits"
 PAGE = ROOT / "docs" / "worlds.md"
 _NUMBERS = {
     "open_loop": "open-loop",
-    "reference": "scripted",
     "best": "best",
     "value_of_information": "information",
-    "value_of_bench": "least bench",
-    "value_of_memory": "memory",
     "coordination_gain": "coordination",
     "headroom": "headroom",
-    "open_loop_deviation": "deviation",
 }
 """Measures and their column heads."""
 
@@ -43,25 +39,22 @@ def audits() -> list[dict[str, Any]]:
 
 
 def _cells(audit: dict[str, Any]) -> list[str]:
-    numbers = []
-    for name in _NUMBERS:
-        # Without a bundled policy the scripted one is the best; older audits do not state it.
-        measure = audit.get(name, audit["reference"])
-        values = measure.values() if name == "value_of_bench" else [measure]
-        numbers.append(min((one["value"] for one in values if one["value"] is not None), default=None))
-    missed = [_NUMBERS[name] for name, met in audit["criteria"].items() if met is False]
+    # Audits of the first format, of scenarios without a bundled policy, do not state the best.
+    numbers = [audit.get(name, audit["reference"])["value"] for name in _NUMBERS]
+    missed = [
+        name.replace("_", " ").removeprefix("value of ") for name, met in audit["criteria"].items() if met is False
+    ]
     return [
         f"`{audit['scenario']}`",
         *("" if number is None else f"{number:.2f}" for number in numbers),
-        str(audit["budget_episodes"]),
         ", ".join(missed) or "none",
     ]
 
 
 def table() -> list[str]:
     """Return the committed audits as a Markdown table."""
-    heads = ["scenario", *_NUMBERS.values(), "episodes", "criteria not met"]
-    rows = [heads, ["---"] + ["--:"] * (len(heads) - 2) + ["---"], *(_cells(audit) for audit in audits())]
+    heads = ["scenario", *_NUMBERS.values(), "not met"]
+    rows = [heads, ["---"] + ["--:"] * len(_NUMBERS) + ["---"], *(_cells(audit) for audit in audits())]
     return [f"| {' | '.join(row)} |" for row in rows]
 
 

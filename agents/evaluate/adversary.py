@@ -32,7 +32,7 @@ __all__ = ["learned_scores"]
 _ENVS, _ROLLOUT = 64, 64
 _DONORS, _EPOCHS = 16, 40
 """Episodes of every context that are cloned, and passes over them."""
-_CHECKS, _CHECKED = 4, 64
+_CHECKS, _CHECKED = 3, 64
 """Evaluations in training, after which the best weights are kept, and their episodes."""
 _CHECK_SEED = 4_600_000
 
@@ -47,8 +47,8 @@ def learned_scores(
 ) -> list[float]:
     """Train a team with PPO, and score it.
 
-    Every agent's reward is the team's result. Of four checkpoints, each played greedily and with sampled actions, the
-    best in ``validation`` is scored.
+    Every agent's reward is the team's result. Of three checkpoints and the beginning, each played greedily and with
+    sampled actions, the best in ``validation`` is scored.
 
     Args:
         scenario: where.

@@ -107,6 +107,7 @@ def audit(
     keep: Path | None = None,
     executor: Executor | None = None,
     watch: Callable[[str], None] | None = None,
+    turns: int | None = None,
 ) -> dict[str, Any]:
     """Measure what a scenario asks of its agents.
 
@@ -116,6 +117,7 @@ def audit(
         keep: folder in which results of finished parts are kept, from which an interrupted audit resumes.
         executor: plays the parts, see :mod:`chemlab.agents.executors`; None: this process.
         watch: called with the name of each part that has been played.
+        turns: that each learner learns from; default: the budget's.
 
     Returns:
         Plain data: the measures of this module's table, each with ``value``, ``low`` and ``high`` (or null and a
@@ -127,7 +129,7 @@ def audit(
         WorkerLost: a part lost its worker in every attempt.
     """
     spec = load_scenario(scenario)
-    chosen = budget_of(budget)
+    chosen = budget_of(budget, turns)
     crew = Crew(spec, chosen, keep, executor, watch)
     found = crew.run(choosing_jobs(spec))
     reference, best = _best(found, _SCRIPTED), _best(found, _SCRIPTED + _TRAINED)

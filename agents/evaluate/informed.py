@@ -94,7 +94,7 @@ def informed_scores(
             search = Search(
                 scenario, "scripted", context, budget, numbers, lambda _: None, (), [at], "train", True, first
             )
-            search.improve(list(teams))
+            search.improve(list(teams), donors=False)
             found.append(search.best[0].team)
         plans = [team.after(first) for team in dict.fromkeys(found)]
         learned = _table(scenario, context, plans, first, central, range(_WORLD_SEED, _WORLD_SEED + worlds), "train")

@@ -8,7 +8,7 @@ import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -72,21 +72,24 @@ class AuditBudget:
 
 
 BUDGETS = {
-    "small": AuditBudget(40, plans=2_000, fewer=400, donors=20, planned=240),
-    "full": AuditBudget(200, plans=40_000, fewer=4_000, donors=20, planned=1_500),
+    "small": AuditBudget(40, plans=2_000, fewer=400, donors=20, planned=240, worlds=96),
+    "full": AuditBudget(200, plans=40_000, fewer=4_000, donors=20, planned=1_500, turns=1_000_000, worlds=512),
 }
 """``small``: under two minutes on two cores; ``full``: under thirty."""
 
 
-def budget_of(budget: str | AuditBudget) -> AuditBudget:
-    """One of :data:`BUDGETS` by its name; others are what they are.
+def budget_of(budget: str | AuditBudget, turns: int | None = None) -> AuditBudget:
+    """Return one of :data:`BUDGETS` by name, or the given one; with other turns for learners, if there are any.
 
     Raises:
-        ValueError: no such name.
+        ValueError: no such name, or negative turns.
     """
     if isinstance(budget, str) and budget not in BUDGETS:
         raise ValueError(f"budget: known: {', '.join(BUDGETS)}; given {budget!r}")
-    return BUDGETS[budget] if isinstance(budget, str) else budget
+    if turns is not None and turns < 0:
+        raise ValueError(f"turns: must be at least 0, given {turns}")
+    found = BUDGETS[budget] if isinstance(budget, str) else budget
+    return found if turns is None else replace(found, turns=turns)
 
 
 @dataclass(frozen=True)

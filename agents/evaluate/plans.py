@@ -249,21 +249,21 @@ class Trials:
         return self.labs.result(members).reshape(count, len(self.seeds))
 
     def team_policies(
-        self, teams: Sequence[TeamPlan], policies: Mapping[str, Policy], manager: Policy | None = None
+        self, teams: Sequence[TeamPlan], policies: Mapping[str, Policy], manager: Playback | None = None
     ) -> list[Policy]:
         """Return the policy of every agent that plays open-loop policies; arguments as of :meth:`play_teams`."""
         each = [team for team in teams for _ in self.seeds]
         own = [policies[agent] for agent in self.labs.agents]
         self.seed_policies(own[1:])
-        own[0] = manager or Playback(self.labs.actions, [team.plan for team in each])
+        own[0] = plays = manager or Playback(self.labs.actions, [team.plan for team in each])
         for b, bench in enumerate(self.labs.benches):
             if any(team.benches for team in teams):
                 tapes = [team.benches[b] if team.benches else None for team in each]
-                own[b + 1] = _Taped(tapes, bench, own[b + 1])
+                own[b + 1] = _Taped(tapes, bench, own[b + 1], plays, b)
         return own
 
     def play_teams(
-        self, teams: Sequence[TeamPlan], policies: Mapping[str, Policy], manager: Policy | None = None
+        self, teams: Sequence[TeamPlan], policies: Mapping[str, Policy], manager: Playback | None = None
     ) -> FloatArray:
         """[len(teams), seeds] scores of open-loop policies, each played from every seed.
 
@@ -642,7 +642,7 @@ class Search:
         and then with all their own actions, benches included, where these may be free.
 
         Args:
-            names: of policies; those that do not fit are left out.
+            names: of policies; names that do not fit are omitted.
             scenario: where they play; default: where is searched.
         """
         teams = []
@@ -664,14 +664,19 @@ class Search:
                 teams += [TeamPlan(plan, tapes), TeamPlan(blind, tapes)]
         return teams
 
-    def improve(self, known: Sequence[TeamPlan]) -> float:
-        """Return the best score on the episodes themselves, from ``known`` and what policies play there: the score of
-        a planner with the hidden parameters.
+    def improve(self, known: Sequence[TeamPlan], donors: bool = True) -> float:
+        """Return the best score on the episodes themselves: the score of a planner with the hidden parameters.
 
-        ``scripted`` also plays with the parameters revealed: with exact instruments, free of charge.
+        Args:
+            known: plans to begin with.
+            donors: whether it also begins with what scripted and bundled policies play there. ``scripted`` also plays
+                with the parameters revealed: with exact instruments, free of charge.
         """
-        revealed = self._donors(["scripted"], _revealed(self._scenario))
-        self._try([*known, *self._donors([*_SCRIPTED, *_BUNDLED]), *revealed])
+        beginning = list(known)
+        if donors:
+            beginning += self._donors([*_SCRIPTED, *_BUNDLED])
+            beginning += self._donors(["scripted"], _revealed(self._scenario))
+        self._try(beginning)
         best = -np.inf
         while self.tried < self._budget and self.best[0].score > best + _SAME:
             best = self.best[0].score
@@ -928,14 +933,17 @@ class _Taped:
         tapes: by environment index.
         bench: whose agent it is.
         policy: plays where there is no tape.
+        manager: starts the experiments.
+        number: index of the bench.
     """
 
-    def __init__(self, tapes: Sequence[Tape | None], bench: Bench, policy: Policy) -> None:
-        self._policy, self._end = policy, bench.end_action
+    def __init__(
+        self, tapes: Sequence[Tape | None], bench: Bench, policy: Policy, manager: Playback, number: int
+    ) -> None:
+        self._policy, self._end, self._manager, self._number = policy, bench.end_action, manager, number
         shape = bench.action_space.shape or ()
         known = {tape: number for number, tape in enumerate(dict.fromkeys(tape for tape in tapes if tape))}
         self._which = np.array([known[tape] if tape else -1 for tape in tapes])
-        self._experiment = np.full(len(tapes), -1)
         most = max(map(len, known), default=1)
         longest = max((len(actions or ()) for tape in known for actions in tape), default=1)
         kind = np.int64 if bench.action_count else np.float64
@@ -952,19 +960,18 @@ class _Taped:
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
-        self._experiment[members] += step == 0
+        _, most, longest = self._actions.shape[:3]
+        experiment = np.clip(self._manager.started[members, self._number] - 1, 0, most - 1)
         taped = self._which[members] >= 0
         if taped.any():
-            experiment = np.minimum(self._experiment[members], self._actions.shape[1] - 1)
             taped &= self._played[self._which[members], experiment]
         played = np.zeros((len(members), *self._actions.shape[3:]), dtype=self._actions.dtype)
         if not taped.all():
             allowed = None if mask is None else mask[~taped]
             played[~taped] = self._policy.act(observation[~taped], allowed, step[~taped], members[~taped])
         if taped.any():
-            _, most, longest = self._actions.shape[:3]
             own, turn = members[taped], np.minimum(step[taped], longest - 1)
-            chosen = self._actions[self._which[own], np.minimum(self._experiment[own], most - 1), turn]
+            chosen = self._actions[self._which[own], experiment[taped], turn]
             if mask is not None:
                 allowed = mask[taped] != 0
                 rows = np.arange(len(own))

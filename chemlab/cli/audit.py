@@ -45,7 +45,10 @@ app.add_typer(audit, name="audit")
 @audit.command()
 def measures(
     scenario: ScenarioArgument,
-    budget: Annotated[str, typer.Option(help="Number of episodes: small (two minutes) or full (thirty).")] = "small",
+    budget: Annotated[str, typer.Option(help="Numbers of episodes and plans: small or full.")] = "small",
+    turns: Annotated[
+        int | None, typer.Option(min=0, help="Turns that each learner learns from; 0: none. Default: the budget's.")
+    ] = None,
     keep: Annotated[
         Path | None,
         typer.Option(help="Folder of finished parts, from which the same command resumes."),
@@ -68,14 +71,14 @@ def measures(
         from ..config.loading import load_scenario
 
         spec = load_scenario(scenario)
-        chosen = budget_of(budget)
+        chosen = budget_of(budget, turns)
         if keep is not None:
             check_folder(keep)
         if output is not None:
             check_result(output, scenario)
         with counting() as progress, executor(address, processes) as jobs:
             task = progress.add_task("parts", total=job_count(spec, chosen))
-            found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task))
+            found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task), turns)
     if as_json:
         typer.echo(json.dumps(found))
     else:

@@ -80,7 +80,7 @@ def test_a_scenario_that_cannot_be_solved_is_said_to_be_one() -> None:
 
 
 def test_doing_nothing_is_no_solution() -> None:
-    """Where random actions cost something, doing nothing scores above them: the scenario stays impossible."""
+    """Random actions cost something, so that doing nothing scores above them: the scenario stays impossible."""
     spec = load_scenario("wurtz_dodecane_direct")
     limits = spec.limits.model_copy(update={"ticks": 1})
     found = audit(spec.model_copy(update={"limits": limits}), AuditBudget(4, 4, 2, 1, 4))

@@ -1,0 +1,62 @@
+"""Adversaries of an audit: controllers that choose among plans by what agents have observed, and learners."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from chemlab.agents.evaluate.adversary import learned_scores
+from chemlab.agents.evaluate.informed import _choice, informed_scores, openings
+from chemlab.agents.evaluate.plans import TeamPlan
+from chemlab.config.loading import load_scenario
+from chemlab.roles.manager_actions import ManagerActions
+
+CAMPAIGN = load_scenario("campaign")
+
+
+def test_a_controller_chooses_by_what_it_has_seen() -> None:
+    """One of 30 numbers tells which of three plans is the best; where nothing does, the plan with the best mean is."""
+    draw = np.random.default_rng(0)
+    seen, now = draw.random((200, 30)).astype(np.float32), draw.random((100, 30)).astype(np.float32)
+    scores = np.stack([seen[:, 4], 1.0 - seen[:, 4], np.full(200, 0.4)])
+    chosen = _choice(seen, scores, now)
+    sure = np.abs(now[:, 4] - 0.5) > 0.2
+    assert (chosen[sure] == (now[sure, 4] < 0.5)).mean() > 0.95
+    noise = np.stack([draw.random(200), draw.random(200), np.full(200, 0.9)])
+    assert (_choice(seen, noise, now) == 2).all()
+    assert (_choice(np.zeros_like(seen), scores, np.zeros_like(now)) == scores.mean(axis=1).argmax()).all()
+
+
+@pytest.mark.parametrize(("opening", "central"), [("submission", False), ("look-rxn", True)])
+def test_controllers_are_scored(opening: str, central: bool) -> None:
+    """The opening costs at most its ticks, so that the score is about that of the only plan that is known."""
+    code = ManagerActions.of(CAMPAIGN).encode
+    goal = CAMPAIGN.goals[0]
+    plan = [(code("start", "rxn_0", slot, goal), code("submit", slot, slot)) for slot in range(4)]
+    team = TeamPlan(tuple(action for pair in plan for action in pair), ((((1.0, 0.5, 0.0),),),))
+    assert openings(CAMPAIGN) == ["look-rxn", "submission"]
+    known = {(goal,) * 4: [team]}
+    scores = informed_scores(CAMPAIGN, opening, central, known, worlds=8, library=1, budget=1, episodes=3, seed=5)
+    assert scores is not None
+    assert len(scores) == 3
+    assert np.isfinite(scores).all()
+
+
+def test_a_plan_of_one_submission_has_no_such_opening() -> None:
+    context = (CAMPAIGN.goals[0],) * 4
+    assert informed_scores(CAMPAIGN, "submission", True, {context: [TeamPlan(())]}, 4, 1, 1, 2, 5) is None
+
+
+@pytest.mark.slow
+def test_a_learner_keeps_what_it_has_cloned() -> None:
+    """Without any learning, the clone of an open-loop policy scores more than a team that has learned nothing."""
+    pytest.importorskip("torch")
+    code = ManagerActions.of(CAMPAIGN).encode
+    goal = CAMPAIGN.goals[0]
+    plan = tuple(
+        action for slot in range(4) for action in (code("start", "rxn_0", slot, goal), code("submit", slot, slot))
+    )
+    begin = {(goal,) * 4: TeamPlan(plan, ((((1.0, 0.5, 0.0),),),))}
+    cloned = np.mean(learned_scores(CAMPAIGN, 0, 20, 5, begin))
+    nothing = np.mean(learned_scores(CAMPAIGN, 0, 20, 5))
+    assert cloned > nothing
