@@ -564,11 +564,14 @@ class LabTools:
     """
 
     def __new__(cls, room: Room, agent: str) -> "LabTools":
-        """An instance of a subclass that has the seat's verbs as methods."""
+        """An instance of a subclass that has the seat's verbs as methods; the same verbs are the same subclass."""
         if agent not in room.seats:
             raise ValueError(f"seat: must be one of {', '.join(room.seats)}, given {agent!r}")
-        methods: dict[str, Any] = {verb.name: _method(verb) for verb in room.verbs(agent)}
-        return object.__new__(type(f"LabTools_{agent}", (cls,), methods))
+        verbs = room.verbs(agent)
+        key = cls, agent, json.dumps([(verb.name, verb.meaning, input_schema(verb)) for verb in verbs])
+        if key not in _FACADES:
+            _FACADES[key] = type(f"LabTools_{agent}", (cls,), {verb.name: _method(verb) for verb in verbs})
+        return object.__new__(_FACADES[key])
 
     def __init__(self, room: Room, agent: str) -> None:
         self._room, self._agent = room, agent
@@ -589,6 +592,9 @@ class LabTools:
     def get_reward(self) -> float:
         """The laboratory's score so far."""
         return self._room.score
+
+
+_FACADES: dict[tuple[type[LabTools], str, str], type[LabTools]] = {}
 
 
 def _method(verb: Verb) -> Callable[..., str]:

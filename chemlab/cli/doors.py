@@ -39,6 +39,12 @@ def mcp(
             envvar="CHEMLAB_SALT", help="Salt of the private split. Default: a fresh one, published at the end."
         ),
     ] = None,
+    token: Annotated[
+        str | None,
+        typer.Option(
+            envvar="CHEMLAB_TOKEN", help="Token of the only seat over HTTP. Default: a fresh one for each seat."
+        ),
+    ] = None,
     out_folder: Annotated[
         Path | None,
         typer.Option("--out", help="Folder of records, transcripts and the ledger. Records are written at the end."),
@@ -54,6 +60,8 @@ def mcp(
     seats = chosen_agents(["manager_0", *spec.bench_agents()], seat or ["manager_0"], "--seat")
     if http is None and len(seats) > 1:
         raise ValueError(f"--seat: standard input and output serve one seat, given {len(seats)}; add --http PORT")
+    if token is not None and (http is None or len(seats) > 1):
+        raise ValueError("--token: is that of one seat over HTTP; leave it out, and every seat gets one of its own")
     if episode is not None and salt is None:
         raise ValueError("--episode: needs a salt, so that its world stays secret; set CHEMLAB_SALT")
     seed = None if episode is None else AUDIT_SEED + episode
@@ -63,9 +71,10 @@ def mcp(
             mcp_server.serve_stdio(room)
         else:
             port = http or _free_port(host)
-            tokens = {one: secrets.token_urlsafe(24) for one in seats}
-            for one, token in tokens.items():
-                out.print(plain(f"{one} http://{host}:{port}/{one}/mcp Authorization: Bearer {token}"), soft_wrap=True)
+            tokens = {one: token or secrets.token_urlsafe(24) for one in seats}
+            for one, own in tokens.items():
+                shown = "the given token" if token else own
+                out.print(plain(f"{one} http://{host}:{port}/{one}/mcp Authorization: Bearer {shown}"), soft_wrap=True)
             mcp_server.http_server(room, tokens, host, port).run()
     finally:
         room.close()
