@@ -17,9 +17,9 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.discrete import Discretised
 
 from .advice import AdvisedPolicy, Advisor
-from .discrete import NearestPolicy
-from .names import current_name, split_way
-from .plans import plan_for
+from .discretised import NearestPolicy
+from .former_names import current_name, split_way
+from .open_loop import plan_for
 from .pretrained import PretrainedPolicy, pretrained_for
 from .random_policy import RandomPolicy
 from .roles import role_of
@@ -31,9 +31,9 @@ from .scripted.extraction import ScriptedExtraction
 from .scripted.foresee import ForeseeingManager, foresees
 from .scripted.fractions import ScriptedFraction
 from .scripted.identify import IdentifyingManager, has_unlabelled_vessels
-from .scripted.manager import SynthesisManager
 from .scripted.reaction import ScriptedReaction
 from .scripted.real import ScriptedRealReaction
+from .scripted.router import SynthesisManager
 from .scripted.schedule import SchedulingManager, has_orders_to_schedule
 from .scripted.script import Setting
 from .scripted.upkeep import UpkeepManager, has_wearing_lines

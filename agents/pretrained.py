@@ -35,8 +35,8 @@ from chemlab.roles.base import Workplace
 from chemlab.roles.bench import Bench
 from chemlab.roles.kinds import discretised_twin
 
-from .discrete import ChoosingPolicy
-from .names import SAMPLED
+from .discretised import ChoosingPolicy
+from .former_names import SAMPLED
 from .random_policy import RandomPolicy
 
 __all__ = [

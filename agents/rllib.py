@@ -31,7 +31,7 @@ import numpy.typing as npt
 from chemlab.envs.aec import raw_env
 from chemlab.kernels.arrays import IntArray
 from chemlab.kernels.rng import checked_seed
-from chemlab.lab.episodes import INTERRUPTED, Guarded
+from chemlab.lab.episode_streams import INTERRUPTED, Guarded
 from chemlab.roles.manager_state import RUNNING
 
 from .background import background_players

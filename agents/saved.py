@@ -9,7 +9,7 @@ from typing import Any
 
 from chemlab.envs.players import Policy, as_policy
 
-from .names import SAMPLED, split_way
+from .former_names import SAMPLED, split_way
 from .pretrained import Seed, Workplace, fitted, load_pretrained, pretrained_names
 from .roles import role_of
 from .runs import Run

@@ -19,7 +19,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from chemlab.envs.role_env import RoleVectorEnv
-from chemlab.lab.episodes import Guarded
+from chemlab.lab.episode_streams import Guarded
 
 from .advice import Advisor
 

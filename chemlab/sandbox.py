@@ -59,8 +59,8 @@ from .physics import transfer
 from .physics.chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
 from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
-from .physics.layers import profile
 from .physics.shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
+from .physics.stratification import profile
 from .physics.surroundings import Surroundings
 from .roles.instruments.table import InstrumentTable
 

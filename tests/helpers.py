@@ -24,8 +24,8 @@ from chemlab.lab.engine import Laboratories
 from chemlab.physics.backends import heat, partition, settle_phases
 from chemlab.physics.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, network_fields
 from chemlab.physics.constants import SOLIDS
-from chemlab.physics.layers import profile
 from chemlab.physics.shelf import T_MIX, Shelf
+from chemlab.physics.stratification import profile
 from chemlab.physics.transfer import add, drain, pour, turn_clock
 from chemlab.roles.manager_actions import SUBMIT, WAIT
 

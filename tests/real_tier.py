@@ -12,10 +12,10 @@ import numpy.typing as npt
 from chemlab.kernels.arrays import declared
 from chemlab.kernels.jit import kernel
 from chemlab.kernels.tables import Table
-from chemlab.physics.backends.real.chemistry import RealChemistry
 from chemlab.physics.backends.real.fields import independent_reactions, padded
 from chemlab.physics.backends.real.heats import enthalpy, set_enthalpy
 from chemlab.physics.backends.real.kinetics import ALONE, integrate, react_work_size
+from chemlab.physics.backends.real.real_chemistry import RealChemistry
 from chemlab.physics.chemistry import AMOUNTS, CAPACITY, PRESENT, ROLE_SOLVENT, TEMPERATURE, network_fields
 from chemlab.physics.surroundings import Surroundings
 

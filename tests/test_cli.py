@@ -22,7 +22,7 @@ from typer.testing import CliRunner
 import chemlab.scenarios
 from chemlab import __version__
 from chemlab.cli import PANELS, app
-from chemlab.cli.common import FORMER_COMMANDS
+from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import event_words, page, show_table
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import load_scenario, scenario_names, synthesis_names

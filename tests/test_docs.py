@@ -22,7 +22,7 @@ import typer
 from helpers import script, slow_but
 
 from chemlab.cli import app
-from chemlab.cli.common import DefaultGroup
+from chemlab.cli.options import DefaultGroup
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.materials import load_materials, read_toml
 from chemlab.config.reactions import ReactionFamily

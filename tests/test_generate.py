@@ -35,7 +35,7 @@ from chemlab.openchem.designs import feeds, steps_to
 from chemlab.openchem.difficulty import constant_conditions, difficulty
 from chemlab.openchem.generate import LEVELS, chemistry, generated
 from chemlab.openchem.invented import boiling_point, pair_rows
-from chemlab.openchem.networks import Draws, Size, chosen_size, draw_network
+from chemlab.openchem.reaction_networks import Draws, Size, chosen_size, draw_network
 from chemlab.record import scenario_hash
 from chemlab.roles import reaction_bench as reaction
 

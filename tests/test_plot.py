@@ -18,7 +18,7 @@ from chemlab.cli import app
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, read_record
-from chemlab.render.balance import PLACES, mole_balance
+from chemlab.render.mole_balance import PLACES, mole_balance
 
 runner = CliRunner()
 

@@ -65,6 +65,17 @@ def test_no_module_imports_one_that_imports_it() -> None:
         pytest.fail(f"a circle: {' <- '.join(error.args[1])}")
 
 
+def test_no_module_is_named_like_another() -> None:
+    """Only the backends of physics have one file per law under the same name, as the interface of backends has."""
+    places: dict[str, list[str]] = {}
+    for name, (_, is_package) in modules().items():
+        if not is_package:
+            place, _, own = name.rpartition(".")
+            places.setdefault(own, []).append(place)
+    backends = [f"chemlab.physics.backends.{backend}" for backend in ("paper", "real")]
+    assert [own for own, found in places.items() if len(found) > 1 and sorted(found) != backends] == []
+
+
 def test_kernels_take_few_arguments() -> None:
     """What a kernel works with is one state and one set of parameters a layer, opened where it is needed."""
     kernels = [

@@ -19,7 +19,7 @@ from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 
 from ..episodes import play_laboratory
-from ..plans import Context
+from ..open_loop import Context
 from ..policies import make_policies
 from ..roles import MANAGER_ROLE, role_of
 from .plans import SEARCH_SEED, TeamPlan, Trials

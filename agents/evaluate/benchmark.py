@@ -57,9 +57,9 @@ from chemlab.lab.engine import MANAGER_AGENT
 from chemlab.record import Record, Recorder, read_record, recorded_scenario, scenario_hash, verify_record
 
 from ..episodes import play_episode
+from ..former_names import current_name, split_way
 from ..ledger import ended_episodes
-from ..names import current_name, split_way
-from ..plans import ConstantPlan
+from ..open_loop import ConstantPlan
 from ..policies import make_policies, policy_names
 from ..runs import Run, differences, find_runs, versions
 from . import statistics

@@ -26,7 +26,7 @@ from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.record import scenario_hash
 
-from ..names import current_name, split_way
+from ..former_names import current_name, split_way
 from ..policies import Policy, agent_policy, make_policies, policy_names
 from ..roles import MANAGER_ROLE
 from ..runs import Run, find_runs

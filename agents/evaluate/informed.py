@@ -27,7 +27,7 @@ from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
 from chemlab.roles.manager_actions import KIND, SUBMIT
 
-from ..plans import Context, Playback
+from ..open_loop import Context, Playback
 from ..policies import make_policies
 from ..roles import role_of
 from .plans import SEARCH_SEED, Search, Tape, TeamPlan, Trials, drawn_contexts

@@ -26,7 +26,7 @@ from chemlab.roles.manager_actions import ManagerActions
 
 from ..episodes import play_laboratory
 from ..executors import Inline, completed
-from ..plans import Context, all_contexts
+from ..open_loop import Context, all_contexts
 from ..policies import make_policies, scripted_manager
 from ..runs import versions
 from .contention import CONTENDED, Contention

@@ -9,8 +9,8 @@ from chemlab.config.files import write_text
 from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
 
 from .curves import draw_tasks, group_tasks
-from .laboratory import has_manager
 from .results import cells_of, cells_table, read_runs
+from .trained_managers import has_manager
 
 __all__ = ["write_page"]
 
@@ -24,7 +24,7 @@ _NOTE = (
 
 def write_page(folder: Path, out: Path, formats: Sequence[str] = ("png",)) -> tuple[Path | None, list[str]]:
     """Write ``runs.md`` and the pictures ``runs_curves`` of all runs but managers', which have a page of their own
-    (:mod:`chemlab.agents.evaluate.laboratory`).
+    (:mod:`chemlab.agents.evaluate.trained_managers`).
 
     Args:
         folder: runs as training leaves them, or tables of them.

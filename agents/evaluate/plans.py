@@ -25,8 +25,8 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.manager_actions import DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT, WAIT, ManagerActions
 
 from ..episodes import play_laboratory
-from ..names import current_name
-from ..plans import ConstantPlan, Context, Plan, PlanFile, Playback, all_contexts
+from ..former_names import current_name
+from ..open_loop import ConstantPlan, Context, Plan, PlanFile, Playback, all_contexts
 from ..policies import make_policies
 from ..roles import role_of
 from ..runs import versions
@@ -270,7 +270,7 @@ class Trials:
         Args:
             teams: the open-loop policies.
             policies: of the agents; they play benches without a tape.
-            manager: plays the plans; default: :class:`~chemlab.agents.plans.Playback`.
+            manager: plays the plans; default: :class:`~chemlab.agents.open_loop.Playback`.
         """
         return self.play(self.team_policies(teams, policies, manager), len(teams))
 
@@ -799,7 +799,7 @@ def search_plan(
     """Find the best open-loop policy of the manager, or of all agents, for every public context.
 
     An evolutionary search over sequences of actions, with every single change of the best tried where it stalls.
-    A plan does not depend on observations (:class:`~chemlab.agents.plans.Playback`). It has no measurements, which
+    A plan does not depend on observations (:class:`~chemlab.agents.open_loop.Playback`). It has no measurements, which
     cost something and do not change what follows. The result depends on the arguments alone. The last 16 plans are
     compared on a tenth as many further seeds as plans were allowed: at least 64, at most 1,000.
 

@@ -19,7 +19,7 @@ from chemlab.lab.engine import Laboratories
 
 from ..episodes import Played, play_bench, play_laboratory
 from ..executors import Inline, completed
-from ..names import SAMPLED, current_name, split_way
+from ..former_names import SAMPLED, current_name, split_way
 from ..policies import bench_policy, make_policies
 from ..runs import versions
 from ..saved import is_saved

@@ -28,8 +28,8 @@ from chemlab.kernels.arrays import FloatArray
 
 from ..runs import Evaluation, Run, RunResult, checked_config, checked_result, find_runs
 from . import statistics
+from .csv_tables import markdown_table, number, read_table, write_table
 from .statistics import interval_text, number_text
-from .tables import markdown_table, number, read_table, write_table
 
 __all__ = [
     "Cell",

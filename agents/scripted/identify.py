@@ -18,7 +18,7 @@ from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.shelf import Shelf
 from chemlab.roles.instruments.table import InstrumentTable
 
-from .manager import SynthesisManager
+from .router import SynthesisManager
 from .script import Setting, cheapest
 
 __all__ = ["IdentifyingManager", "has_unlabelled_vessels"]

@@ -27,7 +27,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_valida
 from chemlab.config.datafile import DataError, read_toml, shown
 from chemlab.config.datamodel import validated
 
-from ..names import current_name
+from ..former_names import current_name
 
 if TYPE_CHECKING:
     from typing_extensions import Self

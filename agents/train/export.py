@@ -18,7 +18,7 @@ from chemlab.envs.players import as_policy
 from chemlab.kernels.arrays import ObservationArray
 
 from ..advice import with_advice
-from ..names import GREEDY, split_way
+from ..former_names import GREEDY, split_way
 from ..policies import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..runs import RESULT_SEED, Run

@@ -27,7 +27,7 @@ from chemlab.lab.starts import goals_met
 from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import DISCARD, KINDS, START, SUBMIT
 
-from ..names import GREEDY, SAMPLED
+from ..former_names import GREEDY, SAMPLED
 from ..policies import Policy, agent_policy
 from ..pretrained import LOG_STD, Card, PretrainedPolicy, save_policy
 from ..roles import MANAGER_ROLE, role_of

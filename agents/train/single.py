@@ -19,8 +19,8 @@ from stable_baselines3.common.noise import NormalActionNoise
 from chemlab.envs.players import as_policy
 from chemlab.lab.engine import MANAGER_AGENT
 
+from ..former_names import GREEDY, SAMPLED
 from ..learners import LEARNERS
-from ..names import GREEDY, SAMPLED
 from ..pretrained import PretrainedPolicy, load_pretrained, save_policy
 from ..recurrent import MaskedLstmPolicy
 from ..runs import Evaluation, Run

@@ -8,21 +8,21 @@ import sys
 from typing import Any
 
 from . import (  # noqa: F401 - importing a module adds its commands
-    audit,
-    benchmark,
+    auditing,
+    benchmarking,
     check,
-    chemistry,
-    crossplay,
+    chemicals,
     doors,
     evaluation,
-    export,
-    laboratory,
-    play,
+    exporting,
+    laboratories,
+    partners,
+    playing,
     plot,
     records,
     training,
 )
-from .common import app
+from .options import app
 
 __all__ = ["PANELS", "app", "main"]
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import typer
 
-from .common import JsonOption, ScenarioArgument, TrustOption, app, out, readable_errors
+from .options import JsonOption, ScenarioArgument, TrustOption, app, out, readable_errors
 from .screen import counting, plain
 
 __all__: list[str] = []

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from .common import ScenarioArgument, app, chosen_agents
+from .options import ScenarioArgument, app, chosen_agents
 from .screen import out, plain
 
 __all__: list[str] = []

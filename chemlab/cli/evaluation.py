@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_marks, replace_between, write_text
-from .common import (
+from .options import (
     AddressOption,
     JsonOption,
     SeedOption,

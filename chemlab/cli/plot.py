@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_folder
-from .common import TrustOption, app, check_result, readable_errors
+from .options import TrustOption, app, check_result, readable_errors
 from .screen import counting, out, plain
 
 __all__: list[str] = []
@@ -121,9 +121,9 @@ def runs(
     small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
     """
     with readable_errors():
-        from ..agents.evaluate.laboratory import collect as collect_tables
-        from ..agents.evaluate.laboratory import collect_count, write_laboratory
         from ..agents.evaluate.page import write_page
+        from ..agents.evaluate.trained_managers import collect as collect_tables
+        from ..agents.evaluate.trained_managers import collect_count, write_laboratory
         from ..render.figure import FORMATS
 
         formats = file_format or ["png"]

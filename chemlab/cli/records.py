@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import JsonOption, TrustOption, app, check_result, err, out, readable_errors
+from .options import JsonOption, TrustOption, app, check_result, err, out, readable_errors
 from .screen import counting, plain
 
 if TYPE_CHECKING:
@@ -107,7 +107,7 @@ def replay(
     with readable_errors():
         from ..config.files import write_text
         from ..record import read_record
-        from ..render.replay import replay_page
+        from ..render.replay_page import replay_page
 
         path = output or file.parent / f"{file.stem}.html"
         if path.exists() and not force:

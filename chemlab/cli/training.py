@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 from typer.core import TyperCommand
 
-from .common import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out, readable_errors
+from .options import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out, readable_errors
 from .screen import page, plain
 
 if TYPE_CHECKING:

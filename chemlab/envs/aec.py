@@ -62,9 +62,9 @@ from pettingzoo import AECEnv
 from pettingzoo.utils.wrappers import OrderEnforcingWrapper
 
 from ..config.scenario import RewardSpec, Scenario
-from ..lab.episodes import INTERRUPTED
+from ..lab.episode_streams import INTERRUPTED
 from ..roles.manager_state import RUNNING
-from .common import OneLaboratory
+from .one_laboratory import OneLaboratory
 from .rendering import RENDER_MODES
 
 __all__ = ["env", "raw_env"]

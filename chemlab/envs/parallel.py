@@ -31,9 +31,9 @@ import numpy as np
 import numpy.typing as npt
 from pettingzoo import ParallelEnv
 
-from ..lab.episodes import INTERRUPTED
+from ..lab.episode_streams import INTERRUPTED
 from ..roles.manager_state import RUNNING
-from .common import OneLaboratory
+from .one_laboratory import OneLaboratory
 from .rendering import RENDER_MODES
 
 __all__ = ["parallel_env"]

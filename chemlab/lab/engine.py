@@ -46,7 +46,7 @@ from ..roles.manager_role import ManagerRole
 from ..roles.manager_state import COST_ITEMS, RUNNING, ManagerState, Rules
 from ..roles.manager_view import manager_observe
 from ..roles.wear import wear_out
-from .episodes import EpisodeStreams
+from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
 

@@ -24,7 +24,7 @@ from ..roles.bench import Bench, Experiments, ExperimentState
 from ..roles.kinds import build_bench
 from ..roles.maintenance import equip
 from ..roles.wear import wear_out
-from .episodes import EpisodeStreams
+from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import Start, StartPool, draw_start, lab_starts, start_pool
 

@@ -30,7 +30,7 @@ from ..config.scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario
 from ..physics.constants import GAS_CONSTANT
 from .designs import INSTRUMENTS, SOLVENTS, design, scenario_text
 from .invented import SOURCE, dilute_log, material_tables, pair_rows, significant
-from .networks import Draws, Network, Size, chosen_size, draw_network
+from .reaction_networks import Draws, Network, Size, chosen_size, draw_network
 from .writing import family_text, lock, material_text, pair_text
 
 __all__ = ["LEVELS", "Generated", "Level", "chemistry", "generated"]

@@ -23,7 +23,7 @@ from typing import Any
 
 from ..config.materials import Material
 from ..physics.constants import GAS_CONSTANT
-from .networks import Draws, Network
+from .reaction_networks import Draws, Network
 
 __all__ = ["SOURCE", "boiling_point", "dilute_log", "material_tables", "pair_rows", "significant"]
 

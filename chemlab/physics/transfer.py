@@ -186,7 +186,7 @@ def drain(
     Args:
         source, target: vessel rows.
         pixels: number of pixels; may be fractional.
-        profile: [C, pixels] layer profile of ``source`` (see :mod:`chemlab.physics.layers`).
+        profile: [C, pixels] layer profile of ``source`` (see :mod:`chemlab.physics.stratification`).
         layers: [C + 1] the profile's columns: count, then SOLIDS or a material index each.
         chem: the chemistry.
         waste: [M] mol, receives spilled material.
@@ -238,7 +238,7 @@ def strain(
     Args:
         source, target: vessel rows.
         litres: volume; at most the liquid volume.
-        layers: [C + 1] the source's layers (see :func:`chemlab.physics.layers.profile`).
+        layers: [C + 1] the source's layers (see :func:`chemlab.physics.stratification.profile`).
         chem: the chemistry.
         waste: [M] mol, receives spilled material.
         events: safety events row.

@@ -20,10 +20,10 @@ from ..physics.chemistry import WAVELENGTHS_NM
 from ..record import Record, RecordError
 from ..roles.bench import channel_slices
 from ..roles.manager_state import COST_ITEMS
-from .balance import PLACES, Balance, Group, mole_balance
 from .draw import FAINT, INK, SOFT
 from .figure import new_figure
 from .history import Move, RecordReplay
+from .mole_balance import PLACES, Balance, Group, mole_balance
 
 __all__ = ["draw_moles", "draw_spectra", "draw_timeline", "spread"]
 

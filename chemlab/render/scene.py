@@ -28,8 +28,8 @@ from ..lab.engine import Laboratories
 from ..lab.experiments import ExperimentBatch
 from ..physics.chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, ROLE_SOLID
 from ..physics.constants import FIRST_PHASE, SOLIDS
-from ..physics.layers import profile
 from ..physics.shelf import Shelf
+from ..physics.stratification import profile
 from ..roles.bench import CAMERA_PIXELS, Bench, Experiments
 from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
 

@@ -30,8 +30,8 @@ from ..physics.backends import (
 )
 from ..physics.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, ChemistryTable
 from ..physics.constants import SOLIDS
-from ..physics.layers import camera, profile
 from ..physics.shelf import Shelf, ShelfArrays
+from ..physics.stratification import camera, profile
 from ..physics.transfer import turn_clock, volume
 from . import operations
 from .bench import (

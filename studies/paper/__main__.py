@@ -16,8 +16,8 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from chemlab.agents.evaluate.laboratory import brief_table, collect, write_laboratory
 from chemlab.agents.evaluate.results import read_runs, write_runs
+from chemlab.agents.evaluate.trained_managers import brief_table, collect, write_laboratory
 from chemlab.config.files import check_marks, replace_between
 
 from .chemgymrl.figures import write_figures

@@ -12,10 +12,10 @@ from typing import Any
 
 import chemlab
 from chemlab import load_scenario
-from chemlab.agents.evaluate.laboratory import EPISODES
+from chemlab.agents.evaluate.csv_tables import markdown_table, number, read_table, write_table
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.evaluate.statistics import number_text
-from chemlab.agents.evaluate.tables import markdown_table, number, read_table, write_table
+from chemlab.agents.evaluate.trained_managers import EPISODES
 from chemlab.agents.pretrained import PretrainedPolicy, load_pretrained, pretrained_names
 from chemlab.agents.roles import MANAGER_ROLE, role_of
 from chemlab.agents.runs import RESULT_SEED

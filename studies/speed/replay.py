@@ -21,7 +21,7 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import scenario_names
 from chemlab.record import Recorder, read_record
-from chemlab.render.replay import replay_page
+from chemlab.render.replay_page import replay_page
 
 FLAGS = ["--no-sandbox", "--disable-gpu"]
 

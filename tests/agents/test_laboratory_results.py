@@ -20,8 +20,10 @@ import run_files
 
 from chemlab import __version__
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.evaluate import laboratory
-from chemlab.agents.evaluate.laboratory import (
+from chemlab.agents.evaluate import trained_managers
+from chemlab.agents.evaluate.csv_tables import read_table, write_table
+from chemlab.agents.evaluate.results import read_runs, write_runs
+from chemlab.agents.evaluate.trained_managers import (
     BASELINES,
     MEASURES,
     brief_table,
@@ -29,8 +31,6 @@ from chemlab.agents.evaluate.laboratory import (
     collect_count,
     write_laboratory,
 )
-from chemlab.agents.evaluate.results import read_runs, write_runs
-from chemlab.agents.evaluate.tables import read_table, write_table
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run
 from chemlab.cli import app
@@ -74,11 +74,11 @@ def store(folder: Path, played: Mapping[str, float], *more: dict[str, Any]) -> N
     values = {"scripted": SCRIPTED, "scripted:no-extraction": 0.3, "plan": 0.25, "random": -0.1}
     rows = [row(name, value) for name, value in values.items()]
     rows += [row("learned", score, name, purity=0.987, ticks=41.6) for name, score in played.items()]
-    write_table(folder / "managers.csv", laboratory._COLUMNS, [*rows, *more])
+    write_table(folder / "managers.csv", trained_managers._COLUMNS, [*rows, *more])
 
 
 def stored(folder: Path) -> list[dict[str, str]]:
-    return read_table(folder / "managers.csv", laboratory._COLUMNS)
+    return read_table(folder / "managers.csv", trained_managers._COLUMNS)
 
 
 def rows_of(page: Path) -> dict[tuple[str, str], list[str]]:
@@ -96,7 +96,7 @@ def test_runs_of_managers_are_told_from_others(tmp_path: Path) -> None:
         write_run(tmp_path / name / "seed-0", bench=bench)
     write_run(tmp_path / "e" / "seed-0", bench="rxn_0")
     write_run(tmp_path / "f" / "seed-0", finished=False)
-    (group,) = laboratory._groups(read_runs(tmp_path))
+    (group,) = trained_managers._groups(read_runs(tmp_path))
     assert list(group.labels) == ["a", "b", "c"]
 
 
@@ -109,7 +109,7 @@ def test_runs_are_grouped_by_background_and_folder(tmp_path: Path) -> None:
     write_run(tmp_path / "w-manager_0" / "safe" / "seed-0", background="pretrained")
     found = {
         (group.background, label): [run.finished.seed for run in runs]
-        for group in laboratory._groups(read_runs(tmp_path))
+        for group in trained_managers._groups(read_runs(tmp_path))
         for label, runs in group.labels.items()
     }
     assert found == {
@@ -178,7 +178,7 @@ def test_the_curves_are_those_of_all_training_runs(tmp_path: Path, monkeypatch: 
         write_run(tmp_path / "fast" / f"seed-{seed}", seed)
         write_run(tmp_path / "slow" / f"seed-{seed}", seed, background="pretrained")
     figures = []
-    monkeypatch.setattr(laboratory, "save_figure", lambda figure, path: figures.append((figure, path.name)))
+    monkeypatch.setattr(trained_managers, "save_figure", lambda figure, path: figures.append((figure, path.name)))
     written = write_laboratory(tmp_path, tmp_path / "out", ["svg"])
     assert written is not None
     ((figure, name),) = figures
@@ -274,7 +274,7 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
     before = {(r["policy"], r["run"]): r for r in stored(tmp_path)}
     swapped = {name: value for name, value in BASELINES.items() if name != "plan"}
     monkeypatch.setattr(
-        laboratory,
+        trained_managers,
         "BASELINES",
         {**swapped, "new": ("scripted:no-extraction", "new"), "none": ("no_such_policy", "not there")},
     )

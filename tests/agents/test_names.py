@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from chemlab.agents import names
-from chemlab.agents.names import current_name
+from chemlab.agents import former_names
+from chemlab.agents.former_names import current_name
 
 
 @pytest.mark.parametrize(
@@ -32,7 +32,7 @@ def test_former_names_are_replaced_in_every_part(given: str, current: str) -> No
 def test_a_notice_names_each_former_name_once(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(names, "_noticed", set())
+    monkeypatch.setattr(former_names, "_noticed", set())
     for _ in range(2):
         current_name("heuristic,manager=hasty")
     told = capsys.readouterr()

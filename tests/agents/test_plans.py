@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.plans import FoundPlan, PlanSearch, plan_words, replay_actions, search_plan
-from chemlab.agents.plans import (
+from chemlab.agents.open_loop import (
     ConstantPlan,
     Plan,
     Playback,

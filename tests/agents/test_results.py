@@ -11,9 +11,9 @@ from run_files import HEURISTIC, write_run
 from scipy import stats
 from typer.testing import CliRunner
 
+from chemlab.agents.evaluate.csv_tables import read_table, write_table
 from chemlab.agents.evaluate.curves import algorithm_style, average_curves
 from chemlab.agents.evaluate.results import cells_of, cells_table, read_runs, write_runs
-from chemlab.agents.evaluate.tables import read_table, write_table
 from chemlab.cli import app
 
 runner = CliRunner()

@@ -32,10 +32,10 @@ import chemlab.agents.pretrained
 from chemlab.agents.evaluate.benchmark import find_rows
 from chemlab.agents.evaluate.curves import group_tasks
 from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job
-from chemlab.agents.evaluate.laboratory import collect_count, write_laboratory
 from chemlab.agents.evaluate.leaderboard import check_leaderboard, write_leaderboard
 from chemlab.agents.evaluate.results import read_runs, write_runs
-from chemlab.agents.plans import ConstantPlan, all_contexts, plan_for, stored_plans
+from chemlab.agents.evaluate.trained_managers import collect_count, write_laboratory
+from chemlab.agents.open_loop import ConstantPlan, all_contexts, plan_for, stored_plans
 from chemlab.agents.policies import agent_policy, bench_policy
 from chemlab.agents.pretrained import LSTM, load_pretrained
 from chemlab.agents.runs import Run

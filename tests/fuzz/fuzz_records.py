@@ -36,7 +36,7 @@ from chemlab.config.materials import DataError
 from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, RecordError, read_record, verify_record
 from chemlab.render.charts import draw_moles, draw_spectra, draw_timeline
-from chemlab.render.replay import replay_page
+from chemlab.render.replay_page import replay_page
 
 SOURCES = (
     ("salt_from_oil", "scripted", None), ("wurtz_dodecane", "random", 40), ("wurtz_safe", "scripted", 25),

@@ -17,8 +17,8 @@ import pytest
 import run_files
 from run_files import HEURISTIC
 
+from chemlab.agents.evaluate.csv_tables import write_table
 from chemlab.agents.evaluate.results import Cell, read_runs, write_runs
-from chemlab.agents.evaluate.tables import write_table
 from chemlab.agents.train.sweep import plan
 from chemlab.config.loading import load_scenario
 

@@ -17,8 +17,8 @@ from chemlab.config.scenario import Scenario
 from chemlab.physics.backends import rate_constant
 from chemlab.physics.chemistry import AMOUNTS, TIERS, build_chemistry
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.kinetics import integrate as react
-from chemlab.physics.kinetics import react_work_size
+from chemlab.physics.mass_action import integrate as react
+from chemlab.physics.mass_action import react_work_size
 from chemlab.physics.shelf import Shelf
 
 START = {"diethyl_ether": 4.0, "1-chlorohexane": 0.7, "3-chlorohexane": 0.4, "Na": 2.0}

@@ -17,8 +17,8 @@ from scipy.linalg import null_space
 from chemlab.kernels.tables import Table
 from chemlab.physics.chemistry import AMOUNTS, Chemistry
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.physics.kinetics import integrate as react
-from chemlab.physics.kinetics import react_work_size
+from chemlab.physics.mass_action import integrate as react
+from chemlab.physics.mass_action import react_work_size
 
 FloatArray = npt.NDArray[np.float64]
 Step = tuple[Mapping[int, float], Mapping[int, float], float, float]

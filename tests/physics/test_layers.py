@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from chemlab.physics.chemistry import CAPACITY, CLOCK, PRESENT
-from chemlab.physics.layers import camera
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
+from chemlab.physics.stratification import camera
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -14,12 +14,12 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
 from chemlab.physics import backends as laws
-from chemlab.physics.backends.real.chemistry import CURVE_POINTS
 from chemlab.physics.backends.real.heats import enthalpy
+from chemlab.physics.backends.real.real_chemistry import CURVE_POINTS
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, build_chemistry, element_matrix
 from chemlab.physics.constants import GAS_CONSTANT, TRACE_MOL
-from chemlab.physics.layers import profile
 from chemlab.physics.shelf import Shelf
+from chemlab.physics.stratification import profile
 from chemlab.physics.transfer import add, free_liquid, liquid_volume, pour, strain
 
 MATERIALS = shipped_materials()

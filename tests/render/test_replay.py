@@ -23,7 +23,7 @@ from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, RecordError, Replay, read_record
-from chemlab.render.replay import replay_data, replay_page
+from chemlab.render.replay_page import replay_data, replay_page
 
 runner = CliRunner()
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from ...kernels.arrays import Handle
 from ...kernels.jit import inner
-from ...physics.layers import camera, profile
+from ...physics.stratification import camera, profile
 from ..bench import CAMERA_PIXELS, Channel
 from .instrument import Instrument, Reading
 

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 from ...kernels.arrays import FloatArray, Handle
 from ...kernels.jit import inner, opened
-from ...physics.backends.real.chemistry import RealChemistry
 from ...physics.backends.real.heats import crystals
+from ...physics.backends.real.real_chemistry import RealChemistry
 from ...physics.chemistry import AMOUNTS
 from ...physics.constants import GAS_CONSTANT, TRACE_MOL
 from ..bench import Channel

@@ -37,7 +37,7 @@ class Turn(NamedTuple):
     """[E] safety events, to which an operation adds"""
     layers: IntArray
     """[C + 1] the vessel's layers; ``profile`` [C, pixels] has their shares of each pixel (see
-    :func:`chemlab.physics.layers.profile`)
+    :func:`chemlab.physics.stratification.profile`)
     """
     profile: FloatArray
     limits: FloatArray

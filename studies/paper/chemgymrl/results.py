@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from chemlab import load_scenario
+from chemlab.agents.evaluate.csv_tables import read_table
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.evaluate.results import Cell, Cells, TrainedRun, cells_of, display_name, read_runs
-from chemlab.agents.evaluate.tables import read_table
 from chemlab.agents.train.arguments import PPO
 from chemlab.agents.train.tasks import task_fingerprint
 

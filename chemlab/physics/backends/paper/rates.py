@@ -5,7 +5,7 @@ from __future__ import annotations
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper
 from ...chemistry import TEMPERATURE, Chemistry
-from ...kinetics import integrate, react_work_size
+from ...mass_action import integrate, react_work_size
 from ...surroundings import Surroundings
 from ...transfer import liquid_volume
 

@@ -3,15 +3,15 @@
 Arguments and results are those of :mod:`chemlab.physics.backends`.
 """
 
-from ...kinetics import arrhenius as rate_constant
+from ...mass_action import arrhenius as rate_constant
 from .boiling import heat
-from .chemistry import RealChemistry as DECLARATION
-from .chemistry import build
 from .drying import dry
 from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
 from .partition import partition
 from .phases import elapse, settle_phases, work_size
 from .reacting import react
+from .real_chemistry import RealChemistry as DECLARATION
+from .real_chemistry import build
 from .vapor import headspace_gas, vapor_pressure, vent
 
 __all__ = [

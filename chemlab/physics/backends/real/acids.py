@@ -15,8 +15,8 @@ from ....kernels.jit import helper, inner, kernel, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...transfer import heat_capacity
-from .chemistry import RealChemistry
 from .fields import STANDARD_K
+from .real_chemistry import RealChemistry
 
 __all__ = ["acid_work_size", "ionizes", "ph", "settle_acids"]
 

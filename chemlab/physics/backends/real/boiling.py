@@ -15,11 +15,11 @@ from ...chemistry import TEMPERATURE
 from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import BOILED_DRY, DRY_HEATING
 from ...transfer import add, heat_capacity, within_range
-from .chemistry import MOST_FLUIDS, RealChemistry
 from .column import LADDER, MOST_STAGES, overhead
 from .heats import add_heat
 from .liquids import Liquids, clear_liquids, gather, on_curve
 from .partition import crystallizes
+from .real_chemistry import MOST_FLUIDS, RealChemistry
 from .salts import let_salts_fall_out
 from .vapor import bubble_point, latent_heat, write_back
 

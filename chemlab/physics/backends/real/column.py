@@ -13,8 +13,8 @@ import math
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import inner, opened, routine, scratch
 from ...constants import GAS_CONSTANT
-from .chemistry import MOST_FLUIDS, ORGANIC, RealChemistry
 from .liquids import Liquids, clear_liquids, dimer_root, nrtl, on_curve, prepare
+from .real_chemistry import MOST_FLUIDS, ORGANIC, RealChemistry
 
 __all__ = ["LADDER", "MOST_STAGES", "overhead"]
 

@@ -11,11 +11,11 @@ from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
-from .chemistry import MOST_FLUIDS, RealChemistry
 from .heats import crystals, dissolved
 from .kinetics import COLUMN, CRYSTALS, PLACE, SATURATED, SATURATION, SHARE, SHARES
 from .liquids import Liquids, clear_liquids, gather, split
 from .partition import crystallizes
+from .real_chemistry import MOST_FLUIDS, RealChemistry
 
 __all__ = ["find_crystals", "limit", "saturate"]
 

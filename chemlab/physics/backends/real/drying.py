@@ -7,8 +7,8 @@ from ....kernels.jit import kernel, scratch
 from ...chemistry import TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .boiling import evaporate
-from .chemistry import MOST_FLUIDS
 from .liquids import clear_liquids, gather, partial_pressures, split, vapor_mol
+from .real_chemistry import MOST_FLUIDS
 from .salts import settle_salts
 from .vapor import write_back
 

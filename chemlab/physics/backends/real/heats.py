@@ -7,8 +7,8 @@ from ....kernels.jit import helper, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
 from ...constants import LEAST_CAPACITY
 from ...transfer import heat_capacity, within_range
-from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .fields import STANDARD_K
+from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
 __all__ = ["add_heat", "crystals", "dissolved", "enthalpy", "set_enthalpy"]
 

@@ -18,12 +18,12 @@ from ....kernels.arrays import FloatArray, Handle, IntArray
 from ....kernels.jit import helper, inner, opened
 from ...chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
-from ...kinetics import arrhenius as rate_constant
+from ...mass_action import arrhenius as rate_constant
 from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume, within_range
-from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .fields import STANDARD_K
 from .heats import dissolved
+from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
 __all__ = [
     "ALONE",

@@ -6,8 +6,8 @@ from ....kernels.arrays import FloatArray, Handle, IntArray
 from ....kernels.jit import helper, opened
 from ...chemistry import AMOUNTS, CAPACITY, ROLE_SOLID
 from ...constants import FIRST_PHASE, SOLIDS, TRACE_MOL
-from .chemistry import RealChemistry
 from .heats import crystals
+from .real_chemistry import RealChemistry
 
 __all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_mol", "solid_volume"]
 

@@ -14,7 +14,7 @@ from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened, routine, scratch
 from ...chemistry import AMOUNTS
 from ...constants import GAS_CONSTANT, TRACE_MOL
-from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
+from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 
 __all__ = [
     "Liquids",

@@ -9,8 +9,8 @@ from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...shelf import CLOCK_SETTLED, T_MIX
 from ...transfer import heat_capacity, within_range
 from .acids import settle_acids
-from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .liquids import clear_liquids, gather, split
+from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
 __all__ = ["crystallizes", "partition", "place_new"]
 

@@ -14,10 +14,10 @@ from ...surroundings import Surroundings
 from ...transfer import heat_capacity, spill, volume, within_range
 from .. import react
 from .acids import acid_work_size, settle_acids
-from .chemistry import RealChemistry
 from .heats import enthalpy, set_enthalpy
 from .kinetics import react_work_size
 from .partition import place_new
+from .real_chemistry import RealChemistry
 from .salts import change_amount, settle_salts
 from .vapor import flash_off
 

@@ -17,9 +17,9 @@ from ...events import RELIEF
 from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume
 from .. import vapor_pressure
-from .chemistry import RealChemistry
 from .heats import add_heat, enthalpy
 from .kinetics import KEPT, integrate
+from .real_chemistry import RealChemistry
 from .spans import drifted, lengthened, prepare
 from .vapor import boiling_point, flash_off
 

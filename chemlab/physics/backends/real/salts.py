@@ -7,9 +7,9 @@ import math
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import inner, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
-from .chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .heats import enthalpy, set_enthalpy
 from .liquids import on_curve
+from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
 __all__ = ["change_amount", "let_salts_fall_out", "settle_salts"]
 

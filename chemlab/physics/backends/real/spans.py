@@ -16,10 +16,10 @@ from ...chemistry import AMOUNTS, ROLE_ION, TEMPERATURE
 from ...constants import TRACE_MOL
 from ...transfer import liquid_volume
 from .acids import ionizes, settle_acids
-from .chemistry import AQUEOUS, RealChemistry
 from .crystals import find_crystals, limit, saturate
 from .heats import crystals, dissolved
 from .kinetics import COLUMN, PLACE, PREDICTED, PROBE, SATURATION, Ways, add_species, available, extra
+from .real_chemistry import AQUEOUS, RealChemistry
 from .salts import let_salts_fall_out
 
 __all__ = ["drifted", "lengthened", "prepare", "settle_shifts"]

@@ -10,9 +10,9 @@ from ...chemistry import AIR, AMOUNTS, CAPACITY, ROLE_GAS, TEMPERATURE
 from ...constants import GAS_CONSTANT, LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
 from ...transfer import heat_capacity, volume, within_range
-from .chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .heats import add_heat
 from .liquids import Liquids, activities, clear_liquids, gather, on_curve, partial_pressures, split, vapor_mol
+from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .salts import let_salts_fall_out
 
 __all__ = [

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from ..config.files import check_apart, check_target
-from .common import (
+from .options import (
     DefaultGroup,
     JsonOption,
     ScenarioArgument,
@@ -46,7 +46,7 @@ def policy(
     It is compared with the original on observations of the bench, and rejected if outputs differ by more than 1e-5.
     """
     with readable_errors():
-        from ..agents.names import split_way
+        from ..agents.former_names import split_way
         from ..agents.train.export import export_run
 
         for ending in (".json", ".safetensors"):

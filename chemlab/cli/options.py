@@ -157,8 +157,8 @@ ScenarioArgument = Annotated[
 
 
 def current_policy(value: str) -> str:
-    """Replace former names in the value of an option (see :func:`chemlab.agents.names.current_name`)."""
-    from ..agents.names import current_name
+    """Replace former names in the value of an option (see :func:`chemlab.agents.former_names.current_name`)."""
+    from ..agents.former_names import current_name
 
     current: str = current_name(value)
     return current
@@ -256,7 +256,7 @@ def chosen_agents(agents: Sequence[str], wanted: Iterable[str], what: str) -> li
 
 def _path_of(word: str) -> str:
     """Return the path in a policy's name."""
-    from ..agents.names import split_way
+    from ..agents.former_names import split_way
 
     name: str = split_way(word.removeprefix("plan:"))[0]
     return name

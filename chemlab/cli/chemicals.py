@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..config.files import check_apart, check_target, write_text, write_texts
-from .common import JsonOption, app, out, readable_errors
+from .options import JsonOption, app, out, readable_errors
 from .screen import counting, plain, show_table
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..config.files import check_folder, write_text
-from .common import (
+from .options import (
     AddressOption,
     DefaultGroup,
     EpisodesOption,
@@ -29,7 +29,7 @@ from .screen import counting, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.evaluate.plans import PlanSearch
-    from ..agents.plans import PlanFile
+    from ..agents.open_loop import PlanFile
 
 __all__: list[str] = []
 

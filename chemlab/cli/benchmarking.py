@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_folder
-from .common import (
+from .options import (
     AddressOption,
     JsonOption,
     ProcessesOption,

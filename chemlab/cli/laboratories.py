@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from .common import (
+from .options import (
     EpisodesOption,
     JsonOption,
     PolicyOption,

@@ -28,11 +28,11 @@ from ..roles import MANAGER_ROLE, role_of
 from ..runs import RESULT_SEED
 from ..saved import find_saved
 from . import statistics
+from .csv_tables import markdown_table, number, read_table, write_table
 from .curves import Tasks, draw_tasks
 from .play import Target
 from .results import TrainedRun, display_name, read_runs, write_runs
 from .statistics import interval_text, number_text
-from .tables import markdown_table, number, read_table, write_table
 
 __all__ = [
     "BASELINES",

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import (
+from .options import (
     ScenarioArgument,
     SeedOption,
     SplitOption,

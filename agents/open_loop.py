@@ -29,7 +29,7 @@ from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import START, SUBMIT, ManagerActions
 from chemlab.roles.manager_view import order_channels
 
-from .names import current_name
+from .former_names import current_name
 
 __all__ = [
     "ConstantPlan",
