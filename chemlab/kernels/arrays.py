@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 __all__ = [
     "SLOT",
+    "WORD",
     "BoolArray",
     "Field",
     "FloatArray",
@@ -45,10 +46,13 @@ StreamArray = npt.NDArray[np.uint64]
 ObservationArray = npt.NDArray[np.float32]
 MaskArray = npt.NDArray[np.int8]
 Handle = Any
-"""Pointer table that a kernel receives in place of a table; without compilation, the arrays themselves."""
+"""Address of a table's pointer table, which a kernel receives in place of it; without compilation, the arrays
+themselves."""
 
 SLOT = 5
 """Entries of an array in a pointer table: its address, then up to four lengths."""
+WORD = 8
+"""Bytes of an entry."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Generic, NamedTuple, TypeVar, cast
 import numpy as np
 import numpy.typing as npt
 
-from .arrays import SLOT, Declared, Field, Handle, IntArray, addresses, declared
+from .arrays import SLOT, WORD, Declared, Field, Handle, IntArray, addresses, declared
 from .jit import COMPILED, kernel, opened
 
 __all__ = ["Table", "put_back"]
@@ -21,11 +21,13 @@ class _Bytes(NamedTuple):
 
 
 @kernel
-def _reset_rows(members: IntArray, arrays: IntArray, first: npt.NDArray[np.uint8]) -> None:
-    """Copy the bytes of ``first``, a concatenated row of every array, into the arrays' rows of ``members``."""
+def _reset_rows(members: IntArray, arrays: Handle, count: int, first: npt.NDArray[np.uint8]) -> None:
+    """Copy the bytes of ``first``, a concatenated row of each of ``count`` arrays, into the arrays' rows of
+    ``members``.
+    """
     at = 0
-    for k in range(arrays.shape[0] // SLOT):
-        rows = opened(_Bytes, arrays[k * SLOT : (k + 1) * SLOT]).rows
+    for k in range(count):
+        rows = opened(_Bytes, arrays + k * SLOT * WORD).rows
         # Without a sum or look-up in the inner loop, so that compilers can vectorize it.
         values = first[at : at + rows.shape[1]]
         for i in range(members.shape[0]):
@@ -50,13 +52,15 @@ class Table(Generic[T]):
         self._own = [np.asarray(value, dtype=field.dtype) for field, value in pairs]
         seen = [value if field.number else own for (field, value), own in zip(pairs, self._own, strict=True)]
         self.arrays: T = type(arrays)(*seen)
-        self.handle: Handle = addresses(self._own) if COMPILED else self.arrays
+        self._addresses = addresses(self._own)
+        self.handle: Handle = self._addresses.ctypes.data if COMPILED else self.arrays
         again = [
             (field.field.first, own)
             for field, own in zip(self._fields, self._own, strict=True)
             if field.field.first is not None and own.size and not field.number
         ]
-        self._resettable = addresses([own.reshape(len(own), -1).view(np.uint8) for _, own in again])
+        self._reset_at = addresses([own.reshape(len(own), -1).view(np.uint8) for _, own in again])
+        self._resettable = self._reset_at.ctypes.data
         rows = [own.dtype.type(first).tobytes() * (own.size // len(own)) for first, own in again]
         self._first = np.frombuffer(bytearray().join(rows), dtype=np.uint8) if rows else np.zeros(0, np.uint8)
 
@@ -77,7 +81,7 @@ class Table(Generic[T]):
     def reset(self, members: IntArray) -> None:
         """Reset every entry of ``members`` (along the first axis) that has an initial value."""
         if COMPILED:
-            _reset_rows(members, self._resettable, self._first)
+            _reset_rows(members, self._resettable, len(self._reset_at) // SLOT, self._first)
             return
         for field, array in zip(self._fields, self._own, strict=True):
             if field.field.first is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,15 +14,12 @@ from typing_extensions import Unpack
 
 from ..config.loading import load_scenario
 from ..config.materials import DataError
-from ..config.parts import strangers_code
 from ..config.scenario import MANAGER_AGENT, OrderSpec, Scenario, Settings
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform
 from ..kernels.tables import Table, put_back
-from ..kernels.warmup import Rehearsal, compile_first
 from ..physics.backends import work_size
-from ..physics.chemistry import tier_dimensions
 from ..physics.shelf import Shelf
 from ..roles.base import Role
 from ..roles.bench import Bench, Channel, Experiments, Goals
@@ -35,17 +32,13 @@ from ..roles.manager import (
     advance,
     age_on_shelf,
     itemize,
-    manager_act,
     open_turn,
     rest_on_shelf,
-    return_vessels,
     turns,
 )
 from ..roles.manager_actions import ManagerActions
 from ..roles.manager_role import ManagerRole
 from ..roles.manager_state import COST_ITEMS, RUNNING, ManagerState, Rules
-from ..roles.manager_view import manager_observe
-from ..roles.wear import wear_out
 from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
@@ -87,11 +80,6 @@ def _put_starts(members: IntArray, starts: Handle, manager: Handle, vessels: Flo
             vessels[n, 0, column] = pool.rows[t, column]
         state.last_bench[n, 0] = pool.last_bench[t]
         state.last_position[n, 0] = pool.last_position[t]
-
-
-def _rehearsal_of(scenario: Scenario) -> Rehearsal:
-    with strangers_code(False):  # permissions of this process do not extend to a child
-        return Laboratories(scenario).rehearsal()
 
 
 class Laboratories:
@@ -171,7 +159,6 @@ class Laboratories:
         self.action_counts = [role.action_count for role in self.roles]
         """Number of each agent's discrete actions; 0 for continuous actions."""
         self._lab_goals = np.array([spec.goals.index(goal) for goal in spec.lab_goals])
-        self._rehearsed = False
         self._prepared: tuple[FloatArray, list[Table[StartPool]]] | None = None
         self.members: IntArray = np.arange(n)
         self.episodes = EpisodeStreams(n, len(self._streams()))
@@ -283,39 +270,6 @@ class Laboratories:
         waste, events = np.zeros(len(self.shelf.layout.materials)), np.zeros(len(self.scenario.safety_events))
         rest_on_shelf(row, self.shelf.chem(), waste, events, self.rules.arrays.work)
 
-    # -- compiling --------------------------------------------------------------------------------------------
-
-    def _compile(self) -> None:
-        """Compile all missing kernels before the first episode instead of during it."""
-        self._rehearsed = True
-        kernels: list[Callable[..., Any]] = [manager_act, manager_observe]
-        kernels += [kernel for bench in self.benches for kernel in bench.kernels]
-        dimensions = 1 + tier_dimensions(self.shelf.chemistry.tier)
-        compile_first(kernels, dimensions, functools.partial(_rehearsal_of, self.scenario), self.rehearsal())
-
-    def rehearsal(self) -> Rehearsal:
-        """Return calls that compile the kernels of an episode: see :mod:`chemlab.kernels.warmup`."""
-        none, handles = self.members[:0], self.handles()
-        calls: list[Callable[[], object]] = [lambda: self.reset(none)]
-        kinds = {bench.key: b for b, bench in enumerate(self.benches)}
-        for b in kinds.values():
-            calls += self.benches[b].rehearsal(self.shelf, self.experiments[b])
-        state, rules, *rest = handles
-        return [
-            *calls,
-            lambda: manager_act(none, none, *handles),
-            lambda: self.manager.measure(none, none),
-            lambda: wear_out(self.benches[0], self.experiments[0], none),
-            lambda: self.observe(self.manager.index, none),
-            lambda: return_vessels(none, 0, state, rules, self.experiments[0].handle, *rest),
-            lambda: self.mask(self.manager.index, none),
-            lambda: self.bench_roles[0].charge(none, begun=True),
-            lambda: advance(none, *handles),
-            lambda: self.age(none, none),
-            lambda: self.charges(none),
-            lambda: self.turns(none),
-        ]
-
     # -- episodes ---------------------------------------------------------------------------------------------
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
@@ -343,8 +297,6 @@ class Laboratories:
             ValueError: the goal is unknown, or the world is invalid; nothing has changed.
         """
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
-        if not self._rehearsed:
-            self._compile()
         if world is not None:
             self.worlds.check(world)
         self.episodes.begin(members, self._streams())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,13 +11,10 @@ import numpy.typing as npt
 
 from ..config.loading import load_scenario
 from ..config.materials import DataError
-from ..config.parts import strangers_code
 from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform
-from ..kernels.warmup import Rehearsal, compile_first
-from ..physics.chemistry import tier_dimensions
 from ..physics.shelf import Shelf, ShelfArrays
 from ..roles.bench import Bench, Experiments, ExperimentState
 from ..roles.kinds import build_bench
@@ -63,11 +59,6 @@ def _draw_grades(members: IntArray, grades: int, stream: StreamArray, out: IntAr
         out[members[b]] = int(uniform(stream[members[b]]) * grades)
 
 
-def _rehearsal_of(scenario: Scenario, bench: str) -> Rehearsal:
-    with strangers_code(False):  # permissions of this process do not extend to a child
-        return ExperimentBatch(scenario, bench).rehearsal()
-
-
 class ExperimentBatch:
     """N independent experiments of one bench of a scenario, in one set of arrays.
 
@@ -109,7 +100,6 @@ class ExperimentBatch:
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
         self.episodes = EpisodeStreams(members, len(self._streams()))
-        self._rehearsed = False
         self._stock = np.array([self.scenario.stock.get(name, 0.0) for name in chemistry.layout.materials])
         self.pool = start_pool(chemistry, self.scenario, self._starts(starts))
         self._goals = np.array([self.scenario.goals.index(goal) for goal in chosen])
@@ -120,17 +110,6 @@ class ExperimentBatch:
             raise DataError(
                 f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}; choose from {there}"
             )
-
-    def _compile(self) -> None:
-        """Compile all missing kernels before the first experiment."""
-        self._rehearsed = True
-        dimensions = 1 + tier_dimensions(self.shelf.chemistry.tier)
-        again = functools.partial(_rehearsal_of, self.scenario, self.bench.key)
-        compile_first(self.bench.kernels, dimensions, again, self.rehearsal())
-
-    def rehearsal(self) -> Rehearsal:
-        """Return the calls of an experiment without any member: see :mod:`chemlab.kernels.warmup`."""
-        return [lambda: self.reset(self.members[:0]), *self.bench.rehearsal(self.shelf, self.experiments)]
 
     def _starts(self, kind: str) -> list[Start]:
         """Return the initial states of a kind; with ``both``, either kind is equally likely."""
@@ -185,8 +164,6 @@ class ExperimentBatch:
         Raises:
             ValueError: the world is invalid; nothing has changed.
         """
-        if not self._rehearsed:
-            self._compile()
         if world is not None:
             self.worlds.check(world)
         self.episodes.begin(members, self._streams())

@@ -45,7 +45,6 @@ __all__ = [
     "build_chemistry",
     "element_matrix",
     "network_fields",
-    "tier_dimensions",
 ]
 
 # Columns of a vessel row; amounts and dissolved amounts follow (see Layout).
@@ -55,17 +54,6 @@ ROLE_SOLVENT, ROLE_SOLUTE, ROLE_ION, ROLE_SOLID, ROLE_GAS = range(5)
 _ROLES = {"solvent": ROLE_SOLVENT, "solute": ROLE_SOLUTE, "ion": ROLE_ION, "solid": ROLE_SOLID, "gas": ROLE_GAS}
 
 WAVELENGTHS_NM: FloatArray = np.linspace(200.0, 800.0, 200)
-
-
-def tier_dimensions(tier: str) -> int:
-    """Return the number of dimensions of a world's chemistry in kernels, by which they select a backend's laws.
-
-    Raises:
-        DataError: the backend does not exist.
-    """
-    if tier not in TIERS:
-        raise DataError(f"physics: unknown backend {tier!r}; choose from {', '.join(TIERS)} (registered in TIERS)")
-    return 1 + list(TIERS).index(tier)
 
 
 class Structure(Field):
@@ -82,6 +70,8 @@ class Chemistry(NamedTuple):
     M materials, L solvents, K dissolvable materials; R reactions over S of the materials.
     """
 
+    laws: Annotated[IntArray, Structure("laws")]
+    """[laws] addresses of the backend's code: see :mod:`chemlab.physics.backends`"""
     species: Annotated[IntArray, Structure("S")]
     """[S] material indices"""
     stoichiometry: Annotated[FloatArray, Structure("R S")]
@@ -219,13 +209,12 @@ class ChemistryTable:
     def _make_handles(self) -> Handle:
         if not COMPILED:
             # Plain functions see the arrays themselves; their class states the backend.
-            seen = type(self._declaration.__name__, (self._declaration,), {"TIER": self.tier})
+            seen = type(self._declaration.__name__, (self._declaration,), {"BACKEND": self.tier})
             return [seen(*self.world(w)) for w in range(self.worlds)]
-        laws: Any = importlib.import_module(f"{__package__}.backends")
-        code = np.array(laws.law_addresses(tier_dimensions(self.tier)), dtype=np.int64)
-        table = np.stack([np.concatenate([addresses(self._row(w)), code]) for w in range(self.worlds)])
-        # Kernels select the backend by the number of dimensions: see chemlab.physics.backends.
-        return table.reshape(self.worlds, *(1,) * (tier_dimensions(self.tier) - 1), -1)
+        backends: Any = importlib.import_module(f"{__package__}.backends")
+        self.structure["laws"] = backends.law_addresses(self.tier)
+        self._addresses = np.stack([addresses(self._row(w)) for w in range(self.worlds)])
+        return self._addresses.ctypes.data + np.arange(self.worlds) * self._addresses.strides[0]
 
     def world(self, world: int = 0) -> Chemistry:
         """Return the chemistry of one world as views: kernels read written values."""
@@ -235,7 +224,8 @@ class ChemistryTable:
         return made
 
     def __getstate__(self) -> dict[str, Any]:
-        kept = {name: value for name, value in vars(self).items() if name not in ("handles", "_declaration")}
+        made = ("handles", "_addresses", "_declaration")
+        kept = {name: value for name, value in vars(self).items() if name not in made}
         # A merged schema is rebuilt from its parts.
         return kept | {"_parts": getattr(self._declaration, "MERGED", (self._declaration,))}
 
@@ -350,6 +340,7 @@ def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str
                 basis[i] += peak.height_l_mol * np.exp(-0.5 * offset**2)
     basis[basis < np.finfo(np.float64).tiny] = 0.0  # sums with denormal numbers are many times slower
     values = Chemistry(
+        laws=np.zeros(0, dtype=np.int64),
         **_network(scenario),
         role=role,
         solvents=solvents.astype(np.int64),
@@ -375,7 +366,9 @@ def build_chemistry(scenario: Scenario, worlds: int = 1, varying: Collection[str
         ambient_pressure=scenario.ambient_pressure_kpa,
     )
     layout = Layout(tuple(names), tuple(names[i] for i in solvents), tuple(names[i] for i in dissolved))
-    tier_dimensions(scenario.physics)  # raises an error that lists the backends
+    if scenario.physics not in TIERS:
+        known = ", ".join(TIERS)
+        raise DataError(f"physics: unknown backend {scenario.physics!r}; choose from {known} (registered in TIERS)")
     build = getattr(importlib.import_module(TIERS[scenario.physics]), "build", None)
     if build is not None:  # the backend has further fields
         layout, values = build(scenario, layout, values)

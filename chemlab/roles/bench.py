@@ -31,7 +31,6 @@ from ..kernels.arrays import (
 )
 from ..kernels.jit import helper, kernel, opened
 from ..kernels.tables import Table
-from ..kernels.warmup import Rehearsal
 from ..physics.backends import partition, settle_phases, work_size
 from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
 from ..physics.shelf import Shelf, ShelfArrays
@@ -394,8 +393,6 @@ class Bench(ABC):
     """Schemas of further arrays of its experiments besides :class:`ExperimentState`."""
     own_rules: ClassVar[tuple[type, ...]] = ()
     """Schemas of further static parameters besides :class:`BenchRules`; see :meth:`rules_values`."""
-    kernels: ClassVar[tuple[Callable[..., Any], ...]] = ()
-    """The bench's largest kernels, for which the first step waits while they compile."""
     score_meaning: ClassVar[str] = "score"
     """Meaning of an experiment's score, for people."""
     model_methods: ClassVar[tuple[str, ...]] = ()
@@ -685,26 +682,6 @@ class Bench(ABC):
                     scaled = 0.5 + np.arctan(np.nan_to_num(array.astype(np.float64))) / np.pi
                     found.append(Quantity(field.name, "scaled", 0.0, 1.0, "0.5 + arctan(x) / pi of its own", scaled))
         return found
-
-    def rehearsal(self, shelf: Shelf, experiments: Experiments) -> Rehearsal:
-        """Return the calls of an experiment without any laboratory: see :mod:`chemlab.kernels.warmup`.
-
-        Empty for a user-defined bench, which may not support it.
-        """
-        if not self._is_shipped:
-            return []
-        none: IntArray = np.zeros(0, dtype=np.int64)
-        seen = np.empty((0, *(self.observation_space.shape)), dtype=np.float32)
-        legal = np.empty((0, self.action_count), dtype=np.int8)
-        actions = none if self.action_count else np.empty((0, *(self.action_space.shape or ())))
-        return [
-            lambda: self.act(shelf, experiments, none, actions),
-            lambda: self.begin(shelf, experiments, none),
-            lambda: self.see(shelf, experiments, none, seen),
-            lambda: self.mask(shelf, experiments, none, legal),
-            lambda: self.finish(shelf, experiments, none),
-            *([lambda: self.reported(shelf, experiments, none)] if self.spec.report is not None else []),
-        ]
 
     def _handles(self, shelf: Shelf, experiments: Experiments) -> tuple[Handle, Handle, Handle, Handle]:
         """Return the pointer tables that most of a bench's kernels take."""

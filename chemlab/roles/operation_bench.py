@@ -312,7 +312,6 @@ class OperationBench(Bench):
     options_model = OperationOptions
     own_state = (ImageState,)
     own_rules = (ApparatusRules,)
-    kernels = (_step,)
     camera = True
     process_kinds: ClassVar[tuple[str, ...]] = tuple(OPERATIONS)
     """Processes that this bench supports."""

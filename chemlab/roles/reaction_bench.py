@@ -331,7 +331,6 @@ class ReactionBench(Bench):
     options_model = ReactionOptions
     own_state = (SupplyState,)
     own_rules = (ReactorRules,)
-    kernels = (_step,)
     score_meaning = "mol of the goal produced"
 
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:

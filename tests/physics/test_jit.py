@@ -1,9 +1,8 @@
-"""Kernels' cache on disk: another version's must not stop anybody."""
+"""Compiled kernels and their cache on disk."""
 
 from __future__ import annotations
 
 import os
-import pickle
 import shutil
 import subprocess
 import sys
@@ -13,89 +12,96 @@ import numpy as np
 import pytest
 
 import chemlab
-from chemlab.kernels.jit import _checksum
-from chemlab.kernels.rng import uniform
+from chemlab.kernels.arrays import FloatArray
+from chemlab.kernels.jit import COMPILED, chained, inner, kernel, scratch
+from chemlab.kernels.rng import normal
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="nothing is compiled")
 
 PLAY = """
 import numpy as np
-from chemlab.kernels.rng import uniform
-print(uniform(np.array([7], dtype=np.uint64)))
+from chemlab.lab.experiments import _draw_grades
+out = np.zeros(1, dtype=np.int64)
+_draw_grades(np.zeros(1, dtype=np.int64), 1000, np.array([[7]], dtype=np.uint64), out)
+print(out[0])
 """
+"""A kernel that calls a helper of another file, ``uniform``."""
 
 
-def here() -> str:
-    """What it prints, in this process."""
-    return f"{uniform(np.array([7], dtype=np.uint64))}\n"
+def start(code: str, cache: Path | str, **environment: str) -> subprocess.Popen[str]:
+    """A program with a cache of its own."""
+    return subprocess.Popen(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=os.sep,  # not in a checkout, whose chemlab would be found first
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache), **environment},
+    )
 
 
-def play(cache: Path) -> str:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
-    done = subprocess.run([sys.executable, "-c", PLAY], capture_output=True, text=True, env=environment, timeout=900)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+def play(cache: Path | str, code: str = PLAY, **environment: str) -> tuple[str, str]:
+    """Output and errors of a program."""
+    process = start(code, cache, **environment)
+    out, err = process.communicate(timeout=900)
+    assert process.returncode == 0, err
+    return out, err
 
 
-@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
-@pytest.mark.parametrize(
-    "content",
-    [
-        # A class that is no more, a module that is no more, and a file that a crash has cut.
-        pytest.param(pickle.dumps("stamp").replace(b"stamp", b"other"), id="other"),
-        pytest.param(b"cchemlab.laboratory.view\nNoSuchClass\n.", id="class", marks=pytest.mark.slow),
-        pytest.param(b"cchemlab.no_such_module\nAnything\n.", id="module", marks=pytest.mark.slow),
-        pytest.param(b"\x80\x04", id="cut", marks=pytest.mark.slow),
-    ],
-)
-def test_another_versions_cache_is_compiled_again(content: bytes, tmp_path: Path) -> None:
-    assert play(tmp_path) == here()
-    indices = list(tmp_path.rglob("*.nbi"))
-    assert indices, "something was cached"
-    for index in indices:
-        index.write_bytes(_checksum(content) + content)
-    assert play(tmp_path) == here()
+def test_what_is_compiled_is_kept_and_used(tmp_path: Path) -> None:
+    first = play(tmp_path)
+    kept = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")}
+    assert len(kept) >= 1
+    assert play(tmp_path) == first
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == kept
 
 
-@pytest.mark.slow
-@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
-def test_damaged_files_are_compiled_again(tmp_path: Path) -> None:
-    """Cut, or with a byte changed, at the beginning, in the middle and at the end, of index and code alike."""
-    expected = play(tmp_path)
-    files = {path: path.read_bytes() for path in (*tmp_path.rglob("*.nbi"), *tmp_path.rglob("*.nbc"))}
-    assert len(files) >= 2
-    for path, whole in files.items():
-        for at in (0, 3, len(whole) // 2, len(whole) - 1):
-            for damaged in (whole[:at], whole[:at] + bytes([whole[at] ^ 0x10]) + whole[at + 1 :]):
-                path.write_bytes(damaged)
-                assert play(tmp_path) == expected
+def test_an_edit_to_a_function_of_another_file_is_compiled(tmp_path: Path) -> None:
+    """numba itself looks at the file of the kernel alone."""
+    packages, cache = tmp_path / "packages", tmp_path / "cache"
+    shutil.copytree(Path(chemlab.__file__).parent, packages / "chemlab", ignore=shutil.ignore_patterns("__pycache__"))
+    environment = {"PYTHONPATH": str(packages), "PYTHONDONTWRITEBYTECODE": "1"}
+    before, _ = play(cache, **environment)
+    source = packages / "chemlab" / "kernels" / "rng.py"
+    text = source.read_text(encoding="utf-8")
+    source.write_text(text.replace("_UNIT = 1.0 /", "_UNIT = 0.5 /"), encoding="utf-8")
+    after, _ = play(cache, **environment)
+    assert int(after) == int(before) // 2
+    assert len(list(cache.glob("kernels-*"))) == 2
 
 
-@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
-@pytest.mark.parametrize(
-    ("trouble", "words"),
-    [
-        ("caching.CompileResultCacheImpl._locator_classes = []", "no folder to keep compiled kernels in"),
-        (
-            "def full(*_):\n    raise OSError(28, 'No space left on device')\n"
-            "caching.IndexDataCacheFile._open_for_write = full",
-            "cannot be kept in",
-        ),
-    ],
-    ids=["nowhere", "full"],
-)
-def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, words: str, tmp_path: Path) -> None:
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    code = f"from numba.core import caching\n{trouble}\n{PLAY}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=900)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == here()
-    assert done.stderr.count("chemlab:") == 1
-    assert words in done.stderr
-    assert "NUMBA_CACHE_DIR" in done.stderr
+def test_kernels_that_nobody_uses_any_more_are_deleted(tmp_path: Path) -> None:
+    old, recent, other = tmp_path / "kernels-0", tmp_path / "kernels-1", tmp_path / "mine"
+    for folder in (old, recent, other):
+        folder.mkdir()
+    for folder in (old, other):
+        os.utime(folder, (0.0, 0.0))
+    play(tmp_path)
+    assert (old.exists(), recent.exists(), other.exists()) == (False, True, True)
+
+
+@pytest.mark.parametrize("trouble", ["nowhere", "full"])
+def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, tmp_path: Path) -> None:
+    expected, _ = play(tmp_path / "cache")
+    place = tmp_path / trouble
+    if trouble == "nowhere":
+        place.touch()
+    full = "import shutil\nshutil.disk_usage = lambda path: type('usage', (), {'free': 0})\n"
+    out, err = play(place, (full if trouble == "full" else "") + PLAY)
+    assert out == expected
+    assert err.count("chemlab:") == 1
+    assert "cannot be kept" in err
+    assert "NUMBA_CACHE_DIR" in err
+
+
+def test_processes_that_start_at_once_agree(tmp_path: Path) -> None:
+    processes = [start(PLAY, tmp_path) for _ in range(3)]
+    results = {process.communicate(timeout=900)[0] for process in processes}
+    assert results == {play(tmp_path)[0]}
 
 
 INTERRUPTED = """
 import sys
-from pathlib import Path
 import numba.extending
 from chemlab.kernels.jit import kernel
 
@@ -112,52 +118,87 @@ def doubled(x):
     return _two() * x
 
 try:
-    print(doubled(1.5), flush=True)
+    print(doubled(1.5))
 except KeyboardInterrupt:
-    print("interrupted", flush=True)
-sys.stdin.read()
+    print("interrupted")
 """
-"""A program with a kernel, of which the compilation may be interrupted; it lives until its input ends."""
 
 
-@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
-def test_an_interrupted_compilation_keeps_no_other_process_waiting(tmp_path: Path) -> None:
-    """The process that was interrupted lives on, as a notebook does, and another one compiles the kernel."""
+def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path: Path) -> None:
     script = tmp_path / "interrupted.py"
     script.write_text(INTERRUPTED, encoding="utf-8")
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    command = [sys.executable, str(script)]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True, "env": environment}
-    with subprocess.Popen([*command, "interrupted"], **pipes) as first:
-        assert first.stdout is not None
-        assert first.stdout.readline() == "interrupted\n"
-        done = subprocess.run(
-            [*command, "whole"], stdin=subprocess.DEVNULL, capture_output=True, text=True, env=environment, timeout=300
-        )
-        assert first.poll() is None
-        first.communicate("")
-    assert done.stdout == "3.0\n", done.stderr
+    outputs = [
+        subprocess.run(
+            [sys.executable, str(script), how], capture_output=True, text=True, env=environment, timeout=300
+        ).stdout
+        for how in ("interrupted", "whole")
+    ]
+    assert outputs == ["interrupted\n", "3.0\n"]
 
 
-@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="without compiling there is no cache")
-@pytest.mark.parametrize("home", [True, False], ids=["home", "homeless"])
-def test_kernels_are_kept_outside_the_package(home: bool, tmp_path: Path) -> None:
-    """An installer would leave them behind, and the folder would hide an editable installation that comes after. They
-    are beside the source all the same where no other folder can be written to."""
+def test_kernels_are_kept_outside_the_package(tmp_path: Path) -> None:
+    """An installer would leave them behind, and the folder would hide an editable installation that comes after."""
     packages, user = tmp_path / "packages", tmp_path / "user"
     shutil.copytree(Path(chemlab.__file__).parent, packages / "chemlab", ignore=shutil.ignore_patterns("__pycache__"))
-    if home:
-        user.mkdir()
-    else:
-        user.touch()
+    user.mkdir()
     homes = dict.fromkeys(("HOME", "USERPROFILE", "LOCALAPPDATA", "XDG_CACHE_HOME"), str(user))
-    environment = {**os.environ, **homes, "PYTHONPATH": str(packages), "PYTHONDONTWRITEBYTECODE": "1"}
-    environment.pop("NUMBA_CACHE_DIR", None)
-    code = f"{PLAY}import chemlab\nprint(chemlab.__file__)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, env=environment, cwd=tmp_path, timeout=900
-    )
-    assert done.returncode == 0, done.stderr
-    assert done.stdout == f"{here()}{packages / 'chemlab' / '__init__.py'}\n"
-    assert bool(list(user.rglob("*.nbi"))) == home
-    assert bool(list(packages.rglob("__pycache__"))) != home
+    environment = {**homes, "PYTHONPATH": str(packages), "PYTHONDONTWRITEBYTECODE": "1"}
+    out, _ = play("", f"{PLAY}import chemlab\nprint(chemlab.__file__)", **environment)
+    assert out.splitlines()[1] == str(packages / "chemlab" / "__init__.py")
+    assert list(user.rglob("*.nbi"))
+    assert not list(packages.rglob("*.nbi"))
+
+
+def test_the_first_start_says_that_it_compiles_and_later_ones_do_not(tmp_path: Path) -> None:
+    """Also of a backend's laws, which are compiled with the first chemistry."""
+    code = "from chemlab.kernels.jit import told\nwith told('laws'):\n    pass\n"
+    assert play(tmp_path, code)[1].count("compiling kernels") == 1
+    assert play(tmp_path, code)[1] == ""
+
+
+@inner
+def _room() -> tuple[FloatArray, FloatArray]:
+    return scratch(3), scratch(3)
+
+
+@kernel
+def _fill(x: float) -> float:
+    one, other = _room()
+    for i in range(3):
+        one[i] = x
+        other[i] = 2.0 * x
+    return float(one[0] + one[1] + one[2] + other[2])
+
+
+def test_scratch_of_an_inner_function_is_its_callers() -> None:
+    assert _fill(1.5) == pytest.approx(7.5)
+
+
+@kernel
+def _once(work: float, chem: float) -> float:
+    return work + chem
+
+
+@kernel
+def _twice(work: float, chem: float) -> float:
+    return work + 2.0 * chem
+
+
+_some = chained("some", [_once, _twice], -1.0)
+_others = chained("others", [_twice, _once], -2.0)
+
+
+@kernel
+def _choose(number: int) -> float:
+    return float(_some(number, 1.0, 10.0) + 100.0 * _others(number, 1.0, 10.0))
+
+
+def test_chains_call_by_number() -> None:
+    assert [_choose(number) for number in range(3)] == [2111.0, 1121.0, -201.0]
+
+
+def test_normal_numbers_are_those_of_the_formula() -> None:
+    stream = np.array([7], dtype=np.uint64)
+    assert [normal(stream) for _ in range(200)] != [0.0] * 200
+    assert int(stream[0]) != 7

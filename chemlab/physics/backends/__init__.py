@@ -1,8 +1,8 @@
 """Physical laws by backend: the only interface between laboratory processes and the physics that they use.
 
-A backend is a module that implements every law below under the same name. Kernels call the laws; the backend is
-selected at compile time by the type of the chemistry they receive (its number of dimensions: see
-:class:`chemlab.physics.chemistry.ChemistryTable`), so the selection has no run-time cost.
+A backend is a module that implements every law below under the same name. Kernels call a law by its address, which the
+chemistry that they receive holds (:attr:`chemlab.physics.chemistry.Chemistry.laws`): so kernels are compiled once for
+all backends, and the backend is selected in Python.
 
 To add a backend: a module with all of these functions (kernels or helpers), and an entry in
 :data:`chemlab.config.scenario.PHYSICS_TIERS`.
@@ -10,33 +10,27 @@ To add a backend: a module with all of these functions (kernels or helpers), and
 
 from __future__ import annotations
 
-import functools
 import importlib
 import inspect
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
 import numba
+import numpy as np
 from numba.extending import overload
 
-from ...kernels.arrays import SLOT, FloatArray, Handle, IntArray, declared
-from ...kernels.jit import COMPILED, INLINED
-from ...kernels.warmup import compile_first
-from ..chemistry import TIERS, Chemistry, ChemistryTable, tier_dimensions
+from ...kernels import jit
+from ...kernels.arrays import FloatArray, Handle, IntArray
+from ...kernels.jit import COMPILED, kernel, opened
+from ..chemistry import TIERS, Chemistry, ChemistryTable
 from ..surroundings import Surroundings
 
-if COMPILED:
-    from ...kernels.jit import address, calling
-
 __all__ = [
-    "distant_law",
     "drain_layer",
     "dry",
     "elapse",
     "find_layers",
     "headspace_gas",
     "heat",
-    "law",
     "law_addresses",
     "layer_density",
     "layer_shade",
@@ -51,124 +45,111 @@ __all__ = [
     "work_size",
 ]
 
-F = TypeVar("F", bound=Callable[..., Any])
+LAWS = (
+    "vapor_pressure",
+    "headspace_gas",
+    "vent",
+    "heat",
+    "settle_phases",
+    "partition",
+    "find_layers",
+    "solid_mol",
+    "solid_volume",
+    "layer_density",
+    "layer_shade",
+    "drain_layer",
+    "rate_constant",
+    "react",
+    "dry",
+    "elapse",
+)
+"""Names of the laws, in the order of their addresses."""
 
 
-_DISTANT: list[str] = []
-"""Laws that kernels of backends other than the first call by address, in the order of their addresses."""
-_KINDS: dict[str, tuple[Any, Any]] = {}
-"""numba types of each law's parameters, except the number of dimensions of ``chem``, and of its result."""
-
-
-def _tier(dimensions: int) -> Any:
-    return importlib.import_module(list(TIERS.values())[dimensions - 1])
+def _backend(name: str) -> Any:
+    return importlib.import_module(TIERS[name])
 
 
 def work_size(chemistry: ChemistryTable) -> tuple[int, int]:
     """Return the minimum shape of the scratch array ``work`` of a backend's laws; its last row holds a vessel's."""
-    rows, columns = _tier(tier_dimensions(chemistry.tier)).work_size(chemistry.world())
+    rows, columns = _backend(chemistry.tier).work_size(chemistry.world())
     return rows + 1, max(columns, chemistry.layout.width)
 
 
-def _kinds(name: str, dimensions: int) -> tuple[tuple[Any, ...], Any]:
-    """Return numba types of the parameters of a distant law, and of its result."""
-    kinds, result = _KINDS[name]
-    handle = numba.types.Array(numba.types.int64, dimensions, "C")
-    return tuple(handle if kind is None else kind for kind in kinds), result
+def law_addresses(name: str) -> IntArray:
+    """Return the addresses [laws] of a backend's laws. Compiles them if necessary."""
+    if not COMPILED:
+        return np.zeros(0, dtype=np.int64)
+    with jit.told(name):
+        module = _backend(name)
+        found = [jit.code_address(getattr(module, law), _signature(law), TIERS[name]) for law in LAWS]
+        return np.array(found, dtype=np.int64)
 
 
-def law_addresses(dimensions: int) -> list[int]:
-    """Return the addresses of a backend's distant laws, which end its pointer table. Compiles them if necessary."""
-    if not COMPILED or dimensions == 1:
-        return []
-    laws = _compilations(dimensions)
-    kernels = [getattr(_tier(dimensions), name) for name in _DISTANT]
-    compile_first(kernels, dimensions, functools.partial(_compilations, dimensions), laws)
-    return [law() for law in laws]
-
-
-def _compilations(dimensions: int) -> list[Callable[[], int]]:
-    """Return functions that compile each distant law of a backend and return its address."""
-    return [
-        functools.partial(address, getattr(_tier(dimensions), name), _kinds(name, dimensions)[0]) for name in _DISTANT
-    ]
-
-
-def _numba_type(name: str, annotation: str) -> Any:
-    """Return the numba type of a law's parameter from its annotation; None for the chemistry."""
-    array = numba.types.Array(numba.types.float64, 2 if name == "work" else 1, "C")
+def _signature(law: str) -> Any:
+    """Return the numba signature of a law from its annotations."""
     types: Any = numba.types
-    around = types.NamedUniTuple(types.float64, len(Surroundings._fields), Surroundings)
-    known = {"FloatArray": array, "float": types.float64, "int": types.int64, "Handle": None, "Surroundings": around}
-    return known[annotation]
+    number, vector = types.float64, types.Array(types.float64, 1, "C")
+    kinds = {
+        "FloatArray": vector,
+        "IntArray": types.Array(types.int64, 1, "C"),
+        "Handle": types.int64,
+        "Surroundings": types.NamedUniTuple(number, len(Surroundings._fields), Surroundings),
+        "float": number,
+        "int": types.int64,
+        "bool": types.boolean,
+        "None": types.none,
+        "tuple[float, float]": types.UniTuple(number, 2),
+    }
+    signature = inspect.signature(globals()[law].py_func)
+    work = types.Array(number, 2, "C")
+    given = [work if name == "work" else kinds[p.annotation] for name, p in signature.parameters.items()]
+    return kinds[signature.return_annotation](*given)
 
 
-def law(stub: F, distant: bool = False) -> F:
-    """Declare a law that every backend implements; ``stub`` has its parameters, one of them called ``chem``."""
-    name, signature = stub.__name__, inspect.signature(stub)
-    parameters = list(signature.parameters)
-    where = parameters.index("chem")
-
-    @functools.wraps(stub)
-    def call(*arguments: Any) -> Any:
-        chem = arguments[where]
-        dimensions = chem.ndim if COMPILED else tier_dimensions(getattr(chem, "TIER", "paper"))
-        return getattr(_tier(dimensions), name)(*arguments)
-
-    if distant and COMPILED:
-        types: Any = numba.types
-        results = {"float": types.float64, "int": types.int64, "bool": types.boolean, "None": types.none}
-        results["tuple[float, float]"] = types.UniTuple(types.float64, 2)
-        kinds = tuple(_numba_type(key, value.annotation) for key, value in signature.parameters.items())
-        _KINDS[name] = kinds, results[str(signature.return_annotation)]
-        _DISTANT.append(name)
-
-    if COMPILED:
-
-        def choose(*kinds: Any) -> Callable[..., Any]:
-            dimensions = kinds[where].ndim
-            if distant and dimensions > 1:
-                declaration = getattr(_tier(dimensions), "DECLARATION", Chemistry)
-                position = SLOT * len(declared(declaration)) + _DISTANT.index(name)
-                target = calling(parameters, where, position, *_kinds(name, dimensions))
-            else:
-                target = getattr(_tier(dimensions), name)
-            # A function with the law's own parameters that calls the backend's law, so that it can be cached.
-            scope = {"_of_tier": target}
-            listed = ", ".join(parameters)
-            exec(f"def {name}({listed}):\n    return _of_tier({listed})", scope)
-            return cast(Callable[..., Any], scope[name])
-
-        overload(call, jit_options=cast(Any, INLINED), strict=False)(choose)
-    return cast(F, call)
+def _call(law: str, chem: Handle, arguments: Any) -> Any:
+    """Call a law of the chemistry's backend."""
+    return getattr(_backend(chem.BACKEND), law)(*arguments)
 
 
-distant_law = functools.partial(law, distant=True)
-"""Declare a large law, which kernels of backends after the first call by address."""
+if COMPILED:
+
+    @overload(_call, prefer_literal=True)  # type: ignore[untyped-decorator]
+    def _called(law, chem, arguments):  # type: ignore[no-untyped-def]  # numba wants no types here
+        name = law.literal_value
+        at, call = LAWS.index(name), jit.call_address(name, _signature(name))
+
+        def found(law, chem, arguments):  # type: ignore[no-untyped-def]
+            return call(opened(Chemistry, chem).laws[at], arguments)
+
+        found.__qualname__ = f"call_{name}"
+        return found
 
 
-@distant_law
+@kernel
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Return the vapour pressure of the liquids in a vessel in kPa."""
-    raise NotImplementedError
+    found: float = _call("vapor_pressure", chem, (row, chem))
+    return found
 
 
-@law
+@kernel
 def headspace_gas(row: FloatArray, chem: Handle) -> float:
     """Return mol of gas above the contents of a sealed vessel, without vapour."""
-    raise NotImplementedError
+    found: float = _call("headspace_gas", chem, (row, chem))
+    return found
 
 
-@distant_law
+@kernel
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """Open the relief valve: above ``rated`` kPa, gas leaves until the pressure is back at ``rated``.
 
     Lost vapour is taken from the liquid and added to ``waste`` [M]; it is a safety event.
     """
-    raise NotImplementedError
+    _call("vent", chem, (row, rated, chem, waste, events))
 
 
-@distant_law
+@kernel
 def heat(
     row: FloatArray,
     receiver: FloatArray,
@@ -194,10 +175,11 @@ def heat(
         (absorbed heat, heat removed by the condenser) in J. Heat in = change of (sum n Cp + air) (T - ambient)
         over both vessels + heat to the condenser, as long as nothing spills.
     """
-    raise NotImplementedError
+    found: tuple[float, float] = _call("heat", chem, (row, receiver, joules, limits, chem, waste, events))
+    return found
 
 
-@distant_law
+@kernel
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
     """Apply the processes that follow every operation in any vessel: violent reactions, dissolution, precipitation.
 
@@ -208,10 +190,10 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
         events: safety events row.
         work: scratch of shape :func:`work_size`.
     """
-    raise NotImplementedError
+    _call("settle_phases", chem, (row, chem, waste, events, work))
 
 
-@distant_law
+@kernel
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Update the dissolved amounts of a vessel from CLOCK_WAS to CLOCK; none becomes negative and totals are conserved.
 
@@ -220,10 +202,10 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
         chem: the chemistry.
         work: scratch of shape :func:`work_size`.
     """
-    raise NotImplementedError
+    _call("partition", chem, (row, chem, work))
 
 
-@law
+@kernel
 def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
     """Find the solids, fluid layers and air of a vessel, densest fluid first.
 
@@ -236,48 +218,55 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
     Returns:
         Number of columns.
     """
-    raise NotImplementedError
+    found: int = _call("find_layers", chem, (row, chem, layers, volumes))
+    return found
 
 
-@law
+@kernel
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
     """Return mol of a material in a vessel that is solid."""
-    raise NotImplementedError
+    found: float = _call("solid_mol", chem, (row, material, chem))
+    return found
 
 
-@law
+@kernel
 def solid_volume(row: FloatArray, chem: Handle) -> float:
     """Return the volume of non-liquid contents in L."""
-    raise NotImplementedError
+    found: float = _call("solid_volume", chem, (row, chem))
+    return found
 
 
-@law
+@kernel
 def layer_density(row: FloatArray, layer: int, chem: Handle) -> float:
     """Return the density in kg/L of a layer, given by its code from :func:`find_layers`."""
-    raise NotImplementedError
+    found: float = _call("layer_density", chem, (row, layer, chem))
+    return found
 
 
-@law
+@kernel
 def layer_shade(row: FloatArray, layer: int, chem: Handle) -> float:
     """Return the grey value of a layer in the camera picture."""
-    raise NotImplementedError
+    found: float = _call("layer_shade", chem, (row, layer, chem))
+    return found
 
 
-@law
+@kernel
 def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float, chem: Handle) -> float:
     """Move ``share`` (0 to 1) of a layer, or of the solids, with its contents; return the moved heat capacity in
     J/K.
     """
-    raise NotImplementedError
+    found: float = _call("drain_layer", chem, (source, target, layer, share, chem))
+    return found
 
 
-@law
+@kernel
 def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
     """Return the rate constant of a reaction at ``temperature`` (K), in its own unit."""
-    raise NotImplementedError
+    found: float = _call("rate_constant", chem, (reaction, temperature, chem))
+    return found
 
 
-@distant_law
+@kernel
 def react(
     row: FloatArray,
     dt: float,
@@ -305,20 +294,21 @@ def react(
         Number of steps, rejected ones included; -1 if it exceeded the limit: then the rest of ``dt``
         has not passed.
     """
-    raise NotImplementedError
+    found: int = _call("react", chem, (row, dt, around, chem, waste, events, work))
+    return found
 
 
-@distant_law
+@kernel
 def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
     """Draw air over the contents of an open vessel.
 
     ``litres`` of air leave at the contents' temperature, saturated with vapour of the liquids, which goes to ``waste``
     [M]. The air supplies the heat of vaporization, so the temperature is constant. Solids stay.
     """
-    raise NotImplementedError
+    _call("dry", chem, (row, litres, chem, waste))
 
 
-@distant_law
+@kernel
 def elapse(
     row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> bool:
@@ -335,4 +325,5 @@ def elapse(
     Returns:
         True if the contents have changed.
     """
-    raise NotImplementedError
+    found: bool = _call("elapse", chem, (row, ticks, chem, waste, events, work))
+    return found

@@ -25,7 +25,7 @@ __all__ = ["InstrumentRules", "InstrumentTable"]
 
 _TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_position"})
 
-_read = chained([instrument.read for instrument in INSTRUMENTS.values()], 0.0)
+_read = chained("read", [instrument.read for instrument in INSTRUMENTS.values()], 0.0)
 
 
 class InstrumentRules(NamedTuple):

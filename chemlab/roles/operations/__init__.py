@@ -24,7 +24,7 @@ OPERATIONS: dict[str, Operation] = {
 }
 """Operations by kind; their index is their order."""
 
-act = chained([operation.act for operation in OPERATIONS.values()], 0.0)
+act = chained("act", [operation.act for operation in OPERATIONS.values()], 0.0)
 """Carry out operation ``number`` inside a kernel: ``act(number, turn, chem)``."""
-legal = chained([operation.legal for operation in OPERATIONS.values()], True)
+legal = chained("legal", [operation.legal for operation in OPERATIONS.values()], True)
 """Return True if operation ``number`` is legal, inside a kernel: ``legal(number, turn, chem)``."""

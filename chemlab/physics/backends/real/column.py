@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import inner, opened, routine, scratch
+from ....kernels.jit import helper, inner, opened, scratch
 from ...constants import GAS_CONSTANT
 from .liquids import Liquids, clear_liquids, dimer_root, nrtl, on_curve, prepare
 from .real_chemistry import MOST_FLUIDS, ORGANIC, RealChemistry
@@ -68,7 +68,7 @@ def _ratios(n: int, chem: Handle, tray: Liquids, guess: float, out: FloatArray, 
     return temperature
 
 
-@routine
+@helper
 def overhead(
     n: int,
     trays: int,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from ....config.pairs import REFERENCE_K, STRONGEST
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, inner, opened, routine, scratch
+from ....kernels.jit import helper, inner, opened, scratch
 from ...chemistry import AMOUNTS
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
@@ -232,7 +232,7 @@ def _shares(n: int, liquids: Liquids, ratio: FloatArray, total: float) -> float:
     return beta
 
 
-@routine
+@helper
 def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
     """Distribute the molecules over water and the organic phase so that each has equal activities in both.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, inner, kernel, opened, routine, scratch
+from ....kernels.jit import helper, inner, kernel, opened, scratch
 from ...chemistry import AIR, AMOUNTS, CAPACITY, ROLE_GAS, TEMPERATURE
 from ...constants import GAS_CONSTANT, LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
@@ -88,7 +88,7 @@ def _boils_at(n: int, pressure: float, at: float, chem: Handle, liquids: Liquids
     return max(min(there, at + _LONGEST_K, _HOTTEST_K), at - _LONGEST_K, _COLDEST_K)
 
 
-@routine
+@helper
 def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
     """Return the bubble point in K at ``pressure`` (kPa); 10,000 if nothing boils.
 
