@@ -314,15 +314,10 @@ def test_pages_are_in_plain_words(page: Path) -> None:
     assert script("studies/tools/words.py").findings(page) == []
 
 
-NOT_YET = ("chemlab/kernels/jit.py", "chemlab/kernels/warmup.py")
-"""Files whose words are still to be revised."""
-
-
 def test_code_is_in_plain_words() -> None:
-    """Outside the files above, no docstring has a refused word or begins with a question word."""
+    """No docstring has a refused word or begins with a question word."""
     words = script("studies/tools/words.py")
-    files = {path: path.relative_to(ROOT).as_posix() for path in words.code()}
-    checked = [path for path, name in files.items() if name not in NOT_YET]
+    checked = words.code()
     assert len(checked) > 80
     assert [line for path in checked for line in words.findings(path)] == []
 

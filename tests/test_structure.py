@@ -90,7 +90,8 @@ def test_kernels_take_few_arguments() -> None:
 
 
 PUBLIC = {"numba", "numba.types", "numba.extending", "numba.core.cgutils", "numba.core.typing.templates"}
-"""What may be imported of numba: its public interface, and what every extension of it needs besides."""
+"""Modules of numba that may be imported: its public interface, code generation for intrinsics, and the base class of
+attributes, which ``numba.extending.infer_getattr`` requires."""
 
 
 def test_nothing_else_of_numbas_insides_is_used() -> None:

@@ -1,9 +1,9 @@
-"""The one way a chemlab function is compiled: public numba, and pointer casts below it.
+"""Compilation of chemlab's functions: numba's public interface, and the intrinsics of an extension below it.
 
-numba keeps compiled kernels in its own cache, in a folder that is named after the sources of all kernels: numba tells
-whether a kernel is fresh by its own file's time stamp, and would go on running an edited function of another file.
-Kernels in the cache have the code of all functions that they call in them, under names of numba's; so functions that
-are made in a loop or a factory must have names of their own.
+numba stores compiled kernels in its own cache, in a folder that is named by a hash of the sources of all kernels. numba
+itself checks the time stamp of a kernel's own file only, so it would run an outdated version of a function from another
+file. A cached kernel contains the code of all functions that it calls, under numba's names for them. Functions that are
+made in a loop or a factory must therefore have different names.
 """
 
 from __future__ import annotations
@@ -40,23 +40,23 @@ _EXTENDING: Any = extending
 _TYPES: Any = types
 _BUILD: Any = cgutils
 _TEMPLATES: Any = templates
-"""numba, which has no types."""
+"""numba's modules, which have no type annotations."""
 
 F = TypeVar("F", bound=Callable[..., Any])
 T = TypeVar("T")
 
 COMPILED: bool = not _NUMBA.config.DISABLE_JIT
-"""Whether kernels are compiled; with ``NUMBA_DISABLE_JIT=1`` they are plain Python."""
-# Kernels allocate nothing, so numba need not count references to the arrays handed to them: that took a tenth of the
-# time of a step, and as much of that to compile.
+"""False with ``NUMBA_DISABLE_JIT=1``: kernels are then plain Python."""
+# Kernels allocate nothing, so numba need not count references to their arrays. Counting takes a tenth of the time of a
+# step, and a tenth of the time of compilation.
 _SETTINGS: dict[str, Any] = {"error_model": "numpy", "forceinline": False, "_nrt": False}
 _INSIDE: dict[str, Any] = {**_SETTINGS, "nogil": True, "no_cfunc_wrapper": True}
 _TINY: dict[str, Any] = {**_INSIDE, "forceinline": True, "no_cpython_wrapper": True}
-"""numba's settings for a function that Python calls, for one that kernels call, and for what becomes part of them."""
+"""Options for callbacks, for kernels and helpers, and for overloads that are inlined."""
 _UNUSED_S = 60 * 86400.0
-"""Seconds after which kernels of other sources that no process has used are deleted."""
+"""Seconds without use after which kernels of other sources are deleted."""
 _ROOM_BYTES = 100 * 1024**2
-"""Free space below which kernels are not kept."""
+"""Minimum free space for storing kernels."""
 _DECORATING = threading.RLock()
 
 
@@ -69,25 +69,31 @@ def kernel(function: F) -> F:
 
 
 def helper(function: F) -> F:
-    """A function that kernels call, and that Python may call, too: compiled in every process that compiles those."""
+    """Compile ``function`` once for all kernels that call it; Python may also call it.
+
+    It is not cached on its own: a cached kernel contains it.
+    """
     return cast(F, _NUMBA.njit(**_INSIDE)(function))
 
 
 def inner(function: F) -> F:
-    """A helper that numba makes part of its callers: for what few of them call, for what takes opened tables, and for
-    what returns :func:`scratch` arrays."""
+    """Copy ``function`` into its callers before numba compiles them.
+
+    For tiny functions, functions with a single call, and functions that return :func:`scratch` arrays. Compilation
+    time grows with every copy.
+    """
     return cast(F, _NUMBA.njit(inline="always", **_INSIDE)(function))
 
 
 def chained(
     name: str, functions: Sequence[Callable[[Any, Handle], Any]], otherwise: Any
 ) -> Callable[[int, Any, Handle], Any]:
-    """A helper ``(number, work, chem)`` that calls one of some functions of (work, chem) by its number.
+    """Return an inner function ``(number, work, chem)`` that calls one of several functions of (work, chem) by number.
 
     Args:
-        name: its own.
+        name: its name.
         functions: kernels or helpers.
-        otherwise: what it returns past the last.
+        otherwise: returned for a number past the last.
     """
     calls = [f"    if number == {i}:\n        return function_{i}(work, chem)\n" for i in range(len(functions))]
     scope: dict[str, Any] = {f"function_{i}": function for i, function in enumerate(functions)}
@@ -96,11 +102,11 @@ def chained(
     return inner(cast(Callable[[int, Any, Handle], Any], scope[name]))
 
 
-# -- where compiled kernels are kept ---------------------------------------------------------------------------------
+# -- cache -----------------------------------------------------------------------------------------------------------
 
 
 def _cached(compiler: Any, function: Callable[..., Any], place: str, *signature: Any, **options: Any) -> Any:
-    """What one of numba's compilers makes of a function, kept in a :func:`folder`."""
+    """Apply one of numba's decorators to a function, with the cache in a :func:`folder`."""
     kept = folder(place) if COMPILED and os.path.isfile(function.__code__.co_filename) else None
     with _DECORATING:
         before, _NUMBA.config.CACHE_DIR = _NUMBA.config.CACHE_DIR, str(kept or "")
@@ -112,8 +118,10 @@ def _cached(compiler: Any, function: Callable[..., Any], place: str, *signature:
 
 @functools.cache
 def folder(module: str) -> Path | None:
-    """Where kernels are kept that are made of chemlab's sources, and of those of a module (or package) of another's;
-    below ``NUMBA_CACHE_DIR`` or the user's cache. None where there is no place for them."""
+    """Return the cache folder of kernels from chemlab's sources, and from those of another module (or package).
+
+    It is below ``NUMBA_CACHE_DIR`` or the user's cache. None if kernels cannot be stored.
+    """
     user = {"win32": "LOCALAPPDATA"}.get(sys.platform, "XDG_CACHE_HOME")
     home = Path.home() / ("Library/Caches" if sys.platform == "darwin" else ".cache")
     place = Path(_NUMBA.config.CACHE_DIR or Path(os.environ.get(user) or home) / "chemlab")
@@ -129,14 +137,14 @@ def folder(module: str) -> Path | None:
     except OSError as error:
         reason = error.strerror or str(error)
     _say_once(
-        f"compiled kernels cannot be kept in {place} ({reason}), so every process compiles them anew; NUMBA_CACHE_DIR "
-        "names another folder for them"
+        f"compiled kernels cannot be stored in {place} ({reason}), so every process compiles them again; set "
+        "NUMBA_CACHE_DIR to another folder"
     )
     return None
 
 
 def _delete_unused(place: Path) -> None:
-    """Delete kernels of other sources that nobody uses any more."""
+    """Delete the kernels of sources that no process has used for :data:`_UNUSED_S`."""
     for other in place.glob("kernels-*"):
         with contextlib.suppress(OSError):
             if time.time() - other.stat().st_mtime > _UNUSED_S:
@@ -145,11 +153,11 @@ def _delete_unused(place: Path) -> None:
 
 @functools.cache
 def _sources(module: str) -> str:
-    """Hash of every source file that kernels of a module, or package, are written in."""
+    """Return a hash of all source files that contain the kernels of a module or package."""
     if module == "chemlab":
         root = Path(__file__).resolve().parents[1]
         kept = [root / "kernels", root / "physics"]
-        # An edit to a file of chemlab's without kernels must not have all of them compiled again.
+        # An edit to a file without kernels must not invalidate them.
         read = {path: path.read_bytes() for path in sorted(root.rglob("*.py"))}
         read = {path: text for path, text in read.items() if {*kept} & {*path.parents} or b"jit import" in text}
     else:
@@ -166,7 +174,7 @@ def _say_once(words: str) -> None:
 
 @contextlib.contextmanager
 def told(name: str) -> Any:
-    """Say that what happens here compiles kernels, the first time that it does so with a cache."""
+    """Print a line if the block compiles kernels for the first time with this cache."""
     place = folder("chemlab")
     mark = place / f"{name}.compiled" if place is not None else None
     if COMPILED and not (mark is not None and mark.exists()):
@@ -177,17 +185,17 @@ def told(name: str) -> Any:
             mark.touch()
 
 
-# -- functions by their addresses ------------------------------------------------------------------------------------
+# -- calls by address ------------------------------------------------------------------------------------------------
 
 
 @functools.cache
 def code_address(function: Any, signature: Any, module: str) -> int:
-    """Address of a function's code as a C callback, for :func:`call_address`.
+    """Compile a function as a callback and return its address, for :func:`call_address`.
 
     Args:
         function: a kernel or helper.
-        signature: numba's, of its parameters and result.
-        module: where its source is.
+        signature: numba signature.
+        module: name of the module that contains its source.
     """
     made = _cached(_NUMBA.cfunc, function.py_func, module, signature, **_SETTINGS)
     _ALIVE.append(made)
@@ -200,7 +208,7 @@ _ALIVE: list[Any] = []
 
 @functools.cache
 def call_address(name: str, signature: Any) -> Any:
-    """A function ``(address, arguments)`` that kernels call what :func:`code_address` found with, for a signature."""
+    """Return a function ``(address, arguments)`` with which kernels call a callback of a signature by its address."""
 
     def typed(context: Any, address: Any, arguments: Any) -> Any:
         def generate(target: Any, builder: Any, own: Any, values: Any) -> Any:
@@ -220,8 +228,11 @@ def call_address(name: str, signature: Any) -> Any:
 
 
 def opened(declaration: type[T], handle: Handle) -> T:
-    """The arrays of a table by its handle: an instance of the table's ``declaration``, or of one whose fields the
-    table's begin with. In a kernel nothing is loaded but what is used."""
+    """Return the arrays of a table from its handle, as an instance of ``declaration``.
+
+    ``declaration`` is the table's schema, or one with the first of its fields. In a kernel, an array is loaded where it
+    is used.
+    """
     fields = declared(cast(Any, declaration))
     if not COMPILED:
         return declaration(*(getattr(handle, field.name) for field in fields))
@@ -234,7 +245,7 @@ def opened(declaration: type[T], handle: Handle) -> T:
 
 
 def _seen(address: int, lengths: Sequence[int], dtype: np.dtype[Any]) -> npt.NDArray[Any]:
-    """The array at an address."""
+    """Return a view of the array at an address."""
     size = dtype.itemsize * math.prod(lengths)
     if not size:
         return np.zeros(lengths, dtype)
@@ -243,8 +254,10 @@ def _seen(address: int, lengths: Sequence[int], dtype: np.dtype[Any]) -> npt.NDA
 
 
 class _Table(_TYPES.Type):  # type: ignore[misc]  # numba has no types
-    """A table as kernels see it: the address of its handle. Handing over the arrays instead, some two hundred numbers
-    to each function, took longer to compile than what the functions do."""
+    """numba type of a table: an address with the fields of a schema.
+
+    Passing the arrays instead, about two hundred numbers for each call, takes longer to compile than the functions.
+    """
 
     def __init__(self, declaration: Any) -> None:
         self.kinds: dict[str, Any] = {}
@@ -260,7 +273,7 @@ _EXTENDING.register_model(_Table)(_EXTENDING.models.OpaqueModel)
 
 @_EXTENDING.intrinsic  # type: ignore[untyped-decorator]
 def _table(context: Any, declaration: Any, handle: Any) -> Any:
-    """The table at an address."""
+    """Return the table at an address."""
 
     def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.inttoptr(arguments[1], _BUILD.voidptr_t)
@@ -278,8 +291,7 @@ class _Fields(_TEMPLATES.AttributeTemplate):  # type: ignore[misc]
 
 @_EXTENDING.lower_getattr_generic(_Table)  # type: ignore[untyped-decorator]
 def _field(context: Any, builder: Any, table: _Table, base: Any, name: str) -> Any:
-    """A field of an opened table. Where arrays are does not change while kernels run, whatever these write, so
-    compilers may look it up once."""
+    """Load a field of a table. Addresses and lengths are constant while kernels run, so each is loaded once."""
     kind, word = table.kinds[name], ir.IntType(64)
     at = SLOT * list(table.kinds).index(name)
     slots = builder.bitcast(base, word.as_pointer())
@@ -298,7 +310,7 @@ def _field(context: Any, builder: Any, table: _Table, base: Any, name: str) -> A
 
 
 def _array(context: Any, builder: Any, kind: Any, address: Any, lengths: list[Any]) -> Any:
-    """An array of some lengths at an address, whose memory is not numba's to free."""
+    """Return an array with given lengths at an address; numba does not own its memory."""
     array = _BUILD.create_struct_proxy(kind)(context, builder)
     strides = [ir.Constant(ir.IntType(64), context.get_abi_sizeof(context.get_data_type(kind.dtype)))]
     array.itemsize = strides[0]
@@ -320,10 +332,9 @@ if COMPILED:
 
     @_EXTENDING.intrinsic(prefer_literal=True)  # type: ignore[untyped-decorator]
     def scratch(context: Any, count: Any) -> Any:
-        """[count] numbers to work with, of any value, for as long as the kernel that asks runs. ``count`` is a
-        constant."""
+        """Return an uninitialized array [count] that exists while the calling kernel runs; ``count`` is a constant."""
         if not isinstance(count, _TYPES.IntegerLiteral):
-            return None  # numba says that no function takes it
+            return None  # numba reports that no version fits
         kind, size = _TYPES.Array(_TYPES.float64, 1, "C"), ir.Constant(ir.IntType(64), count.literal_value)
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -335,5 +346,5 @@ if COMPILED:
 else:
 
     def scratch(count: int) -> FloatArray:
-        """[count] numbers to work with."""
+        """Return an uninitialized array [count]."""
         return np.empty(count)

@@ -72,7 +72,7 @@ _RTOL, _ATOL = 1e-3, 1e-6
 """Error tolerances of reactions on the shelf: the defaults of a reaction bench (relative; mol/L)."""
 
 
-@inner
+@helper
 def _count_slots(n: int, base: int, state: ManagerState, rules: Rules, shelf: ShelfArrays) -> tuple[int, int]:
     """Return the numbers of free and occupied slots; a slot reserved for a vessel at a bench is neither."""
     free, occupied = 0, 0
@@ -84,7 +84,7 @@ def _count_slots(n: int, base: int, state: ManagerState, rules: Rules, shelf: Sh
     return free, occupied
 
 
-@inner
+@helper
 def _allowed(
     n: int, a: int, slots: tuple[int, int], any_busy: bool, state: ManagerState, rules: Rules, shelf: ShelfArrays
 ) -> bool:
@@ -125,7 +125,7 @@ def _expects(n: int, state: ManagerState) -> bool:
     return ahead
 
 
-@inner
+@helper
 def _is_closed(n: int, state: ManagerState, rules: Rules) -> bool:
     """Return True if no order can be fulfilled any more: each is filled, or late without payment."""
     closed = True
@@ -177,7 +177,7 @@ def rest_on_shelf(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     partition(row, chem, work)
 
 
-@inner
+@helper
 def _forget(n: int, s: int, state: ManagerState) -> None:
     """Clear the history and readings of a slot whose vessel has changed."""
     state.last_bench[n, s] = 0
@@ -224,7 +224,7 @@ def _payment(n: int, o: int, state: ManagerState, rules: Rules) -> float:
     return float(paid)
 
 
-@inner
+@helper
 def _submit(
     n: int, x: int, y: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle, last: bool
 ) -> None:
@@ -261,7 +261,7 @@ def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, ch
             partition(row, chem, rules.work)
 
 
-@inner
+@helper
 def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> bool:
     """End a tick: charge time, age vessels and readings, and check the limits.
 

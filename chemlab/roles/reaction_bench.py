@@ -18,7 +18,7 @@ from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.scenario import Scenario
 from ..kernels.arrays import Field as Array
 from ..kernels.arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged
-from ..kernels.jit import inner, kernel, opened
+from ..kernels.jit import helper, inner, kernel, opened
 from ..physics.backends import partition, react, settle_phases, vent
 from ..physics.chemistry import (
     AIR,
@@ -160,7 +160,7 @@ ReactionState: Any = merged(ExperimentState, SupplyState)
 ReactionRules: Any = merged(BenchRules, ReactorRules)
 
 
-@inner
+@helper
 def _load(m: int, action: FloatArray, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """Move the piston, add reagents and set the temperature, which a thermostat also gives to the reagents."""
     row = shelf.rows[state.places[m, 0]]
@@ -210,7 +210,7 @@ def _react(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> 
     return react(row, tick, around, chem, shelf.waste[m], state.events[m], rules.work)
 
 
-@inner
+@helper
 def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) -> None:
     """Update phases, stirring and relief valve after the reaction."""
     row = shelf.rows[state.places[m, 0]]

@@ -164,7 +164,7 @@ def _share(chem: Handle, work: FloatArray, a: int, log_h: float, solution: _Solu
     return mean, max(square - mean * mean, 0.0), charges
 
 
-@inner
+@helper
 def _balance(chem: Handle, work: FloatArray, log_h: float, solution: _Solution) -> tuple[float, float, float]:
     """Return the excess of protons (mol) at an activity of H+, its derivative with ln of it, mol of squared charge."""
     chemistry = opened(RealChemistry, chem)

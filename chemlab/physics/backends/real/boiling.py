@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import inner, kernel, opened, scratch
+from ....kernels.jit import helper, kernel, opened, scratch
 from ...chemistry import TEMPERATURE
 from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import BOILED_DRY, DRY_HEATING
@@ -35,7 +35,7 @@ _TRIFLE = 2e-3
 """Share of the heat that may remain unused at the end by boiling contents."""
 
 
-@inner
+@helper
 def evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: FloatArray, liquids: Liquids) -> None:
     """Remove ``mol`` of vapour with the composition ``partial`` from the amounts ``before``.
 
@@ -63,7 +63,7 @@ class _Still(NamedTuple):
     halfway: FloatArray
 
 
-@inner
+@helper
 def _boil(
     row: FloatArray, n: int, boiling: float, left: float, begun: bool, still: _Still, chem: Handle, liquids: Liquids
 ) -> tuple[float, float]:
@@ -118,7 +118,7 @@ def _boil(
     return spent, rise
 
 
-@inner
+@helper
 def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: float, chem: Handle) -> float:
     """Warm (> 0) or cool (< 0) the contents within the limits; return the absorbed joules."""
     capacity, was = heat_capacity(row, chem), row[TEMPERATURE]

@@ -28,7 +28,7 @@ _STEEPEST = 40.0
 """Bound on |ln K|, for which the product over all stages is finite."""
 
 
-@inner
+@helper
 def _ratios(n: int, chem: Handle, tray: Liquids, guess: float, out: FloatArray, at: int) -> float:
     """Compute ln (y / x) of every molecule at the bubble point of a liquid with the mole fractions of ``tray``.
 

@@ -62,7 +62,7 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
     return math.exp(here)
 
 
-@inner
+@helper
 def saturate(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Compute the mol of every fluid that saturate the liquids, and their share in the organic phase, into the scratch.
 

@@ -203,7 +203,7 @@ def _exchange_heat(row: FloatArray, chem: Handle, dt: float, around: Surrounding
     return passed
 
 
-@inner
+@helper
 def add_species(row: FloatArray, chem: Handle, j: int, change: float, shifts: bool) -> None:
     """Add ``change`` mol of species ``j`` (negative removes it) in proportion to its present distribution.
 
@@ -337,7 +337,7 @@ def _columns(chem: Handle, vessel: _Vessel) -> int:
     return int(opened(RealChemistry, chem).species.shape[0] + vessel.ways.crystals)
 
 
-@inner
+@helper
 def _concentrations(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
     """Compute the concentrations at given extents."""
     chemistry, work, columns = opened(RealChemistry, chem), vessel.work, _columns(chem, vessel)
@@ -377,7 +377,7 @@ def _change(chem: Handle, vessel: _Vessel, extents: FloatArray, j: int) -> float
     return total
 
 
-@inner
+@helper
 def _effect(chem: Handle, vessel: _Vessel, u: int, j: int) -> float:
     """Return the change of concentration ``j`` per unit of unknown ``u``."""
     chemistry = opened(RealChemistry, chem)
@@ -413,7 +413,7 @@ def _slowing(chem: Handle, work: FloatArray, r: int) -> float:
     return 1.0 / total
 
 
-@inner
+@helper
 def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> None:
     """Compute the rates of independent reactions (mol/L per time unit) and of heat through the jacket (W/L)."""
     chemistry = opened(RealChemistry, chem)
@@ -445,7 +445,7 @@ def _rates(chem: Handle, vessel: _Vessel, y: FloatArray, out: FloatArray) -> Non
                 out[chemistry.parts[r, p]] += chemistry.part_numbers[r, p] * rate
 
 
-@inner
+@helper
 def _spread(chem: Handle, vessel: _Vessel, r: int, j: int, slope: float) -> None:
     """Add the contribution of one rate's slope with respect to species ``j`` to the Jacobian."""
     chemistry, matrix = opened(RealChemistry, chem), vessel.work[_VECTORS:]
@@ -457,7 +457,7 @@ def _spread(chem: Handle, vessel: _Vessel, r: int, j: int, slope: float) -> None
                 matrix[b, s] += part * _effect(chem, vessel, s, j)
 
 
-@inner
+@helper
 def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, constant: float) -> float:
     """Add one direction of reaction ``r`` to the Jacobian; return its rate. ``constant`` is its signed rate
     constant.
@@ -487,7 +487,7 @@ def _factor_slopes(chem: Handle, vessel: _Vessel, r: int, backward: bool, consta
     return rate
 
 
-@inner
+@helper
 def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
     """Compute derivatives of :func:`_rates` with respect to the unknowns; concentrations and constants are those at
     ``y``.
@@ -561,7 +561,7 @@ def _factorize(n: int, h: float, work: FloatArray) -> bool:
     return True
 
 
-@inner
+@helper
 def _solve(n: int, work: FloatArray, x: FloatArray) -> None:
     """Solve in place with the factors of :func:`_factorize`."""
     lu, pivot = work[_VECTORS + n :], work[_PIVOT]
@@ -577,7 +577,7 @@ def _solve(n: int, work: FloatArray, x: FloatArray) -> None:
         x[r] /= lu[r, r]
 
 
-@inner
+@helper
 def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
     """Compute the four stages of RODAS3; the new unknowns are in the trial row, the error estimate in that of k4."""
     work = vessel.work
@@ -605,7 +605,7 @@ def _take_stages(chem: Handle, vessel: _Vessel, n: int, h: float) -> None:
         trial[u] += k4[u]
 
 
-@inner
+@helper
 def _error(chem: Handle, vessel: _Vessel) -> float:
     """Return the error of a trial step relative to the tolerance: RMS over concentrations, or the temperature's if
     larger.
@@ -631,7 +631,7 @@ def _error(chem: Handle, vessel: _Vessel) -> float:
     return worst
 
 
-@inner
+@helper
 def _hold_back(chem: Handle, vessel: _Vessel) -> bool:
     """Limit a trial step to the available amounts, reducing all consumers of a species alike.
 
@@ -675,7 +675,7 @@ def _hold_back(chem: Handle, vessel: _Vessel) -> bool:
 # -- a vessel --------------------------------------------------------------------------------------------------------
 
 
-@inner
+@helper
 def _begin(row: FloatArray, chem: Handle, vessel: _Vessel, dt: float) -> float:
     """Fill the scratch for the contents of a vessel; return the first trial step, 0 if nothing reacts."""
     chemistry, litres = opened(RealChemistry, chem), vessel.litres
@@ -803,7 +803,7 @@ def _dissolve(row: FloatArray, chem: Handle, k: int, mol: float, share: float) -
         row[at + AQUEOUS] += mol * (1.0 - share)
 
 
-@inner
+@helper
 def _finish(row: FloatArray, chem: Handle, vessel: _Vessel) -> None:
     """Write the final extents, crystals and temperature to a row."""
     chemistry, work = opened(RealChemistry, chem), vessel.work

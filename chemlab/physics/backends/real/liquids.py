@@ -92,7 +92,7 @@ def clear_liquids() -> Liquids:
     )
 
 
-@inner
+@helper
 def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
     """Collect the liquid molecules of a vessel above a trace, with their distribution over its phases; return their
     number.
@@ -120,7 +120,7 @@ def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
     return n
 
 
-@inner
+@helper
 def prepare(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
     """Compute the NRTL parameters at a temperature in K."""
     chemistry = opened(RealChemistry, chem)
@@ -135,7 +135,7 @@ def prepare(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
             liquids.g[a * n + b] = math.exp(-chemistry.nrtl[i, j, 3] * tau) if a != b else 1.0
 
 
-@inner
+@helper
 def nrtl(n: int, phase: int, liquids: Liquids) -> None:
     """Compute ln of the activity coefficients of a phase from its mole fractions."""
     x, tau, g, out, work = liquids.x, liquids.tau, liquids.g, liquids.log_gamma, liquids.work
@@ -155,7 +155,7 @@ def nrtl(n: int, phase: int, liquids: Liquids) -> None:
         out[at + i] = total
 
 
-@inner
+@helper
 def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
     """Compute mole fractions and activity coefficients in both current phases (an absent one has those of the
     other).
@@ -182,7 +182,7 @@ def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> No
     _salt(n, aqueous, chem, liquids)
 
 
-@inner
+@helper
 def _salt(n: int, aqueous: float, chem: Handle, liquids: Liquids) -> None:
     """Apply the effect of ions on the activities in water."""
     water = opened(RealChemistry, chem).water
@@ -303,7 +303,7 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
             return
 
 
-@inner
+@helper
 def _one_phase(n: int, water: float, total: float, temperature: float, chem: Handle, liquids: Liquids) -> None:
     """Put everything into one phase: water if most molecules are water, or if there are ions."""
     wet = water > 0.5 * total or liquids.ions[0] > TRACE_MOL
@@ -335,7 +335,7 @@ def dimer_root(material: int, temperature: float, chem: Handle) -> float:
     return math.exp(dimer[material, 0] + dimer[material, 1] / temperature)
 
 
-@inner
+@helper
 def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids, out: FloatArray) -> float:
     """Compute the vapour over the liquids; each molecule has its activity in the phase that holds most of it.
 
@@ -375,7 +375,7 @@ def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids
     return total + bound * bound
 
 
-@inner
+@helper
 def vapor_mol(n: int, partial: FloatArray) -> float:
     """Return the sum of the pressures of all molecules without dimers."""
     total = 0.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, inner, kernel, opened
+from ....kernels.jit import helper, kernel, opened
 from ...chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
 from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...shelf import CLOCK_SETTLED, T_MIX
@@ -119,7 +119,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
         push = 2.0 * push if moved * before > 0.0 else 1.0
 
 
-@inner
+@helper
 def _share_out(row: FloatArray, way: float, fresh: float, push: float, chem: Handle) -> float:
     """Move molecules ``way`` of the way to equilibrium, acids ``push`` times as far.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import inner, opened
+from ....kernels.jit import helper, inner, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
 from .heats import enthalpy, set_enthalpy
 from .liquids import on_curve
@@ -17,7 +17,7 @@ _MOST_ROUNDS = 60
 _CLOSE = 1e-12
 
 
-@inner
+@helper
 def change_amount(row: FloatArray, chem: Handle, material: int, mol: float) -> None:
     """Add or remove an amount of a material and update a fluid's phases; additions go to water if there is any."""
     chemistry = opened(RealChemistry, chem)
@@ -64,7 +64,7 @@ def _water_phase(row: FloatArray, chem: Handle, salt: int) -> float:
     return (1e-3 * mass * math.exp(max(weighted / mass, -300.0))) ** 2
 
 
-@inner
+@helper
 def settle_salts(row: FloatArray, chem: Handle) -> bool:
     """Bring every salt to its solubility product [cation][anion], or dissolve all of it; return True if any moved.
 
@@ -96,7 +96,7 @@ def settle_salts(row: FloatArray, chem: Handle) -> bool:
     return moved
 
 
-@inner
+@helper
 def let_salts_fall_out(row: FloatArray, chem: Handle) -> None:
     """Precipitate salts that the remaining solvent no longer holds; their heat of solution changes the temperature."""
     before = enthalpy(row, chem)

@@ -54,7 +54,7 @@ def _shifting(chem: Handle, material: int) -> bool:
     return False
 
 
-@inner
+@helper
 def _changes_shifting(chem: Handle, work: FloatArray, u: int) -> bool:
     """Return True if an unknown changes a material in such an equilibrium."""
     chemistry = opened(RealChemistry, chem)
@@ -68,7 +68,7 @@ def _changes_shifting(chem: Handle, work: FloatArray, u: int) -> bool:
     return False
 
 
-@inner
+@helper
 def settle_shifts(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Bring acids, bases and salts to equilibrium; their heat stays in the vessel."""
     chemistry = opened(RealChemistry, chem)
@@ -151,7 +151,7 @@ def _find_shifts(row: FloatArray, chem: Handle, work: FloatArray, found: int) ->
     return True
 
 
-@inner
+@helper
 def prepare(row: FloatArray, chem: Handle, fresh: bool, leaves: bool, work: FloatArray) -> Ways:
     """Determine the processes in a vessel besides its reactions; ``fresh`` means that its saturations are known."""
     chemistry = opened(RealChemistry, chem)
@@ -223,7 +223,7 @@ def _is_factor(chem: Handle, j: int) -> bool:
     return False
 
 
-@inner
+@helper
 def drifted(row: FloatArray, chem: Handle, litres: float, atol: float, ways: Ways, work: FloatArray) -> float:
     """Return the drift of a span relative to the tolerance; equilibria have settled at its end.
 

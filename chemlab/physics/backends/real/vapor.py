@@ -63,7 +63,7 @@ def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     return partial_pressures(n, row[TEMPERATURE], chem, liquids, scratch(MOST_FLUIDS))
 
 
-@inner
+@helper
 def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
     """Return the latent heat of a vapour with the composition ``partial`` in J/mol."""
     vaporizing = opened(RealChemistry, chem).vaporizing
@@ -124,7 +124,7 @@ def boiling_point(row: FloatArray, chem: Handle) -> float:
     return bubble_point(n, pressure, row[TEMPERATURE], chem, liquids, scratch(MOST_FLUIDS))
 
 
-@inner
+@helper
 def write_back(row: FloatArray, n: int, chem: Handle, liquids: Liquids) -> None:
     """Write the amounts and phases of the liquids to a row; crystals are unchanged."""
     chemistry = opened(RealChemistry, chem)
