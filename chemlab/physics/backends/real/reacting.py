@@ -101,7 +101,8 @@ def react(
     while left > 0.0:
         part, span = min(part, left), min(span, left)
         at, content = row[TEMPERATURE], 0.0
-        ways = prepare(row, chem, fresh, around.condenser >= 0.0, work)
+        # bool: of a literal, numba would compile a second version.
+        ways = prepare(row, chem, bool(fresh), around.condenser >= 0.0, work)
         litres = liquid_volume(row, chem)
         _copy(row, kept)
         if boils:
