@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from ..kernels.arrays import FloatArray, Handle, IntArray, StreamArray
-from ..kernels.jit import helper, kernel, opened, scratch
+from ..kernels.jit import inner, kernel, opened, scratch
 from ..kernels.rng import uniforms
 from .backends import find_layers, layer_density, layer_shade, solid_mol, solid_volume
 from .chemistry import CLOCK, PRESENT, Chemistry
@@ -34,7 +34,7 @@ _FARTHEST_SHIFT = 20.0
 """... while the offsets have moved by less than this; then the amounts are recomputed."""
 
 
-@helper
+@inner
 def _stack(volumes: FloatArray, count: int, total: float, out: FloatArray) -> None:
     """Compute the fully settled profile: each layer fills its own interval of heights."""
     pixels = out.shape[1]
@@ -137,7 +137,7 @@ def profile(row: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, wo
     return count
 
 
-@helper
+@inner
 def _weigh(fluids: int, out: FloatArray, work: FloatArray) -> None:
     """Compute the relative amounts of the fluids in every pixel at the current offsets, scaled to a maximum of 1 per
     pixel.
@@ -158,7 +158,7 @@ def _weigh(fluids: int, out: FloatArray, work: FloatArray) -> None:
             out[1 + i, p] = 1.0 if gap == 0.0 else (math.exp(gap) if gap > _NEGLIGIBLE else 0.0)
 
 
-@helper
+@inner
 def _dot(a: FloatArray, b: FloatArray, size: int) -> float:
     """Return the sum of products, in four partial sums so that additions do not wait for each other."""
     s0, s1, s2, s3 = 0.0, 0.0, 0.0, 0.0
@@ -305,12 +305,14 @@ def camera(
         _show_solids(row, chem, draws[:many], shares[0, start : start + many], grey)
 
 
-@helper
+@inner
 def _show_solids(row: FloatArray, chem: Handle, draws: FloatArray, shares: FloatArray, grey: FloatArray) -> None:
     """Show a solid, drawn by volume, in pixels whose draw is below the solids' share."""
     chemistry = opened(Chemistry, chem)
-    total, reached = -1.0, 0.0
-    for i in range(chemistry.role.shape[0]):
+    total, reached, most = -1.0, 0.0, 0.0
+    for p in range(shares.shape[0]):
+        most = max(most, shares[p])
+    for i in range(chemistry.role.shape[0] if most > 0.0 else 0):
         mol = solid_mol(row, i, chem)
         if mol > 0.0:
             if total < 0.0:

@@ -18,7 +18,7 @@ from ..config.parts import blamed, checked_numbers, load_part
 from ..config.scenario import Scenario
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged
 from ..kernels.arrays import Field as Array
-from ..kernels.jit import helper, inner, kernel, opened
+from ..kernels.jit import inner, kernel, opened
 from ..physics.backends import (
     elapse,
     find_layers,
@@ -140,7 +140,7 @@ OperationState: Any = merged(ExperimentState, ImageState)
 OperationRules: Any = merged(BenchRules, ApparatusRules)
 
 
-@helper
+@inner
 def _turn(m: int, a: int, state: Any, rules: Any, shelf: ShelfArrays) -> Turn:
     """Return the objects of action ``a`` in laboratory ``m``."""
     vessel, target = int(rules.table[a, _VESSEL]), int(rules.table[a, _TARGET])
