@@ -114,7 +114,7 @@ def _call(law: str, chem: Handle, arguments: Any) -> Any:
 
 if COMPILED:
 
-    @overload(_call, prefer_literal=True)  # type: ignore[untyped-decorator]
+    @overload(_call, prefer_literal=True)
     def _called(law, chem, arguments):  # type: ignore[no-untyped-def]  # numba wants no types here
         name = law.literal_value
         at, call = LAWS.index(name), jit.call_address(name, _signature(name))
