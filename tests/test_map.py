@@ -53,7 +53,7 @@ def names() -> set[str]:
 
 
 def is_there(path: str, folder: str) -> bool:
-    """Return True if a path of the page exists: from the root, from ``chemlab/``, or in the folder of the path before it."""
+    """Return True if a path of the page exists: from the root, ``chemlab/``, or the folder before it."""
     return any(any(base.glob(path)) for base in (ROOT, ROOT / "chemlab", ROOT / folder, ROOT / "chemlab" / folder))
 
 
@@ -70,7 +70,7 @@ def test_a_name_beside_its_file_is_defined_in_it() -> None:
     pairs = re.findall(r"`([\w/]+\.py)`, `(?!\w+\.py)(?:\w+\.)?(\w+)`", TEXT)
     assert len(pairs) > 10
     for path, name in pairs:
-        file = next(base / path for base in (ROOT, ROOT / "chemlab") if (base / path).exists())
+        (file,) = {found for folder in ("chemlab", "agents") for found in (ROOT / folder).rglob(path.split("/")[-1])}
         assert re.search(rf"(def|class) {name}\b", file.read_text(encoding="utf-8")), f"{path}: {name}"
 
 
