@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from chemlab.config.draws import Draw
-from chemlab.config.reactions import equation
+from chemlab.config.reactions import equation, side_words
 from chemlab.config.scenario import Scenario
 from chemlab.lab.describe import goal_words, wear_words
 from chemlab.lab.engine import Laboratories
@@ -49,9 +49,8 @@ def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[s
             )
         )
     lines += _bench_lines(role) if isinstance(role, Bench) else _manager_lines(labs)
-    reactions = [*map(equation, spec.family.reaction), *map(equation, spec.family.violent)]
-    if reactions:
-        lines.append(f"Reactions: {'; '.join(_tokens(one, name) for one in reactions)}.")
+    if spec.family.reaction or spec.family.violent:
+        lines.append(_reactions(spec, name))
     hidden = [_draw_words(spec, draw, name) for draw in spec.world.draws.values() if _concerns(spec, draw)]
     if hidden:
         lines.append(f"Hidden, redrawn every episode: {'; '.join(hidden)}.")
@@ -81,9 +80,31 @@ def _manager_lines(labs: Laboratories) -> list[str]:
     return [*lines, *wear_words(spec)]
 
 
+def _reactions(spec: Scenario, name: Callable[[str], str]) -> str:
+    """All reactions, with numbers if hidden parameters refer to them; what all have in common is said once."""
+    steps, head = spec.family.reaction, "Reactions"
+    sides = [(dict(step.reactants), dict(step.products)) for step in steps]
+    common = [dict(set.intersection(*({*side[k].items()} for side in sides))) if sides else {} for k in (0, 1)]
+    if len(steps) > 1 and all(common) and all(len(side[k]) > len(common[k]) for side in sides for k in (0, 1)):
+        head += f", all with {side_words(common[0])} -> {side_words(common[1])} as well"
+        for side in sides:
+            for k in (0, 1):
+                for material in common[k]:
+                    del side[k][material]
+    words = [_tokens(f"{side_words(reactants)} -> {side_words(products)}", name) for reactants, products in sides]
+    if any(equation(step) in draw.of for draw in spec.world.draws.values() for step in steps):
+        words = [f"{k}. {one}" for k, one in enumerate(words, start=1)]
+    sentences = [f"{_tokens(head, name)}: {'; '.join(words)}."] if words else []
+    sentences += [f"Violent: {_tokens(equation(one), name)}." for one in spec.family.violent]
+    return " ".join(sentences)
+
+
 def _priced(spec: Scenario) -> str:
     """Prices of stock and of safety events, where there are any."""
-    prices = [f"a mol of `{name}` {price:g}" for name, price in spec.costs.stock_per_mol.items() if price]
+    alike: dict[float, list[str]] = {}
+    for name, price in spec.costs.stock_per_mol.items():
+        alike.setdefault(price, []).append(f"`{name}`")
+    prices = [f"a mol of {' or '.join(names)} {price:g}" for price, names in alike.items() if price]
     if spec.safety.reward_price:
         weights = ", ".join(f"{kind} {spec.safety.reward_price * w:g}" for kind, w in spec.safety.weights.items())
         prices.append(f"safety events: {weights}")
@@ -94,8 +115,9 @@ def _order_lines(spec: Scenario) -> list[str]:
     """Orders and score, with the specifications where there are any."""
     most = spec.theoretical_maximum_mol
     several = f"{spec.orders} orders, each" if spec.orders > 1 else "One order"
-    wanted = ", ".join(f"`{goal}` (maximum {most.get(goal, 1.0):.3g} mol)" for goal in spec.lab_goals)
-    lines = [f"{several} for {'one of ' if len(spec.lab_goals) > 1 else ''}{wanted}."]
+    first, *others = (f"`{goal}` ({{}}{most.get(goal, 1.0):.3g}{{}})" for goal in spec.lab_goals)
+    wanted = ", ".join([first.format("at most ", " mol"), *(one.format("", "") for one in others)])
+    lines = [f"{several} for {'one of ' if others else ''}{wanted}."]
     if spec.demand.order:
         late, short = spec.demand.late, spec.demand.short
         share = f"a late delivery pays {late:g} of its price, one below the least amount or purity {short:g}"
@@ -142,7 +164,8 @@ def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
             parts.append(f"{label} {value:g}")
     change = {"factor": "times ", "offset": "plus ", "value": ""}[draw.change]
     change = "" if draw.what in ("identity", "titre") else change
-    targets = _ranges([_tokens(one, name) for one in draw.of if one not in spec.benches])
+    numbers_of = {equation(step): f"reaction {k}" for k, step in enumerate(spec.family.reaction, start=1)}
+    targets = _ranges([numbers_of.get(one) or _tokens(one, name) for one in draw.of if one not in spec.benches])
     of = f" of {name(draw.material)}" if draw.material else ""
     of += f" (rest {name(draw.inert)})" if draw.inert else ""
     told = f", revealed to {', '.join(draw.told)}" if draw.told else ""

@@ -304,11 +304,12 @@ def _behind(names: Iterable[str], ways: Mapping[str, list[Reaction]]) -> set[str
 
 def equation(step: Reaction | Violent) -> str:
     """Format a reaction as text: ``A + 2 B -> C``."""
-    sides = [
-        " + ".join(f"{'' if number == 1 else f'{number:g} '}{name}" for name, number in side.items())
-        for side in (step.reactants, step.products)
-    ]
-    return " -> ".join(sides)
+    return f"{side_words(step.reactants)} -> {side_words(step.products)}"
+
+
+def side_words(side: Mapping[str, float]) -> str:
+    """Format a side of a reaction as text: ``A + 2 B``."""
+    return " + ".join(f"{'' if number == 1 else f'{number:g} '}{name}" for name, number in side.items())
 
 
 def dissolved_reactions(family: ReactionFamily) -> ReactionFamily:
