@@ -32,8 +32,8 @@ __all__ = ["learned_scores"]
 _ENVS, _ROLLOUT = 64, 64
 _DONORS, _EPOCHS = 16, 40
 """Episodes of every context that are cloned, and passes over them."""
-_CHECKS, _CHECKED = 3, 64
-"""Evaluations in training, after which the best weights are kept, and their episodes."""
+_CHECKS, _CHECKED = 2, 64
+"""Checkpoints in training, of which the best is kept, and the episodes of their evaluation."""
 _CHECK_SEED = 4_600_000
 
 
@@ -47,8 +47,8 @@ def learned_scores(
 ) -> list[float]:
     """Train a team with PPO, and score it.
 
-    Every agent's reward is the team's result. Of three checkpoints and the beginning, each played greedily and with
-    sampled actions, the best in ``validation`` is scored.
+    Every agent's reward is the team's result. Of the clone and two checkpoints, each played greedily and with sampled
+    actions, the best in ``validation`` is scored.
 
     Args:
         scenario: where.
@@ -70,7 +70,7 @@ def learned_scores(
         _clone(team, spec, begin)
     best: tuple[float, dict[str, Any], bool] = (-np.inf, {}, False)
     learned = 0
-    for check in range(_CHECKS + 1):
+    for check in range(begin is None and turns > 0, _CHECKS + 1 if turns else 1):
         while learned < turns * check // _CHECKS:
             remaining = 1.0 - learned / turns
             team.collect(remaining)

@@ -7,7 +7,7 @@ import pytest
 
 from chemlab.agents.evaluate.adversary import learned_scores
 from chemlab.agents.evaluate.informed import _choice, informed_scores, openings
-from chemlab.agents.evaluate.plans import TeamPlan
+from chemlab.agents.evaluate.plans import FoundPlan, PlanSearch, TeamPlan
 from chemlab.config.loading import load_scenario
 from chemlab.roles.manager_actions import ManagerActions
 
@@ -48,15 +48,16 @@ def test_a_plan_of_one_submission_has_no_such_opening() -> None:
 
 
 @pytest.mark.slow
-def test_a_learner_keeps_what_it_has_cloned() -> None:
-    """Without any learning, the clone of an open-loop policy scores more than a team that has learned nothing."""
+def test_a_learner_begins_with_an_open_loop_policy() -> None:
+    """Without any learning, the clone plays what it was shown: its episodes cost as many ticks."""
     pytest.importorskip("torch")
-    code = ManagerActions.of(CAMPAIGN).encode
-    goal = CAMPAIGN.goals[0]
-    plan = tuple(
-        action for slot in range(4) for action in (code("start", "rxn_0", slot, goal), code("submit", slot, slot))
-    )
-    begin = {(goal,) * 4: TeamPlan(plan, ((((1.0, 0.5, 0.0),),),))}
-    cloned = np.mean(learned_scores(CAMPAIGN, 0, 20, 5, begin))
-    nothing = np.mean(learned_scores(CAMPAIGN, 0, 20, 5))
-    assert cloned > nothing
+    limits = CAMPAIGN.limits.model_copy(update={"manager_actions": 40, "ticks": 120})
+    short = CAMPAIGN.model_copy(update={"limits": limits})
+    code, goal = ManagerActions.of(CAMPAIGN).encode, CAMPAIGN.goals[0]
+    plan = [(code("start", "rxn_0", slot, goal), code("submit", slot, slot)) for slot in range(4)]
+    team = TeamPlan(tuple(action for pair in plan for action in pair), ((((1.0, 0.5, 0.0),),),))
+    found = PlanSearch(short, "scripted", [FoundPlan((goal,) * 4, team.plan, 0.0, 0, team.benches)], 0)
+    expected = found.play(20, 5, "test").mean()
+    assert expected != 0.0
+    assert np.mean(learned_scores(short, 0, 20, 5, {(goal,) * 4: team})) == pytest.approx(expected, abs=1e-9)
+    assert np.isfinite(learned_scores(short, 4096, 20, 5)).all()
