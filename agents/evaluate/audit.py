@@ -31,8 +31,8 @@ The ways of information: ``scripted`` (scripted and bundled policies without ins
 controller without instruments that observes what all agents observe). Learners count in the last two.
 
 The oracle searches for the best plan of each episode. It starts from the open-loop policies and from the actions, in
-that episode, of every scripted policy (also with exact instruments free of charge) and bundled policy. Where another
-policy of the audit scored higher in an episode, the oracle is that score.
+that episode, of every scripted policy (also with exact instruments free of charge) and bundled policy. If any policy of
+the audit scored higher in an episode, that is the oracle's score.
 
 A role is replaced by ``random`` actions, by ``scripted:unsafe``, and by a bundled policy that was trained elsewhere
 (``other``), where one fits; ``value_of_role`` is the greatest of these losses.
@@ -260,20 +260,22 @@ def _named(found: Mapping[str, dict[str, Any]], *starts: str) -> dict[str, Float
 def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, chosen: str) -> dict[str, Any]:
     test, plan, random = (np.array(found[name]["scores"]) for name in ("test", "plan", "random"))
     ways = {name: _scores(found, name) for name in ("idle", "replay", "plan", "everybody")}
-    ways["plan-replay"] = np.array(found["plan"]["everybody"])
-    seeing = {policy: test, chosen: _scores(found, "best"), _WITH_INSTRUMENTS: _scores(found, _WITH_INSTRUMENTS)}
+    ways["plan-replay"] = repeated = np.array(found["plan"]["everybody"])
+    seeing = {chosen: _scores(found, "best"), policy: test, _WITH_INSTRUMENTS: _scores(found, _WITH_INSTRUMENTS)}
     scripted = _named(found, "blindfold-") | ways
     learners = {name: own for name, own in _named(found, "learner-").items() if name != _WITH_INSTRUMENTS}
     feedback, central = _named(found, "feedback-"), _named(found, "central-")
     rows = {**seeing, **scripted, **learners, **feedback, **central}
-    oracle = np.maximum.reduce([foreseen(found), random, *(own for own in rows.values() if own is not None)])
+    elsewhere = ("choose-", "foresee-", "train", "apart")  # other episodes, or other laboratories
+    played = [_scores(found, name) for name in found if not name.startswith(elsewhere)]
+    others = np.maximum.reduce([repeated, *(own for own in played if own is not None)])
+    oracle = np.maximum(foreseen(found), others)
     idle = np.array(found["idle"]["scores"])
     if oracle.mean() <= max(random.mean(), idle.mean()) + 1e-9:
         return {"impossible": _impossible(spec, random, idle), "criteria": dict.fromkeys(CRITERIA)}
     scale = Scale(random, oracle)
     best_name, best = _greatest(seeing)
     reference, top = scale.mean(test), scale.mean(best)
-    others = np.maximum.reduce([own for own in (random, *rows.values()) if own is not None])
     memoryless, mute, apart = (_scores(found, name) for name in ("memoryless", "mute", "apart"))
     measures: dict[str, Any] = {
         "random": _row(scale, {"random": random}),
