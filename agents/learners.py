@@ -1,4 +1,4 @@
-"""Stable-Baselines3 learners in checkpoints: ``model.zip`` of one, ``ROLE.zip`` of several trained together.
+"""Stable-Baselines3 learners in checkpoints, as ``model.zip``.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -9,8 +9,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from chemlab.config.datafile import DataError
-
 from .seals import read_sealed, seal_file
 
 try:
@@ -20,7 +18,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["LEARNERS", "load_learner", "load_team", "save_learner", "save_team"]
+__all__ = ["LEARNERS", "load_learner", "save_learner"]
 
 LEARNERS: dict[str, Any] = {
     "ppo": PPO,
@@ -64,27 +62,3 @@ def load_learner(folder: Path, algo: str, **settings: Any) -> BaseAlgorithm:
     small = {"buffer_size": 1} if algo in ("dqn", "qr-dqn", "sac", "td3") and not settings else {}
     model: BaseAlgorithm = _load(LEARNERS[algo], folder / "model.zip", **small, **settings)
     return model
-
-
-def save_team(folder: Path, models: dict[str, Any]) -> None:
-    """Write learners, by role, for :func:`load_team`."""
-    for role, model in models.items():
-        path = folder / (f"{role}.maskable.zip" if isinstance(model, MaskablePPO) else f"{role}.zip")
-        model.save(path)
-        seal_file(path)
-
-
-def load_team(folder: Path) -> dict[str, Any]:
-    """Load the learners of a joint run's checkpoint, by role.
-
-    Raises:
-        DataError: a file has no valid signature, or is of a version with other networks.
-    """
-    found = {}
-    for file in sorted(folder.glob("*.zip")):
-        kind = MaskablePPO if "maskable" in file.stem else PPO
-        try:
-            found[file.stem.partition(".")[0]] = _load(kind, file)
-        except RuntimeError as error:  # torch's error for weights that do not fit
-            raise DataError(f"{file}: was saved by a version with other networks: train it again") from error
-    return found

@@ -49,17 +49,6 @@ def _learner(folder: Path, algo: str, path: Path, way: str | None) -> Callable[.
     return load
 
 
-def _member(folder: Path, role: str, path: Path, way: str | None) -> Callable[..., Policy]:
-    """Return a loader of one role of a joint run's checkpoint."""
-
-    def load(workplace: Workplace, seed: Seed = None) -> Policy:
-        from .learners import load_team
-
-        return _fitting(load_team(folder)[role], path, workplace, way)
-
-    return load
-
-
 def _fitting(model: Any, path: Path, workplace: Workplace, way: str | None) -> Policy:
     """Return a learner as a policy.
 
@@ -133,5 +122,4 @@ def find_saved(name: str) -> Saved:
     if (folder / "model.zip").exists():
         role = role_of(str(config.get("bench", "")))
         return Saved({role: _learner(folder, str(config.get("algo")), path, way)}, background)
-    members = {file.stem.partition(".")[0] for file in folder.glob("*.zip")}
-    return Saved({role: _member(folder, role, path, way) for role in sorted(members)}, background)
+    raise ValueError(f"policy: {name}: was trained by a version with other learners; train it again")

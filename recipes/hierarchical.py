@@ -44,7 +44,7 @@ def recipe(budget: Budget) -> dict[str, Outcome]:
     return {
         "manager over scripted benches": learned_together(budget, ("manager",), budget.steps),
         "manager over pretrained benches": learned_together(budget, ("manager",), budget.steps, "pretrained"),
-        PLAIN: learned_together(budget, everybody, TURNS * budget.steps),
+        PLAIN: learned_together(budget, everybody, TURNS * budget.steps, practice=0.0),
         SCRIPTED: Outcome.of(TARGET.play("scripted", GOAL, budget.episodes, AUDIT_SEED)),
     }
 

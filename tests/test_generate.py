@@ -24,6 +24,8 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 import chemlab.config.files
+from chemlab.agents.episodes import play_laboratory
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
@@ -372,6 +374,12 @@ def test_difficulty_of_a_shipped_scenario_says_what_is_known_of_it() -> None:
     assert rows["I"].conditions.reached < 0.5 < 0.95 < rows["F"].conditions.reached  # type: ignore[union-attr]
     assert (rows["F"].boils_apart_k, rows["F"].boils_next) == (15.0, "C")
     assert rows["F"].plan is None
+    labs = Laboratories("fictitious", 7)
+    drawn = play_laboratory(labs, make_policies("scripted,manager=random", labs, 0), "F", 0)
+    again = {row.goal: row for row in difficulty("fictitious", episodes=1, plans=0, explored=7)}["F"]
+    assert again.chance == pytest.approx((drawn.returns > 0.1).mean())
+    assert again.decisions == pytest.approx(labs.state.actions.mean())
+    assert -0.2 < again.nothing <= 0.0
     (salt,) = difficulty("salt_from_oil", episodes=1, plans=0)
     assert (salt.steps, salt.conditions, salt.boils_apart_k) == (0, None, None)
 

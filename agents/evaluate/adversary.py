@@ -60,11 +60,12 @@ def learned_scores(
     """
     import torch
 
-    from ..train.arguments import LeanPPO
+    from ..train.arguments import IPPO
     from ..train.ppo import PPOTeam
 
     spec = scenario.configured(rewards="cooperative")
-    settings = LeanPPO(envs=_ENVS, rollout=_ROLLOUT, refund=0.5 if begin is None else 0.0, processed=0.0)
+    own_settings: dict[str, Any] = {"envs": _ENVS, "rollout": _ROLLOUT, "epochs": 3, "batch_size": 2048}
+    settings = IPPO(**own_settings, practice=0.0, refund=0.5 if begin is None else 0.0, processed=0.0)
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
     if begin is not None:
         _clone(team, spec, begin)
@@ -74,7 +75,7 @@ def learned_scores(
         while learned < turns * check // _CHECKS:
             remaining = 1.0 - learned / turns
             team.collect(remaining)
-            learned += max(team.update(remaining), 1)
+            learned += max(team.update(remaining, remaining, list(team.learners)), 1)
         for sampled in (False, True):
             score = float(np.mean(_score(team, spec, _CHECKED, _CHECK_SEED, "validation", sampled)))
             if score > best[0]:

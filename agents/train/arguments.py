@@ -48,7 +48,6 @@ __all__ = [
     "Arguments",
     "Clipped",
     "Cloning",
-    "LeanPPO",
     "MaskablePPO",
     "MaskableRecurrentPPO",
     "Masked",
@@ -137,10 +136,10 @@ ABOUT: dict[str, str] = {
     "rewards": "Reward mix. Default: the scenario's.",
     "regime": "together, or in-turns (round-robin).",
     "period": "Updates before the next role's turn.",
-    "begin_from": "Start from a run of several roles, a folder of runs by role, or ROLE=RUN,ROLE=RUN.",
+    "begin_from": "Start from a policy of several roles, a folder of policies by role, or ROLE=POLICY,ROLE=POLICY.",
     "manager_gamma": "Discount per decision of the manager.",
     "by_ticks": "Discount by elapsed ticks instead of turns.",
-    "central_critic": "Critics observe the laboratory's true state, too (MAPPO).",
+    "practice": "Share of training in which benches that learn do so on their own; a manager that learns begins then.",
     "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
     "processed": "Share of training in which only vessels that have been at a bench may be submitted.",
     "own_goals": "Start experiments for goals of the orders alone.",
@@ -432,7 +431,11 @@ class TD3(Replay):
 
 
 class IPPO(Clipped, Arguments, Cloning):
-    """Roles of a laboratory together, a PPO for each; critics observe what their agent observes."""
+    """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
+
+    ``practice``, ``refund``, ``processed``, ``own_goals`` and ``balanced`` help to learn from nothing, in training
+    alone. A team that begins from policies or clones has none unless it is asked for.
+    """
 
     algo: Literal["ippo"] = "ippo"
     bc_std: Spread = 0.02
@@ -440,13 +443,36 @@ class IPPO(Clipped, Arguments, Cloning):
     regime: Literal["together", "in-turns"] = "together"
     period: Many = 10
     begin_from: str | None = None
+    steps: Many = 250_000
+    envs: Count = 256
+    rollout: Turns = 64
+    learning_rate: Positive = 1e-3
+    net_arch: Layers = (128, 128)
     manager_gamma: Share = 1.0
     by_ticks: bool = False
-    envs: Count = 64
-    rollout: Turns = 64
     gae_lambda: Share = 0.95
     ent_coef: Weight = 0.01
-    batch_size: Minibatch = 256
+    epochs: Annotated[int, Field(ge=1, le=10_000)] = 4
+    batch_size: Minibatch = 512
+    eval_episodes: Count = 50
+    play: Play = "better"
+    practice: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.65
+    refund: Share = 0.5
+    processed: Share = 0.3
+    own_goals: bool = True
+    balanced: bool = True
+
+    @model_validator(mode="before")
+    @classmethod
+    def _without_help(cls, values: dict[str, Any]) -> dict[str, Any]:
+        if values.get("bc") is None and values.get("begin_from") is None:
+            return values
+        return {
+            **dict.fromkeys(("practice", "refund", "processed"), 0.0),
+            "own_goals": False,
+            "balanced": False,
+            **values,
+        }
 
     @property
     def label(self) -> str:
@@ -460,37 +486,9 @@ class MAPPO(IPPO):
     algo: Literal["mappo"] = "mappo"  # type: ignore[assignment]
 
 
-class LeanPPO(Clipped, Arguments):
-    """PPO made for learning from nothing: roles of a laboratory, a network for each (IPPO, or MAPPO with a central
-    critic).
-
-    ``refund``, ``processed``, ``own_goals`` and ``balanced`` help against sparse reward, in training alone.
-    """
-
-    algo: Literal["lean-ppo"] = "lean-ppo"
-    rewards: str | None = None
-    steps: Many = 250_000
-    envs: Count = 256
-    rollout: Turns = 64
-    learning_rate: Positive = 1e-3
-    net_arch: Layers = (128, 128)
-    manager_gamma: Share = 1.0
-    gae_lambda: Share = 0.95
-    ent_coef: Weight = 0.01
-    epochs: Annotated[int, Field(ge=1, le=10_000)] = 3
-    batch_size: Minibatch = 2048
-    eval_episodes: Count = 50
-    play: Play = "better"
-    central_critic: bool = False
-    refund: Share = 0.5
-    processed: Share = 0.3
-    own_goals: bool = True
-    balanced: bool = True
-
-
 ALGORITHMS: dict[str, type[Arguments]] = {
     str(kind.model_fields["algo"].default): kind
-    for kind in (PPO, A2C, DQN, QRDQN, SAC, TD3, MaskablePPO, RecurrentPPO, MaskableRecurrentPPO, IPPO, MAPPO, LeanPPO)
+    for kind in (PPO, A2C, DQN, QRDQN, SAC, TD3, MaskablePPO, RecurrentPPO, MaskableRecurrentPPO, IPPO, MAPPO)
 }
 """Models of arguments by the algorithm's name."""
 
@@ -555,8 +553,8 @@ def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> A
     given = {**PRESETS[preset], **given}
     roles = _several(given.get("roles", "all"))
     one = "bench" in given or (len(roles) == 1 and roles != ("all",))
-    managed = roles in (("manager",), ("manager_0",)) and set(given) <= set(LeanPPO.model_fields)
-    algo = given.get("algo", "lean-ppo" if managed else "ppo" if one else "ippo")
+    managed = roles in (("manager",), ("manager_0",)) and set(given) <= set(IPPO.model_fields)
+    algo = given.get("algo", "ippo" if managed or not one else "ppo")
     if algo not in ALGORITHMS:
         raise DataError(f"{where}: algo: choose from {', '.join(ALGORITHMS)}; given {shown(algo)}")
     kind, known = ALGORITHMS[algo], {name for model in ALGORITHMS.values() for name in model.model_fields}

@@ -28,7 +28,7 @@ from .tasks import Task, find_task, task_of
 try:
     import torch
 
-    from ..learners import LEARNERS, load_learner, load_team
+    from ..learners import load_learner
     from .networks import learned_policy
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install ".[train]"') from error
@@ -143,7 +143,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
         task, trained = task_of(card), card.fingerprint
     if trained != task.fingerprint:
         raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
-    model = _learner(best, str(config["algo"]), role)
+    model = None if team else _learner(best, str(config["algo"]))
     policy = _player(best, arguments, config, task, model)
     if model is not None:
         difference = largest_difference(
@@ -174,14 +174,12 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     return card
 
 
-def _learner(best: Path, algo: str, role: str | None = None) -> Any:
-    """Return the learner of Stable-Baselines3, for the comparison; None for an untrusted run, whose exported weights
-    are used as they are, and for other learners.
+def _learner(best: Path, algo: str) -> Any:
+    """Return the learner, for the comparison; None for an untrusted run, whose exported weights are used as they
+    are.
     """
-    if algo not in LEARNERS and not any(best.glob("*.zip")):
-        return None
     try:
-        return load_learner(best, algo) if role is None else load_team(best)[role]
+        return load_learner(best, algo)
     except DataError:
         if not any(best.glob("*.safetensors")):  # runs of older versions have only the learner
             raise

@@ -19,14 +19,13 @@ from pathlib import Path
 from chemlab.config.files import write_text
 
 from ..runs import Run, RunConfig, RunResult, differences, to_text
-from .arguments import IPPO, Arguments, LeanPPO, Single
+from .arguments import IPPO, Arguments, Single
 
 try:
     import torch
 
     from .joint import Team
     from .loop import Trainee, Watcher, train_in_rounds
-    from .ppo import FromNothing
     from .single import Agent
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
@@ -36,8 +35,8 @@ __all__ = ["train"]
 
 def _trainee(arguments: Arguments) -> tuple[Trainee, RunConfig]:
     """Return the learner of an algorithm, and the run's ``config.json``; a new engine is chosen here."""
-    if isinstance(arguments, (IPPO, LeanPPO)):
-        team = Team(arguments) if isinstance(arguments, IPPO) else FromNothing(arguments)
+    if isinstance(arguments, IPPO):
+        team = Team(arguments)
         return team, team.config
     assert isinstance(arguments, Single), "every other algorithm trains one agent"
     agent = Agent(arguments)

@@ -5,14 +5,13 @@ Needs the extra: ``pip install ".[train]"``.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..pretrained import LOG_STD, LSTM, Card, PretrainedPolicy, Workplace, save_policy
+from ..pretrained import LOG_STD, LSTM, Card, PretrainedPolicy, Workplace
 from ..runs import RunConfig
 
 try:
@@ -23,7 +22,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["card_of", "learned_policy", "save_learned"]
+__all__ = ["card_of", "learned_policy"]
 
 _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
@@ -54,18 +53,6 @@ def card_of(config: RunConfig, workplace: Workplace) -> dict[str, Any]:
     """Return the fields of a card that a run's configuration states."""
     own = {name: getattr(config, name) for name in ("env_id", "algo", "label", "seed", "versions")}
     return {"name": workplace.key, **own}
-
-
-def save_learned(folder: Path, model: Any, workplace: Workplace, config: RunConfig, **card: Any) -> None:
-    """Write a learner's policy into a checkpoint as ``ROLE.safetensors`` and ``ROLE.json``.
-
-    Args:
-        folder: folder of the checkpoint.
-        model, workplace, card: see :func:`learned_policy`.
-        config: configuration of the run.
-    """
-    policy = learned_policy(model, workplace, **card_of(config, workplace), **card)
-    save_policy(folder / workplace.key, policy.card, policy.weights)
 
 
 def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, str]:

@@ -1,10 +1,12 @@
-"""Proximal policy optimization for any roles of a batch of laboratories, from nothing: IPPO, or MAPPO.
+"""Proximal policy optimization for any roles of a batch of laboratories: IPPO, or MAPPO.
 
-One file, after CleanRL: a network for each role, which agents of one kind share; experience turn by turn; masked
-categorical or normal actions. Critics see what their agent observes (IPPO) or the laboratory's state, too (MAPPO).
+One file, after CleanRL: a network for each role, which agents of one kind share; experience turn by turn, so that every
+role has its own rewards, elapsed time and episodes; masked categorical or normal actions. Critics see what their agent
+observes (IPPO) or the laboratory's state, too (MAPPO); actors never do. :mod:`~chemlab.agents.train.joint` makes a run
+of it.
 
-The manager learns without readings of many numbers (spectra, pictures). What is exported takes the whole observation,
-with weights of 0 there.
+From nothing, the manager learns without readings of many numbers (spectra, pictures). What is exported takes the whole
+observation, with weights of 0 there.
 
 Needs PyTorch: ``pip install ".[train]"``.
 """
@@ -13,7 +15,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,35 +22,37 @@ import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
 from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.starts import goals_met
 from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import DISCARD, KINDS, START, SUBMIT
 
-from ..former_names import GREEDY, SAMPLED
+from ..advice import Advisor
 from ..policies import Policy, agent_policy
-from ..pretrained import LOG_STD, Card, PretrainedPolicy, save_policy
+from ..pretrained import LOG_STD, PretrainedPolicy
 from ..roles import MANAGER_ROLE, role_of
-from ..runs import Evaluation, Run
-from .arguments import LeanPPO
+from .arguments import IPPO, MAPPO
 
 try:
     import torch
     from torch import nn
-
-    from .checkpoints import load_state, random_state, restore_random_state, save_state
-    from .joint import Team
-    from .loop import Progress, reached
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
-__all__ = ["FromNothing", "PPOTeam"]
+__all__ = ["PPOTeam", "compact", "wide_columns"]
 
 _WIDE = 32
 """Channels of more numbers are left out of the manager's view."""
 _FORBIDDEN = -1e9
 """Logit of an action that the mask forbids."""
+_PRACTICE = 20
+"""Steps in each environment before each update while benches learn on their own."""
+_CRITIC_FIRST = 5
+"""Updates in which the critic of a policy from elsewhere learns alone."""
+_CLONE = {"epochs": 10, "updates": 1100, "batch": 256, "learning_rate": 1e-3, "entropy": 0.03}
+"""Behaviour cloning: least numbers of epochs and updates, turns of a minibatch, first learning rate, and the weight of
+the entropy, which keeps a clone from being deterministic, so that it can improve."""
 
 Arrays = npt.NDArray[Any]
 
@@ -109,17 +112,17 @@ class _Learner:
         columns: where what it observes stands in the observation of the whole scenario, of ``size`` numbers.
     """
 
-    def __init__(self, columns: IntArray, size: int, network: _Network, settings: LeanPPO, gamma: float) -> None:
+    def __init__(self, columns: IntArray, size: int, network: _Network, settings: IPPO, gamma: float) -> None:
         self.columns, self.size, self.network, self.gamma = columns, size, network, gamma
-        self.settings = settings
+        self.settings, self.critic_first = settings, 0
         self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, eps=1e-5)
 
-    def act(self, observed: Arrays, mask: BoolArray | None) -> tuple[Arrays, Arrays]:
-        """Draw actions; return them with their log-probabilities."""
+    def act(self, observed: Arrays, mask: BoolArray | None, greedy: bool = False) -> tuple[Arrays, Arrays]:
+        """Draw actions, or take the most probable ones; return them with their log-probabilities."""
         with torch.no_grad():
             allowed = None if mask is None else torch.from_numpy(mask)
             distribution = self.network.distribution(torch.from_numpy(observed), allowed)
-            action = distribution.sample()
+            action = distribution.mode if greedy else distribution.sample()
             log_probability = distribution.log_prob(action)
         if not self.network.discrete:
             log_probability = log_probability.sum(1)
@@ -139,7 +142,8 @@ class _Learner:
             remaining: share of training that is left.
             rng: draws the minibatches.
         """
-        s = self.settings
+        s, policy_weight = self.settings, 0.0 if self.critic_first else 1.0
+        self.critic_first = max(self.critic_first - 1, 0)
         tensors = {name: None if array is None else torch.from_numpy(array) for name, array in batch.items()}
         for group in self.optimizer.param_groups:
             group["lr"] = s.learning_rate * max(remaining, 0.05)
@@ -149,7 +153,8 @@ class _Learner:
                 if len(rows) < 2:  # advantages are normalized
                     continue
                 policy, value, entropy = self._losses({n: None if t is None else t[rows] for n, t in tensors.items()})
-                loss = policy + 0.5 * value - s.ent_coef * max(remaining, 0.1) * entropy
+                bonus = s.ent_coef * max(remaining, 0.1) * entropy
+                loss = policy_weight * (policy - bonus) + 0.5 * value
                 self.optimizer.zero_grad()
                 loss.backward()  # type: ignore[no-untyped-call]
                 nn.utils.clip_grad_norm_(self.network.parameters(), 0.5)
@@ -168,6 +173,62 @@ class _Learner:
         policy = -torch.min(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
         value = (self.network.critic(batch["seen"])[:, 0] - batch["target"]).square().mean()
         return policy, value, entropy
+
+    def take(self, policy: PretrainedPolicy) -> None:
+        """Begin with the weights of a policy; the critic learns alone at first.
+
+        Raises:
+            ValueError: the policy has other layers.
+        """
+        linear = [layer for layer in self.network.actor if isinstance(layer, nn.Linear)]
+        sizes = [len(policy.weights[f"{i}.bias"]) for i in range(sum("bias" in name for name in policy.weights))]
+        if sizes != [layer.out_features for layer in linear] or policy.card.memory or policy.card.activation != "tanh":
+            raise ValueError(
+                f"{policy.card.name} has hidden layers {sizes[:-1]} ({policy.card.activation}, memory "
+                f"{policy.card.memory}); give others with --net-arch, which are tanh without memory"
+            )
+        with torch.no_grad():
+            for i, layer in enumerate(linear):
+                weight = policy.weights[f"{i}.weight"]
+                layer.weight.copy_(torch.from_numpy(weight if i else weight[:, self.columns]))
+                layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
+            if LOG_STD in policy.weights:
+                self.network.log_std.copy_(torch.from_numpy(policy.weights[LOG_STD]))
+        self.critic_first = _CRITIC_FIRST
+
+    def clone(self, batch: Mapping[str, Arrays | None], rng: np.random.Generator, least_std: float) -> float:
+        """Fit the actor to the actions of a batch of turns, and the critic to their returns (``target``).
+
+        Returns:
+            Share of turns with the same action; for continuous actions the mean absolute difference.
+        """
+        tensors: dict[str, Any] = {n: None if array is None else torch.from_numpy(array) for n, array in batch.items()}
+        count, network = len(tensors["target"]), self.network
+        parts = max(1, count // int(_CLONE["batch"]))
+        epochs = max(int(_CLONE["epochs"]), -(-int(_CLONE["updates"]) // parts))
+        optimizer = torch.optim.Adam(network.parameters(), lr=_CLONE["learning_rate"])
+        falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * parts)
+        for _ in range(epochs):
+            for rows in np.array_split(rng.permutation(count), parts):
+                own: dict[str, Any] = {n: None if tensor is None else tensor[rows] for n, tensor in tensors.items()}
+                distribution = network.distribution(own["observed"], own["mask"])
+                log_probability = distribution.log_prob(own["action"])
+                value = (network.critic(own["seen"])[:, 0] - own["target"]).square().mean()
+                shown = log_probability.reshape(len(rows), -1).sum(1).mean()
+                loss = -shown - _CLONE["entropy"] * _entropy(distribution) + 0.5 * value
+                optimizer.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(network.parameters(), 0.5)
+                optimizer.step()
+                falling.step()
+        with torch.no_grad():
+            chosen: torch.Tensor = network.distribution(tensors["observed"], tensors["mask"]).mode
+            if network.discrete:
+                return float(torch.eq(chosen, tensors["action"]).float().mean())
+            # The maximum likelihood: the optimizer would not reach it in so few updates.
+            missing = (chosen - tensors["action"]).square().mean(dim=0).sqrt()
+            network.log_std.copy_(missing.clamp(min=least_std).log())
+            return float((chosen - tensors["action"]).abs().mean())
 
 
 def _entropy(distribution: torch.distributions.Distribution) -> torch.Tensor:
@@ -193,6 +254,12 @@ class _Track:
         self.action = np.zeros((rows, envs, *action), dtype=np.float32 if action else np.int64)
         self.log_probability, self.value, self.reward = (np.zeros((rows, envs), dtype=np.float32) for _ in range(3))
         self.acted, self.ended = (np.zeros((rows, envs), dtype=np.bool_) for _ in range(2))
+        self.tick = np.zeros((rows, envs), dtype=np.int64)
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.acted[:] = self.ended[:] = False
+        self.reward[:] = 0.0
 
     def __getstate__(self) -> dict[str, Any]:
         # Between rollouts there is nothing but row 0.
@@ -214,27 +281,32 @@ class _Track:
         return {name: value for name, value in found.items() if name != "seen" or not self.shared}
 
     def finished(
-        self, next_value: Arrays, has_turn: BoolArray, gamma: float, gae_lambda: float
+        self, next_value: Arrays, has_turn: BoolArray, gamma: float, gae_lambda: float, ticks: IntArray | None = None
     ) -> dict[str, Arrays | None]:
         """Return the turns that are complete, with advantages; keep the others for the next rollout.
 
         Args:
             next_value: [N] value of the present observation, where the agent has the turn.
             has_turn: [N] where it has.
-            gamma, gae_lambda: see :class:`~.arguments.LeanPPO`.
+            gamma, gae_lambda: see :class:`~.arguments.IPPO`.
+            ticks: [N] present ticks, where the discount is one of ticks and not of turns.
         """
         rows, envs = self.acted.shape
         value, advantage, reward = next_value * has_turn, np.zeros(envs, np.float32), np.zeros(envs, np.float32)
         known = has_turn.copy()
         advantages, complete = np.zeros((rows, envs), np.float32), np.zeros((rows, envs), np.bool_)
         open_reward = np.zeros(envs, np.float32)
+        following = None if ticks is None else ticks.copy()
         for t in range(rows - 1, -1, -1):
             over = self.ended[t]
             value[over] = advantage[over] = reward[over] = 0.0
             known |= over
             reward += self.reward[t]
             acted = self.acted[t]
-            found = reward + gamma * value - self.value[t] + gamma * gae_lambda * advantage
+            factor: Any = gamma if following is None else gamma ** np.maximum(following - self.tick[t], 0)
+            found = reward + factor * value - self.value[t] + factor * gae_lambda * advantage
+            if following is not None:
+                following = np.where(acted, self.tick[t], following)
             complete[t] = acted & known
             advantages[t] = np.where(known, found, 0.0)
             open_reward = np.where(acted & ~known, reward, open_reward)
@@ -242,17 +314,22 @@ class _Track:
             advantage = np.where(acted, advantages[t], advantage)
             reward = np.where(acted, 0.0, reward)
             known |= acted
-        batch: dict[str, Arrays | None] = {
-            "observed": self.observed[complete],
-            "mask": None if self.mask is None else self.mask[complete],
-            "action": self.action[complete],
-            "log_probability": self.log_probability[complete],
-            "advantage": advantages[complete],
-            "target": advantages[complete] + self.value[complete],
-        }
-        batch["seen"] = batch["observed"] if self.shared else self.seen[complete]
+        batch = self.turns(complete)
+        batch["log_probability"] = self.log_probability[complete]
+        batch["advantage"] = advantages[complete]
+        batch["target"] = advantages[complete] + self.value[complete]
         self._carry(self.acted & ~complete, open_reward)
         return batch
+
+    def turns(self, chosen: BoolArray) -> dict[str, Arrays | None]:
+        """Return what some turns [rows, N] had: ``observed``, ``seen``, ``mask`` and ``action``."""
+        observed = self.observed[chosen]
+        return {
+            "observed": observed,
+            "seen": observed if self.shared else self.seen[chosen],
+            "mask": None if self.mask is None else self.mask[chosen],
+            "action": self.action[chosen],
+        }
 
     def _carry(self, waiting: BoolArray, reward: Arrays) -> None:
         """Move turns that wait for their next one to row 0; forget the rest."""
@@ -266,6 +343,57 @@ class _Track:
         self.reward[0] = np.where(waiting.any(axis=0), reward, 0.0)
 
 
+class _Practice:
+    """Experiments of one bench on its own, where its learner begins.
+
+    Args:
+        scenario, bench, learner, settings: of the team.
+        state: size of the laboratory's state that a central critic sees, which is 0 here.
+    """
+
+    def __init__(self, scenario: Scenario, bench: str, learner: _Learner, settings: IPPO, state: int) -> None:
+        goals = [goal for goal in scenario.lab_goals if goal in scenario.goals]
+        self.learner, self.settings, self.scores = learner, settings, list[float]()
+        self.batch = RoleVectorEnv(
+            settings.envs,
+            scenario,
+            bench=bench,
+            goals=goals,
+            autoreset_mode="SameStep",
+            copy=False,
+            split=settings.split,
+        )
+        size, actions = learner.size, self.batch.action_count
+        shape = () if actions else tuple(self.batch.single_action_space.shape or ())
+        self.track = _Track(_PRACTICE, settings.envs, size, size + state, shape, actions)
+        self._observed, _ = self.batch.reset(seed=settings.seed)
+
+    def learn(self, remaining: float, rng: np.random.Generator) -> int:
+        """Play a short rollout and learn from it; return the number of turns."""
+        track, learner = self.track, self.learner
+        for t in range(1, _PRACTICE + 1):
+            mask = self.batch.action_masks() if learner.network.discrete else None
+            track.observed[t] = self._observed
+            if not track.shared:
+                track.seen[t, :, : learner.size] = self._observed
+            played, track.log_probability[t] = learner.act(track.observed[t], mask)
+            track.action[t], track.acted[t] = played, True
+            track.value[t] = learner.value(track.seen[t])
+            if track.mask is not None:
+                track.mask[t] = mask
+            self._observed, track.reward[t], over, _, infos = self.batch.step(
+                played if learner.network.discrete else np.clip(played, 0.0, 1.0)
+            )
+            track.ended[t] = over
+            self.scores += infos["score"][over].tolist()
+        seen = np.zeros_like(track.seen[0])
+        seen[:, : learner.size] = self._observed
+        everywhere = np.ones(self.settings.envs, dtype=np.bool_)
+        batch = track.finished(learner.value(seen), everywhere, learner.gamma, self.settings.gae_lambda)
+        learner.update(batch, remaining, rng)
+        return self.settings.envs * _PRACTICE
+
+
 class PPOTeam:
     """Roles that learn together in a batch of laboratories; a policy by name plays the others.
 
@@ -274,25 +402,29 @@ class PPOTeam:
         roles: who learns: ``manager`` or benches' keys.
         settings: arguments of the run.
         background: policy of the roles that do not learn.
+        wide: whether the manager observes readings of many numbers, too.
 
     Attributes:
         turns: by role, how many turns there have been.
+        fixed: roles that have learned and do not go on.
         scores: of the episodes that ended since they were taken.
     """
 
-    def __init__(self, scenario: Scenario, roles: Sequence[str], settings: LeanPPO, background: str) -> None:
+    def __init__(
+        self, scenario: Scenario, roles: Sequence[str], settings: IPPO, background: str, wide: bool = False
+    ) -> None:
         self.settings, seed = settings, settings.seed
         torch.manual_seed(seed)
         self.rng = np.random.default_rng(seed)
         full = Laboratories(scenario, 1)
-        seen_by_all = compact(scenario) if MANAGER_ROLE in roles else scenario
+        seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
         self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, split=settings.split)
         self.labs = labs = self.batch.laboratories
         self.agents = self.batch.possible_agents
         self.learners: dict[str, _Learner] = {}
         self._background: dict[str, Policy] = {}
         self._tracks: dict[str, _Track] = {}
-        state = self.batch.state_space.shape[0] if settings.central_critic else 0
+        state = self.batch.state_space.shape[0] if isinstance(settings, MAPPO) else 0
         # Where a bench earns by its own experiments alone, its episode is the experiment.
         self._own_episodes = labs.scenario.rewards.bench_team == 0.0
         for number, agent in enumerate(self.agents):
@@ -314,9 +446,32 @@ class PPOTeam:
             self._tracks[agent] = _Track(
                 settings.rollout, settings.envs, seen, seen + state, () if count else tuple(space.shape or ()), count
             )
+        self.practices = {
+            role: _Practice(scenario, role, learner, settings, state)
+            for role, learner in self.learners.items()
+            if role != MANAGER_ROLE and settings.practice
+        }
+        self.fixed: set[str] = set()
+        self._teachers: dict[str, Advisor] = {}
+        self._tried = False
+        self._restart()
+
+    def _restart(self) -> None:
+        """Begin new episodes and forget all turns."""
+        for track in self._tracks.values():
+            track.clear()
         self.turns = dict.fromkeys(self.learners, 0)
         self.scores: list[float] = []
-        self._observed, self._infos = self.batch.reset(seed=seed)
+        self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
+
+    def practise(self, remaining: float) -> int:
+        """Let each bench learn from a rollout of experiments on its own; return the number of turns."""
+        turns = 0
+        for role, practice in self.practices.items():
+            learned = practice.learn(remaining, self.rng)
+            self.turns[role] += learned
+            turns += learned
+        return turns
 
     def collect(self, remaining: float) -> None:
         """Play a rollout."""
@@ -348,16 +503,27 @@ class PPOTeam:
             played = self._background[agent].act(
                 self._observed[agent][rows], mask, self.labs.turns_had(number)[rows], rows
             )
+        elif role_of(agent) in self.fixed:
+            allowed = None if mask is None else mask.astype(np.bool_)
+            played, _ = self.learners[role_of(agent)].act(self._observed[agent][rows], allowed)
         else:
             learner, track = self.learners[role_of(agent)], self._tracks[agent]
             self.turns[role_of(agent)] += len(rows)
             observed = self._observed[agent][rows]
             allowed = None if mask is None else mask.astype(np.bool_)
-            if role_of(agent) == MANAGER_ROLE and allowed is not None:
+            if role_of(agent) == MANAGER_ROLE and allowed is not None and not self._teachers:
                 allowed = self._helped(allowed, rows, 1.0 - remaining < self.settings.processed)
-            played, log_probability = learner.act(observed, allowed)
-            track.acted[t, rows] = True
-            track.observed[t, rows], track.action[t, rows] = observed, played
+            steps, chosen, log_probability = self.labs.turns_had(number)[rows], None, np.zeros(len(rows))
+            if agent in self._teachers:
+                chosen = self._teachers[agent].advice(observed, mask, steps, rows)
+            if chosen is None or self._tried:
+                played, log_probability = learner.act(observed, allowed, greedy=chosen is not None)
+            else:
+                played = chosen
+            if agent in self._teachers:
+                self._teachers[agent].played(played, rows)
+            track.acted[t, rows], track.tick[t, rows] = True, self.labs.state.ticks[rows]
+            track.observed[t, rows], track.action[t, rows] = observed, played if chosen is None else chosen
             track.log_probability[t, rows] = log_probability
             if track.mask is not None:
                 track.mask[t, rows] = allowed
@@ -385,8 +551,14 @@ class PPOTeam:
         helped[empty] = mask[empty]
         return helped
 
-    def update(self, remaining: float) -> int:
-        """Learn from the turns that are complete; return how many they were."""
+    def update(self, remaining: float, whole: float, learning: Sequence[str]) -> int:
+        """Learn from the turns that are complete; return how many they were.
+
+        Args:
+            remaining: share of the laboratory's part of training that is left, for the manager.
+            whole: share of all of training that is left, for the benches.
+            learning: the roles that learn; the turns of others are forgotten.
+        """
         batches: dict[str, list[dict[str, Arrays | None]]] = {role: [] for role in self.learners}
         for agent, track in self._tracks.items():
             learner = self.learners[role_of(agent)]
@@ -397,19 +569,55 @@ class PPOTeam:
                 if not track.shared:
                     seen = np.concatenate([seen, self.batch.state(rows)], axis=1)
                 value[rows] = learner.value(seen)
-            found = track.finished(value, turn.astype(np.bool_), learner.gamma, self.settings.gae_lambda)
+            ticks = self.labs.state.ticks if self.settings.by_ticks else None
+            found = track.finished(value, turn.astype(np.bool_), learner.gamma, self.settings.gae_lambda, ticks)
             batches[role_of(agent)].append(found)
         learned = 0
-        for role, parts in batches.items():
-            whole = {
-                name: None if parts[0][name] is None else np.concatenate([part[name] for part in parts])
-                for name in parts[0]
-            }
-            count = len(whole["advantage"])  # type: ignore[arg-type]
+        for role in learning:
+            parts = batches[role]
+            batch = _joined(parts)
+            count = len(batch["advantage"])  # type: ignore[arg-type]
             if count > 1:
-                self.learners[role].update(whole, remaining, self.rng)
+                self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
             learned += count
         return learned
+
+    def clone(self, shown: str, turns: int, rounds: int, least_std: float) -> dict[str, float]:
+        """Clone a policy into every learner, by playing its role in these laboratories, which then restart.
+
+        Args:
+            shown: name of the policy.
+            turns: approximate number of turns per role; unfinished episodes are left out.
+            rounds: number of rounds. After the first the learners play, for as long as the policy did and until an
+                episode has ended in every laboratory, and the policy labels their turns (DAgger).
+            least_std: least initial standard deviation of continuous actions.
+
+        Returns:
+            Accuracy by role, see :meth:`_Learner.clone`.
+        """
+        found: dict[str, list[dict[str, Arrays | None]]] = {role: [] for role in self.learners}
+        hit: dict[str, float] = {}
+        first = 0
+        for number in range(rounds):
+            self._restart()
+            self._tried = number > 0
+            self._teachers = {
+                agent: Advisor(agent_policy(shown, self.labs, self.agents.index(agent), self.settings.seed))
+                for agent in self._tracks
+            }
+            episodes = _Shown(self._tracks, {role: learner.gamma for role, learner in self.learners.items()})
+            played = 0
+            while played < first or not (episodes.all_ended() if number else episodes.enough(turns / rounds)):
+                self.collect(0.0)
+                episodes.add(self._tracks)
+                played += 1
+            first = first or played
+            for role, part in episodes.by_role().items():
+                found[role].append(part)
+                hit[role] = self.learners[role].clone(_joined(found[role]), self.rng, least_std)
+        self._teachers, self._tried = {}, False
+        self._restart()
+        return hit
 
     def weights(self, role: str) -> dict[str, Arrays]:
         """Weights of a role's actor over the whole observation: ``{i}.weight`` [out, in] and ``{i}.bias`` [out]."""
@@ -428,66 +636,79 @@ class PPOTeam:
         return found
 
 
-class FromNothing(Team):
-    """A run of :class:`PPOTeam`: its evaluations, checkpoints and exported policies."""
+class _Shown:
+    """Turns that a policy has shown or labelled, with the returns that followed them.
 
-    def check(self) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`: there is nothing to check."""
+    Args:
+        tracks: of the agents, which are read after every rollout.
+        gammas: discount by role.
+    """
 
-    def begin(self, run: Run) -> Progress:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
-        last = run.checkpoint("last")
-        if last is None:
-            self.team = PPOTeam(self.scenario, self.learning, self.arguments, self._background)
-            return Progress()
-        state = load_state(last)
-        self.team = state["team"]
-        restore_random_state(state)
-        return Progress.of(state["progress"], last)
+    def __init__(self, tracks: Mapping[str, _Track], gammas: Mapping[str, float]) -> None:
+        self._gammas = gammas
+        self._turns: dict[str, list[dict[str, Arrays | None]]] = {agent: [] for agent in tracks}
+        self._rounds: dict[str, list[tuple[BoolArray, BoolArray, Arrays]]] = {agent: [] for agent in tracks}
 
-    def learn(self, progress: Progress) -> tuple[int, list[float]]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
-        remaining = 1.0 - progress.step / self.steps
-        self.team.collect(remaining)
-        turns = max(self.team.update(remaining), 1)
-        scores, self.team.scores = self.team.scores, []
-        for role, had in self.team.turns.items():
-            self.logger.record(f"turns/{role}", had)
-        return turns, scores
+    def add(self, tracks: Mapping[str, _Track]) -> None:
+        """Take a rollout."""
+        for agent, track in tracks.items():
+            self._turns[agent].append(track.turns(track.acted))
+            self._rounds[agent].append((track.acted.copy(), track.ended.copy(), track.reward.copy()))
+            track.clear()
 
-    def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`: scores of the laboratory."""
-        learned = self._taken or {role: self._policy(role, 0, None) for role in self.learning}
-        way = SAMPLED if sampled else GREEDY
-        seeds = np.random.SeedSequence(seed).spawn(len(learned))
-        played = {role: policy.played(way, own) for (role, policy), own in zip(learned.items(), seeds, strict=True)}
-        return self._played(played, episodes, seed)
+    def _returns(self, agent: str) -> tuple[BoolArray, Arrays]:
+        """Return, for each turn in order, whether its episode has ended, and its return."""
+        acted, ended, rewards = (np.concatenate(part) for part in zip(*self._rounds[agent], strict=True))
+        gamma, following = self._gammas[role_of(agent)], np.zeros(acted.shape[1], dtype=np.float32)
+        known, over = np.zeros(acted.shape, dtype=np.bool_), np.zeros(acted.shape[1], dtype=np.bool_)
+        returns = np.zeros(acted.shape, dtype=np.float32)
+        for t in reversed(range(len(acted))):
+            over |= ended[t]
+            following = np.where(ended[t], 0.0, following) + rewards[t]
+            returns[t], known[t] = following, over
+            following = np.where(acted[t], gamma * following, following).astype(np.float32)
+        return known[acted], returns[acted]
 
-    def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
-        save_state(folder, {"team": self.team, **random_state(), "progress": vars(progress)})
-        for role in self.learning:
-            policy = self._policy(role, progress.step, evaluation)
-            save_policy(folder / role, policy.card, policy.weights)
+    def all_ended(self) -> bool:
+        """Return whether an episode has ended in every laboratory."""
+        ended = [np.concatenate([part[1] for part in parts]).any(axis=0) for parts in self._rounds.values() if parts]
+        return bool(ended and np.all(ended))
 
-    def _policy(self, role: str, step: int, evaluation: Evaluation | None) -> PretrainedPolicy:
-        """Return the policy of a role for the whole scenario."""
-        config, manager = self.config, role == MANAGER_ROLE
-        card = Card.of(
-            self._workplaces[role],
-            name=role,
-            **{name: getattr(config, name) for name in ("env_id", "algo", "label", "seed", "versions")},
-            goals=list(self.scenario.lab_goals) if manager else goals_met(self.scenario, role),
-            starts="lab",
-            step=step,
-            command=self.arguments.command_line(),
-            activation="tanh",
-            output="argmax" if self.team.learners[role].network.discrete else "clip",
-            evaluation=reached(self.arguments, evaluation),
-            background=self._background,
-            sampled=evaluation is not None and evaluation.sampled,
-        )
-        return PretrainedPolicy(card, self.team.weights(role))
+    def enough(self, turns: float) -> bool:
+        """Return whether every role that has had turns has enough of them in finished episodes."""
+        if not self.all_ended():
+            return False
+        counts: dict[str, int] = {}
+        for agent in self._turns:
+            counts[role_of(agent)] = counts.get(role_of(agent), 0) + int(self._returns(agent)[0].sum())
+        return all(count >= turns for count in counts.values() if count)
+
+    def by_role(self) -> dict[str, dict[str, Arrays | None]]:
+        """Return the turns of finished episodes, with ``target``, of each role that has had any."""
+        found: dict[str, list[dict[str, Arrays | None]]] = {}
+        for agent, turns in self._turns.items():
+            known, returns = self._returns(agent)
+            if known.any():
+                whole: dict[str, Arrays | None] = {**_joined(turns), "target": returns}
+                found.setdefault(role_of(agent), []).append(
+                    {name: None if array is None else array[known] for name, array in whole.items()}
+                )
+        return {role: _joined(parts) for role, parts in found.items()}
+
+
+def _joined(parts: Sequence[Mapping[str, Arrays | None]]) -> dict[str, Arrays | None]:
+    """Several batches of turns as one."""
+    return {
+        name: None if parts[0][name] is None else np.concatenate([part[name] for part in parts]) for name in parts[0]
+    }
+
+
+def wide_columns(scenario: Scenario) -> IntArray:
+    """Return the columns of the manager's observation that :func:`compact` leaves out."""
+    whole, kept = Laboratories(scenario, 1), Laboratories(compact(scenario), 1)
+    return np.setdiff1d(
+        np.arange(whole.observation_sizes[0]), _columns(whole.roles[0].channels, kept.roles[0].channels)
+    )
 
 
 def _balance(network: _Network, kinds: IntArray) -> None:

@@ -171,10 +171,11 @@ def difficulty(
     scenario: ScenarioArgument,
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of the scripted agents per goal.")] = 20,
     plans: Annotated[int, typer.Option(min=0, help="Open-loop plans tried per goal; 0: no search.")] = 100,
+    explored: Annotated[int, typer.Option(min=1, help="Episodes of a random manager per goal.")] = 200,
     seed: SeedOption = 0,
     as_json: JsonOption = False,
 ) -> None:
-    """Measure the difficulty of a scenario's chemistry: steps, yield and selectivity, boiling points, scores.
+    """Measure the difficulty of a scenario: its chemistry, scores, and what random exploration finds.
 
     Yield and selectivity are those of the best constant conditions of the reaction bench: a temperature, and an
     addition of reagents at once or slowly.
@@ -184,7 +185,7 @@ def difficulty(
         from ..openchem.difficulty import difficulty as measure
 
         spec = load_scenario(scenario)
-        rows = measure(spec, episodes, plans, seed)
+        rows = measure(spec, episodes, plans, seed, explored)
     if as_json:
         typer.echo(json.dumps([row.as_dict() for row in rows]))
         return
@@ -206,3 +207,6 @@ def difficulty(
         )
     head = ("goal", "steps", "yield", "selectivity", "at", "boils apart", "scripted", "constant plan")
     show_table(f"{spec.name}: difficulty of its goals", head, shown, right=(1, 2, 3, 6, 7))
+    found = [(row.goal, f"{row.nothing:.3f}", f"{row.chance:.1%}", f"{row.decisions:.0f}") for row in rows]
+    title = f"{spec.name}: exploration, {explored} episodes of a random manager"
+    show_table(title, ("goal", "doing nothing", "random above 0.1", "decisions"), found, right=(1, 2, 3))

@@ -153,7 +153,7 @@ def _options() -> list[Any]:
     return list(typer.main.get_command(made).params)
 
 
-_WHICH = " Default: lean-ppo for the manager, ppo for one bench, ippo for several roles."
+_WHICH = " Default: ppo for one bench, ippo for the manager and for several roles."
 
 
 def _hint(name: str, kind: Any, text: str, panel: str = "", hidden: bool = False) -> Any:
@@ -224,7 +224,7 @@ def train(
     """Train a bench, an agent of a laboratory, or several roles together; an interrupted run resumes.
 
     --bench trains a bench on its own, --roles one agent in its laboratory, or several
-    (algorithms ippo, mappo and lean-ppo).
+    (algorithms ippo and mappo).
     Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations with the
     scripted policy's scores, checkpoints, TensorBoard logs, and at the end result.json.
     """

@@ -8,6 +8,9 @@
 | ``boils_apart_k`` | distance in K between the goal's boiling point and the nearest other liquid's |
 | ``scripted`` | score of the general scripted agents |
 | ``plan`` | score of the best open-loop plan of the manager found by a search, with scripted benches |
+| ``nothing`` | score of a manager that only waits |
+| ``chance`` | share of episodes of a random manager, over scripted benches, that score above 0.1 |
+| ``decisions`` | decisions of that manager in an episode |
 
 Constant conditions are a temperature, set at once and kept, and the reagents on the route to the goal. They are added
 at once, or evenly over half of the experiment: all of them or one of them. All variants are tried from the bench's
@@ -17,6 +20,7 @@ initial state.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -25,15 +29,16 @@ import numpy.typing as npt
 
 from ..agents.episodes import play_laboratory
 from ..agents.evaluate.plans import search_plan
-from ..agents.policies import make_policies
+from ..agents.policies import as_policy, make_policies
 from ..config.datafile import DataError
 from ..config.loading import load_scenario
 from ..config.scenario import Scenario
 from ..envs.role_env import RoleVectorEnv
-from ..kernels.arrays import FloatArray
-from ..lab.engine import Laboratories
+from ..kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from ..lab.engine import MANAGER_AGENT, Laboratories
 from ..physics.chemistry import AMOUNTS
 from ..roles.bench import channel_slices
+from ..roles.manager_actions import WAIT
 from ..roles.reaction_bench import ReactionBench, ReactionOptions
 from .designs import feeds, steps_to
 
@@ -45,6 +50,8 @@ _SLOWLY = 0.5
 _SAFE_PRESSURE = 0.68
 """Reading of the pressure gauge above which heating stops, as in the scripted policy."""
 _TRACE_MOL = 1e-12
+_SUCCESS = 0.1
+"""Score above which an episode of the random manager counts as a success."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,9 @@ class GoalDifficulty:
     boils_next: str | None
     scripted: float
     plan: float | None
+    nothing: float
+    chance: float
+    decisions: float
 
     def as_dict(self) -> dict[str, Any]:
         """Return the fields as plain data."""
@@ -173,7 +183,20 @@ def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:
     return round(abs(liquids[name].boiling_point_k - boils), 2), name
 
 
-def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, seed: int = 0) -> list[GoalDifficulty]:
+def _waiting(labs: Laboratories) -> Callable[[ObservationArray, MaskArray | None], IntArray]:
+    """Return a manager that waits, and takes the first legal action where it cannot."""
+    wait = int(np.flatnonzero(labs.actions.table[:, 0] == WAIT)[0])
+
+    def choose(observation: ObservationArray, mask: MaskArray | None) -> IntArray:
+        assert mask is not None, "the manager's actions are discrete"
+        return np.where(mask[:, wait] != 0, wait, mask.argmax(axis=1))
+
+    return choose
+
+
+def difficulty(
+    scenario: str | Scenario, episodes: int = 20, plans: int = 100, seed: int = 0, explored: int = 200
+) -> list[GoalDifficulty]:
     """Measure the difficulty of each goal of a scenario's laboratory.
 
     Args:
@@ -181,13 +204,17 @@ def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, s
         episodes: number of episodes whose scores are averaged; episode i has seed + i.
         plans: maximum number of open-loop plans tried per goal; 0: no search.
         seed: seed of the first episode.
+        explored: number of episodes of the random manager.
 
     Raises:
         DataError: the scenario is invalid.
-        ValueError: ``episodes`` or ``plans`` is out of bounds.
+        ValueError: ``episodes``, ``plans`` or ``explored`` is out of bounds.
     """
-    if episodes < 1 or plans < 0:
-        raise ValueError(f"episodes = {episodes}, plans = {plans}: episodes must be at least 1, and plans at least 0")
+    if min(episodes, explored) < 1 or plans < 0:
+        raise ValueError(
+            f"episodes = {episodes}, explored = {explored}, plans = {plans}: episodes and explored must be at least 1, "
+            "and plans at least 0"
+        )
     spec = load_scenario(scenario)
     by_goal: dict[str, float] = {}
     if plans:
@@ -199,6 +226,9 @@ def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, s
         labs = Laboratories(spec, episodes)
         scripted = play_laboratory(labs, make_policies("scripted", labs, seed), goal, seed).returns
         apart = _boils_next(spec, goal)
+        wide = Laboratories(spec, explored)
+        drawn = play_laboratory(wide, make_policies("scripted,manager=random", wide, seed), goal, seed)
+        idle = make_policies("scripted", labs, seed) | {MANAGER_AGENT: as_policy(_waiting(labs))}
         rows.append(
             GoalDifficulty(
                 goal=goal,
@@ -208,6 +238,9 @@ def difficulty(scenario: str | Scenario, episodes: int = 20, plans: int = 100, s
                 boils_next=apart and apart[1],
                 scripted=float(scripted.mean()),
                 plan=by_goal.get(goal),
+                nothing=float(play_laboratory(labs, idle, goal, seed).returns.mean()),
+                chance=float((drawn.returns > _SUCCESS).mean()),
+                decisions=float(drawn.measures["manager_actions"].mean()),
             )
         )
     return rows

@@ -1,4 +1,4 @@
-"""The lean PPO: advantages against a direct sum, help that ends, resuming, export, and that it learns from nothing."""
+"""PPO of teams: advantages against a direct sum, help that ends, resuming, export, and that it learns from nothing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import Run
 from chemlab.agents.saved import find_saved
-from chemlab.agents.train.arguments import LeanPPO, training_arguments
+from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _Track
@@ -51,6 +51,19 @@ def test_advantages_follow_their_definition() -> None:
     assert found["target"] == pytest.approx(np.array([*first, *second]) + values, rel=1e-5)
 
 
+def test_a_discount_of_ticks_is_of_the_ticks_between_turns() -> None:
+    track = _Track(2, 1, 1, 1, (), 0)
+    track.acted[[1, 2], 0] = True
+    track.tick[[1, 2], 0] = [3, 8]
+    track.value[[1, 2], 0] = [0.5, 0.25]
+    track.reward[[1, 2], 0] = [1.0, 2.0]
+    last, turn = np.array([0.75], dtype=np.float32), np.array([True])
+    found = track.finished(last, turn, 0.9, 0.8, np.array([10]))
+    second = 2.0 + 0.9**2 * 0.75 - 0.25
+    first = 1.0 + 0.9**5 * 0.25 - 0.5 + 0.9**5 * 0.8 * second
+    assert found["advantage"] == pytest.approx([first, second], rel=1e-5)
+
+
 def test_a_turn_without_its_next_waits_for_it() -> None:
     """Its reward goes on over the rollouts, and it is learned from once."""
     track = _Track(2, 1, 1, 1, (), 0)
@@ -67,8 +80,8 @@ def test_a_turn_without_its_next_waits_for_it() -> None:
 
 
 def team(**given: Any) -> PPOTeam:
-    arguments = LeanPPO(scenario="wurtz_dodecane", roles=("manager",), **{**QUICK, **given})
-    return PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted")
+    arguments = IPPO(scenario="wurtz_dodecane", roles=("manager",), **{**QUICK, **given})
+    return PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted", False)
 
 
 def test_help_is_of_the_mask_and_ends() -> None:
@@ -99,11 +112,11 @@ def test_balanced_logits_give_every_kind_the_same_share() -> None:
 def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
     """Weights of wide readings are 0: the exported policy is the network."""
     out = tmp_path / "run"
-    arguments = LeanPPO(scenario="wurtz_dodecane", roles=("manager",), steps=300, **QUICK)
+    arguments = IPPO(scenario="wurtz_dodecane", roles=("manager",), steps=300, **QUICK)
     result = train(arguments, out)
     assert result.mean == pytest.approx(train(arguments, out).mean)
     policy = load_pretrained(find_best(out) / "manager")
-    made = PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted")
+    made = PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted", False)
     labs = make_laboratories()
     observation = np.asarray(labs.observe(0, labs.members))
     columns = made.learners["manager"].columns
@@ -121,7 +134,7 @@ def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
 def test_a_run_is_played_sampled_and_greedy_by_name(tmp_path: Path) -> None:
     """Evaluations have both ways, the card the better one; names and exports choose; records of both are verified."""
     out = tmp_path / "run"
-    arguments = LeanPPO(scenario="wurtz_dodecane_direct", roles=("manager",), steps=300, **QUICK)
+    arguments = IPPO(scenario="wurtz_dodecane_direct", roles=("manager",), steps=300, **QUICK)
     result = train(arguments, out)
     evaluations = Run(out).evaluations()
     assert all(one.other_mean is not None and one.other_mean <= one.mean for one in evaluations)
@@ -174,8 +187,8 @@ def make_laboratories() -> Any:
 @pytest.mark.parametrize("central", [False, True])
 def test_a_stopped_run_goes_on_alike(central: bool, tmp_path: Path) -> None:
     """Killed after its first checkpoint, a run ends as one that was left alone."""
-    given = {"scenario": "fictitious", "roles": ("all",), "central_critic": central, "steps": 600, "checkpoints": 4}
-    arguments = LeanPPO(**{**QUICK, **given})  # type: ignore[arg-type]
+    given = {"scenario": "fictitious", "roles": ("all",), "steps": 600, "checkpoints": 4}
+    arguments = (MAPPO if central else IPPO)(**{**QUICK, **given})  # type: ignore[arg-type]
     whole = train(arguments, tmp_path / "whole")
 
     class Stop(Exception):
@@ -199,8 +212,8 @@ def test_a_stopped_run_goes_on_alike(central: bool, tmp_path: Path) -> None:
 
 def test_the_manager_learns_by_it_unless_told_otherwise() -> None:
     made = training_arguments({"scenario": "rush", "roles": "manager", "own_goals": False, "steps": 1000})
-    assert isinstance(made, LeanPPO)
-    assert made.command_line().endswith("--roles manager --algo lean-ppo --steps 1000 --seed 0 --no-own-goals")
+    assert isinstance(made, IPPO)
+    assert made.command_line().endswith("--roles manager --algo ippo --steps 1000 --seed 0 --no-own-goals")
     assert training_arguments({"roles": "manager", "algo": "maskable-ppo"}).algo == "maskable-ppo"
     assert training_arguments({"roles": "manager", "preset": "manager"}).algo == "maskable-ppo"
 
@@ -208,6 +221,6 @@ def test_the_manager_learns_by_it_unless_told_otherwise() -> None:
 @pytest.mark.slow
 def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
     """Without a clone or hints it comes past the scripted manager over the same scripted benches."""
-    result = train(LeanPPO(scenario="wurtz_dodecane", roles=("manager",), steps=220_000), tmp_path / "run")
+    result = train(IPPO(scenario="wurtz_dodecane", roles=("manager",), steps=220_000), tmp_path / "run")
     assert result.scripted_mean is not None
     assert result.mean > result.scripted_mean > 0.7

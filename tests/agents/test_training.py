@@ -37,7 +37,6 @@ from chemlab.agents.train.arguments import (
     IPPO,
     PPO,
     Arguments,
-    LeanPPO,
     MaskablePPO,
     Single,
     load_arguments,
@@ -528,7 +527,7 @@ def test_environment_ids_stand_for_scenario_and_role(old: dict[str, Any], new: d
     made = training_arguments(new)
     assert training_arguments(old) == made
     if old["env_id"] == "manager":  # learns by another algorithm unless told otherwise
-        assert isinstance(made, LeanPPO)
+        assert isinstance(made, IPPO)
         made = training_arguments({**new, "algo": "maskable-ppo"})
     else:
         assert isinstance(made, PPO)
