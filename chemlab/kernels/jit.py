@@ -306,17 +306,18 @@ def _field(context: Any, builder: Any, table: _Table, base: Any, name: str) -> A
 
     if not isinstance(kind, _TYPES.Array):
         return load(builder.inttoptr(number(0), context.get_value_type(kind).as_pointer()))
-    return _array(context, builder, kind, number(0), [number(1 + axis) for axis in range(kind.ndim)])
+    data = builder.inttoptr(number(0), context.get_value_type(kind.dtype).as_pointer())
+    return _array(context, builder, kind, data, [number(1 + axis) for axis in range(kind.ndim)])
 
 
-def _array(context: Any, builder: Any, kind: Any, address: Any, lengths: list[Any]) -> Any:
+def _array(context: Any, builder: Any, kind: Any, data: Any, lengths: list[Any]) -> Any:
     """Return an array with given lengths at an address; numba does not own its memory."""
     array = _BUILD.create_struct_proxy(kind)(context, builder)
     strides = [ir.Constant(ir.IntType(64), context.get_abi_sizeof(context.get_data_type(kind.dtype)))]
     array.itemsize = strides[0]
     for length in reversed(lengths):
         strides.insert(0, builder.mul(strides[0], length))
-    array.data = builder.inttoptr(address, array.data.type)
+    array.data = builder.bitcast(data, array.data.type)
     array.nitems = functools.reduce(builder.mul, lengths)
     array.shape = _BUILD.pack_array(builder, lengths)
     array.strides = _BUILD.pack_array(builder, strides[1:])
@@ -339,7 +340,7 @@ if COMPILED:
 
         def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             memory = _BUILD.alloca_once(builder, target.get_value_type(_TYPES.float64), size=count.literal_value)
-            return _array(target, builder, kind, builder.ptrtoint(memory, size.type), [size])
+            return _array(target, builder, kind, memory, [size])
 
         return kind(count), generate
 

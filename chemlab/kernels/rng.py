@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .arrays import FloatArray, StreamArray
-from .jit import helper, kernel
+from .jit import helper, inner, kernel
 
 __all__ = ["checked_seed", "normal", "random_bits", "seed_streams", "uniform", "uniforms"]
 
@@ -41,7 +41,7 @@ def uniform(state: StreamArray) -> float:
     return (random_bits(state) >> np.uint64(11)) * _UNIT
 
 
-@helper
+@inner
 def uniforms(state: StreamArray, out: FloatArray) -> None:
     """Fill ``out`` with the next numbers in [0, 1) of the stream, computed independently of each other."""
     counter = state[0]

@@ -13,7 +13,7 @@ from ..kernels.arrays import FloatArray, Handle, IntArray, StreamArray
 from ..kernels.jit import inner, kernel, opened, scratch
 from ..kernels.rng import uniforms
 from .backends import find_layers, layer_density, layer_shade, solid_mol, solid_volume
-from .chemistry import CLOCK, PRESENT, Chemistry
+from .chemistry import AMOUNTS, CLOCK, PRESENT, Chemistry
 from .shelf import CLOCK_SETTLED, T_MIX
 
 __all__ = ["camera", "profile"]
@@ -309,11 +309,11 @@ def camera(
 def _show_solids(row: FloatArray, chem: Handle, draws: FloatArray, shares: FloatArray, grey: FloatArray) -> None:
     """Show a solid, drawn by volume, in pixels whose draw is below the solids' share."""
     chemistry = opened(Chemistry, chem)
-    total, reached, most = -1.0, 0.0, 0.0
+    total, reached, solids = -1.0, 0.0, False
     for p in range(shares.shape[0]):
-        most = max(most, shares[p])
-    for i in range(chemistry.role.shape[0] if most > 0.0 else 0):
-        mol = solid_mol(row, i, chem)
+        solids |= shares[p] > 0.0  # unlike a maximum, computed for several pixels at a time
+    for i in range(chemistry.role.shape[0] if solids else 0):
+        mol = solid_mol(row, i, chem) if row[AMOUNTS + i] > 0.0 else 0.0
         if mol > 0.0:
             if total < 0.0:
                 total = solid_volume(row, chem)
