@@ -191,7 +191,7 @@ def _table(
             manager = observing if number == 0 else None
             scores[number, first : first + len(some)] = trials.play_teams([team], policies, manager)[0]
             if number == 0:
-                seen.append(observing.seen.reshape(len(some), -1))
+                seen.append(np.nan_to_num(observing.seen.reshape(len(some), -1)).astype(np.float64))
     return np.concatenate(seen), scores
 
 

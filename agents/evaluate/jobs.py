@@ -75,7 +75,7 @@ BUDGETS = {
     "small": AuditBudget(40, plans=2_000, fewer=400, donors=20, planned=240, worlds=96),
     "full": AuditBudget(200, plans=40_000, fewer=4_000, donors=20, planned=1_500, turns=1_000_000, worlds=512),
 }
-"""``small``: under two minutes on two cores; ``full``: under thirty."""
+"""``small``: no learners; 205 s of one core for a scenario of one order (``tests/agents/cold.toml``)."""
 
 
 def budget_of(budget: str | AuditBudget, turns: int | None = None) -> AuditBudget:
