@@ -121,9 +121,24 @@ def _order_lines(spec: Scenario) -> list[str]:
     if spec.demand.order:
         late, short = spec.demand.late, spec.demand.short
         share = f"a late delivery pays {late:g} of its price, one below the least amount or purity {short:g}"
-        return [*lines, f"Score: the mean over orders of the price paid ({share}), minus all costs."]
+        lines.append(f"Score: the mean over orders of the price paid ({share}), minus all costs.")
+        return lines + _customer_lines(spec)
     lines.append("Score: mol submitted x purity / maximum (mean over orders), minus all costs.")
-    return lines + goal_words(spec)[3:]
+    return lines + goal_words(spec)[3:] + _customer_lines(spec)
+
+
+def _customer_lines(spec: Scenario) -> list[str]:
+    """Penalties, feedback, and vessels that may be submitted, where they differ from the default."""
+    demand, lines = spec.demand, []
+    if demand.missed:
+        lines.append(f"An order that is not met costs {demand.missed:g} of its price.")
+    if demand.feedback != 0.0:
+        early = "nothing is learned" if demand.feedback == "none" else f"only noisy values ({demand.feedback:g}) are learned"
+        lines.append(f"Of a submission {early} before the end of the episode.")
+    if spec.hides:
+        full = f", at least {demand.fill_at_least:g} full," if demand.fill_at_least else ""
+        lines.append(f"Only a vessel that was at a bench{full} can be submitted; a recall takes a tick at least.")
+    return lines
 
 
 def _bench_lines(bench: Bench) -> list[str]:

@@ -44,6 +44,8 @@ _MODEL_ERROR = 0.006
 _SURPRISE = 1e-9
 """Lower bound of a likelihood relative to the best one."""
 _MOST_LOOKS = 3
+_UNWORKED = -1.0
+"""Value of a vessel that was at no bench, which cannot be submitted: below that of any experiment."""
 _SEED = 7_000_000
 """Seed of the simulated worlds."""
 
@@ -455,7 +457,7 @@ def _foreseen(
             run_experiment(labs, policies, stage[-1], members)
             if any(other[: len(stage)] == stage and other != stage for other in stages):
                 kept[stage] = labs.snapshot()
-        worth.append(_worth(labs, goal))
+        worth.append(_worth(labs, goal) if stage or not scenario.hides else np.full(len(members), _UNWORKED))
         costs.append(labs.charges(members).sum(axis=1) - begun)
         readings.append(_reading(labs, instrument))
     after = [

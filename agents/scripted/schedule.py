@@ -265,7 +265,10 @@ class SchedulingManager(ScriptedManager[_Shop]):
         stock, runs = dict(zip(self._scenario.stock, left.tolist(), strict=True)), [len(self._orders)]
         for key in self._stages:
             reagents: dict[str, float] = (self._scenario.benches[key].model_extra or {})["reagents"]
-            runs += [int(stock[n] * self._scenario.stock[n] / mol + 0.01) for n, mol in reagents.items() if n in stock]
+            for name, mol in reagents.items():
+                if name in stock:  # a level is read to half of the gauge's resolution
+                    most = self._scenario.stock[name] / mol
+                    runs.append(int((stock[name] + 0.5 * self._scenario.shelf.gauge) * most + 0.01))
         return min(runs)
 
     def _take(self, shop: _Shop, orders: list[_Order], observation: ObservationArray, mask: MaskArray) -> int | None:

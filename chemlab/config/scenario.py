@@ -109,7 +109,10 @@ class ShelfSpec(BaseModel):
     vessels.
     """
     gauge: float = Field(default=0.0, ge=0.0, le=0.5)
-    """Resolution of the fill level that the manager observes, as a share of the capacity; 0: exact."""
+    """Resolution of what the manager observes of amounts; 0: exact.
+
+    It is a share of the capacity for fill levels and waste, and of the first stock for bottles and their costs.
+    """
     tick: float = Field(default=0.0, ge=0.0, le=1e6)
     """Reaction time per tick for vessels at rest, in the unit of the rate constants.
 
@@ -207,6 +210,14 @@ class BenchSpec(BaseModel):
     """Physics of your own in place of the bench's, ``my_parts.py:NAME`` (:mod:`chemlab.roles.models`)."""
     wear: WearSpec | None = None
     """Degradation, drift and breakdown of its apparatus; None: nominal operation. The manager may have it repaired."""
+    noise: dict[Key, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default={}, max_length=32)
+    """Standard deviation of the noise on every value that the bench's agent observes, by channel, on the scale from 0
+    to 1.
+
+    It is drawn for each step. Channels that are not named are exact.
+    """
+    resolution: dict[Key, Annotated[float, Field(gt=0.0, le=1.0)]] = Field(default={}, max_length=32)
+    """Resolution of these values, noise included, by channel, on the same scale."""
     report: float | None = Field(default=None, ge=0.0, le=1.0)
     """Standard deviation of the self-reported outcome of an experiment, on the scale from 0 to 1.
 
@@ -394,9 +405,9 @@ class GradeSpec(OrderSpec):
 
 
 class DemandSpec(BaseModel):
-    """Orders that arrive over time, each with its own terms.
+    """What customers want and say: orders that arrive over time with their own terms, penalties, and feedback.
 
-    An order pays its price for a submission in time that meets its requirements, and nothing for exceeding them. The
+    An order with terms pays its price for a submission in time that meets its requirements, and nothing for exceeding them. The
     score is the mean over the orders, minus all costs.
     """
 
@@ -404,6 +415,16 @@ class DemandSpec(BaseModel):
 
     order: tuple[OrderTerms, ...] = Field(default=(), max_length=16)
     """Terms of every order; empty: all orders exist from the beginning and are paid by amount and purity."""
+    missed: float = Field(default=0.0, ge=0.0, le=100.0)
+    """Penalty of an order that pays nothing by the end of the episode, as a share of its price (1 without terms)."""
+    fill_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Minimum fill level, as the manager observes it, of a vessel that may be submitted."""
+    feedback: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["none"] = 0.0
+    """Standard deviation of what the manager learns of a submission at once, on the scale from 0 to 1.
+
+    Feedback is mol of the goal (1: the theoretical maximum), its purity, and the reward that follows from both. The
+    exact values and the rest of the reward come at the end of the episode, with ``none`` all of them.
+    """
     late: float = Field(default=0.0, ge=0.0, le=1.0)
     """Share of the price for a late submission. If it is 0, the episode ends once no order can pay any more."""
     short: float = Field(default=0.0, ge=0.0, le=1.0)
@@ -613,6 +634,15 @@ class Scenario(BaseModel):
         """True if any bench or instrument has a condition that changes with use."""
         wearing = any(bench.wear is not None for bench in self.benches.values())
         return wearing or any(instrument.drift is not None for instrument in self.instruments.values())
+
+    @property
+    def hides(self) -> bool:
+        """True if it has hidden parameters.
+
+        Then agents act before they learn: a bench's agent observes a vessel from its first turn on, an experiment is
+        recalled after a tick at the earliest, and only vessels that were at a bench are submitted.
+        """
+        return bool(self.world.draws) or self.errs
 
     @property
     def seen_instruments(self) -> dict[str, InstrumentSpec]:

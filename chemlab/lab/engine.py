@@ -38,7 +38,7 @@ from ..roles.manager import (
 )
 from ..roles.manager_actions import ManagerActions
 from ..roles.manager_role import ManagerRole
-from ..roles.manager_state import COST_ITEMS, RUNNING, ManagerState, Rules
+from ..roles.manager_state import COST_ITEMS, PRICE, RUNNING, SAFETY, STOCK, WASTE, ManagerState, Rules
 from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
@@ -130,6 +130,7 @@ class Laboratories:
             },
             F=len(self.benches) if any(bench.report is not None for bench in spec.benches.values()) else 0,
             K=len(spec.demand.order),
+            C=spec.orders if spec.demand.feedback not in (0.0, "none") else 0,
             I=len(self.instruments.names),
             R=numbers_read,
             W=wearing,
@@ -251,6 +252,9 @@ class Laboratories:
             late=spec.demand.late,
             short=spec.demand.short,
             most_terms=self.worlds.most_terms(),
+            feedback=-1.0 if spec.demand.feedback == "none" else float(spec.demand.feedback),
+            hides=int(spec.hides),
+            least_fill=spec.demand.fill_at_least,
             gauge=spec.shelf.gauge,
             work=np.zeros(work_size(self.shelf.chemistry)),
         )
@@ -495,8 +499,19 @@ class Laboratories:
         """Return [B] the manager's raw score.
 
         It is the payment of orders with terms, else each order's product by amount and purity, minus costs. An order
-        without a submission, or with one that fails its specification, scores 0.
+        without a submission, or with one that fails its specification, costs the scenario's penalty.
         """
+        worth = self.worth(members)
+        worth[worth == 0.0] -= self._missed(members)[worth == 0.0]
+        return np.asarray(worth.sum(axis=1) / worth.shape[1] - self.charges(members).sum(axis=1))
+
+    def _missed(self, members: IntArray) -> FloatArray:
+        """Return [B, O] the penalty of each order if it is not met."""
+        prices = self.state.terms[members, :, PRICE] if self.scenario.demand.order else np.ones((len(members), 1))
+        return self.scenario.demand.missed * np.broadcast_to(prices, (len(members), self.scenario.orders))
+
+    def worth(self, members: IntArray) -> FloatArray:
+        """Return [B, O] the value of each order's submission; 0 without one, or with one that fails."""
         if self.scenario.demand.order:
             worth = self.state.paid[members]
         else:
@@ -504,7 +519,32 @@ class Laboratories:
             amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
             worth = amount * purity / rules.maximum[goals]
             worth[(purity < rules.least_purity[goals]) | (amount < rules.least_amount[goals])] = 0.0
-        return np.asarray(worth.sum(axis=1) / worth.shape[1] - self.charges(members).sum(axis=1))
+        return np.asarray(worth)
+
+    def feedback(self, which: int | slice) -> FloatArray:
+        """Return [..., O, 2] mol and purity of each submission as the manager knows them: exactly at the end."""
+        state, wanted = self.state, self.scenario.demand.feedback
+        if wanted == 0.0:
+            return state.submitted[which].copy()
+        running = np.asarray(state.status[which] == RUNNING)[..., None, None]
+        early = 0.0 if wanted == "none" else state.feedback[which][..., :2]
+        return np.where(running, early, state.submitted[which])
+
+    def shown_charges(self, members: IntArray) -> FloatArray:
+        """Return [B, items] :meth:`charges` as the manager knows them.
+
+        Until the end, costs of amounts (stock, waste, safety events) have the resolution of the shelf's gauge.
+        """
+        found, gauge, rules = self.charges(members), self.scenario.shelf.gauge, self.rules.arrays
+        if gauge:
+            unit = np.zeros(len(COST_ITEMS))
+            unit[STOCK] = gauge * float(rules.first_stock @ rules.stock_price)
+            unit[WASTE] = gauge * rules.largest_capacity * rules.waste_per_l
+            unit[SAFETY] = gauge * rules.event_price
+            steps = np.floor(np.divide(found, unit, out=np.zeros_like(found), where=unit > 0.0) + 0.5)
+            rounded = (unit > 0.0) & (self.state.status[members, None] == RUNNING)
+            found = np.where(rounded, steps * unit, found)
+        return found
 
     def charges(self, members: IntArray) -> FloatArray:
         """Return [B, items] the managers' costs so far, in units of the score; items as in
@@ -555,8 +595,8 @@ class Laboratories:
         return out
 
     def costs(self, member: int = 0) -> dict[str, float]:
-        """Return the manager's charges so far by item, in units of the score."""
-        charges = self.charges(self.members[member : member + 1])
+        """Return the manager's charges so far by item, in units of the score, as the manager knows them."""
+        charges = self.shown_charges(self.members[member : member + 1])
         return dict(zip(COST_ITEMS, charges[0].tolist(), strict=True))
 
     def outcome(self, member: int = 0) -> dict[str, Any]:

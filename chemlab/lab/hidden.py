@@ -182,7 +182,7 @@ class Worlds:
     def __init__(self, scenario: Scenario, shelf: Shelf) -> None:
         self.split = scenario.split
         self._spec, self._shelf = scenario.world, shelf
-        self.active = bool(self._spec.draws) or scenario.errs
+        self.active = scenario.hides
         materials = shelf.layout.materials
         try:
             self._variables = compile_draws(self._spec, materials)

@@ -469,7 +469,9 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
     running = status == RUNNING
     slots = scenario.shelf.slots
     costs = labs.costs(member)
-    result = float(labs.result(np.array([member]))[0])
+    result, told = float(labs.result(np.array([member]))[0]), labs.feedback(member)
+    if running and scenario.demand.feedback != 0.0:  # what the submissions are worth is not known yet
+        result = -sum(costs.values())
     largest, temperatures = _ranges(scenario, labs.benches, labs.shelf, member)
     return Scene(
         kind="laboratory",
@@ -485,8 +487,8 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
             OrderPicture(
                 scenario.goals[goal],
                 bool(state.filled[member, o]),
-                float(state.submitted[member, o, 0]),
-                float(state.submitted[member, o, 1]),
+                float(told[o, 0]),
+                float(told[o, 1]),
             )
             for o, goal in enumerate(state.goal[member])
         ),

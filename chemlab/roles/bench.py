@@ -30,6 +30,7 @@ from ..kernels.arrays import (
     merged,
 )
 from ..kernels.jit import helper, kernel, opened
+from ..kernels.rng import normal, random_bits
 from ..kernels.tables import Table
 from ..physics.backends import partition, settle_phases, work_size
 from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE, WAVELENGTHS_NM, Chemistry, ChemistryTable, Layout
@@ -65,6 +66,9 @@ CAMERA_PIXELS = 100
 
 _ROUNDING_MOL = 1e-9
 """Negative amounts down to this value left by user-defined code count as rounding errors."""
+
+_APART = np.uint64(0xD1342543DE82EF95)
+"""Distance between the random numbers of two steps: odd, and no small multiple of a stream's increment."""
 
 STIR, HEAT = range(2)
 """Actuators of a bench that may be degraded."""
@@ -340,6 +344,34 @@ def _begin(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, 
             place(arrays.rows[state.places[m, p]], rules.auxiliary_capacity, chem)
 
 
+@kernel
+def _blur(
+    members: IntArray,
+    experiment: Handle,
+    noise: FloatArray,
+    resolution: FloatArray,
+    work: StreamArray,
+    out: ObservationArray,
+) -> None:
+    """Apply noise [size] and resolution [size] to the first values of observations ``out`` [B, any].
+
+    The noise follows from the experiment's stream and step, so that it is the same whenever a step is observed.
+    """
+    state = opened(ExperimentState, experiment)
+    for b in range(members.shape[0]):
+        m = members[b]
+        if state.busy[m]:
+            work[0] = state.stream[m, 0] ^ (np.uint64(1 + state.steps[m]) * _APART)
+            work[0] = random_bits(work)
+            for k in range(noise.shape[0]):
+                value = float(out[b, k])
+                if noise[k] > 0.0:
+                    value += noise[k] * normal(work)
+                if resolution[k] > 0.0:
+                    value = resolution[k] * math.floor(value / resolution[k] + 0.5)
+                out[b, k] = min(max(value, 0.0), 1.0)
+
+
 class Experiments:
     """One bench of N laboratories: the arrays of its running experiments.
 
@@ -484,6 +516,7 @@ class Bench(ABC):
         if self.told:
             words = "which part of what may be drawn is below: " + ", ".join(self.told)
             graded.append(Channel("told", self._told_numbers, "fraction", 0.0, 1.0, words))
+        self._errors = self._channel_errors(channels)
         self._graded_from = sum(channel.size for channel in (*channels, goal))
         self._added_from = self._graded_from + sum(channel.size for channel in graded)
         self.channels = (*channels, goal, *graded, *(part.declared(name, self) for name, part in self._added.items()))
@@ -491,6 +524,24 @@ class Bench(ABC):
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space = action_space
         self._set_rules()
+
+    def _channel_errors(self, channels: Sequence[Channel]) -> tuple[FloatArray, FloatArray] | None:
+        """Return noise and resolution [size] of the bench's own values; None if all are exact.
+
+        Raises:
+            DataError: the scenario names another channel.
+        """
+        found = []
+        for key in ("noise", "resolution"):
+            named: dict[str, float] = getattr(self.spec, key)
+            unknown = [name for name in named if name not in {channel.name for channel in channels}]
+            if unknown:
+                raise DataError(
+                    f"{self.scenario.origin}: benches.{self.key}.{key}: unknown channel {unknown[0]!r}; choose from "
+                    f"{', '.join(channel.name for channel in channels)}"
+                )
+            found.append(np.concatenate([np.full(one.size, named.get(one.name, 0.0)) for one in channels]))
+        return (found[0], found[1]) if self.spec.noise or self.spec.resolution else None
 
     @property
     def kind(self) -> str:
@@ -556,6 +607,8 @@ class Bench(ABC):
     def begin(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
         """Start experiments: the first position's vessel is in place, and ``experiments.goal`` is set."""
         _begin(members, *self._handles(shelf, experiments))
+        if self._errors is not None:
+            experiments.stream[members] += _APART  # no two experiments have the same noise
         self.prepare(shelf, experiments, members)
         experiments.baseline[members] = self.measure(shelf, experiments, members)
 
@@ -601,6 +654,8 @@ class Bench(ABC):
     def observe(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         """Write the agents' observations into ``out`` [B, observation size]; zeros for an idle bench."""
         self.see(shelf, experiments, members, out)
+        if self._errors is not None:
+            _blur(members, experiments.handle, *self._errors, np.zeros(1, dtype=np.uint64), out)
         if not self._is_shipped:
             name = f"{self.scenario.origin}: benches.{self.key}: {self.kind}"
             vessels = shelf.rows[experiments.places[members]]

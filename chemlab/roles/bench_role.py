@@ -12,6 +12,7 @@ from .base import Quantity, Role, one_hot
 from .bench import Bench, Experiments
 from .manager import charge_events, return_vessels
 from .manager_actions import GOAL, GRADE
+from .manager_state import MANAGER
 from .wear import MOST_GAIN, renew, wear_out
 
 if TYPE_CHECKING:
@@ -70,6 +71,9 @@ class BenchRole(Role):
     def observe(self, members: IntArray, out: ObservationArray, rows: IntArray | None = None) -> None:
         seen = out if rows is None else np.empty((len(members), out.shape[1]), dtype=np.float32)
         self.workplace.observe(self.labs.shelf, self.experiments, members, seen)
+        if self.labs.scenario.hides:  # nothing of a vessel before the first turn
+            own = self.experiments
+            seen[(own.steps[members] == 0) & (self.labs.state.cursor[members] == MANAGER)] = 0.0
         if rows is not None:
             out[rows] = seen
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray
 from ..kernels.jit import helper, inner, kernel, opened
+from ..kernels.rng import normal
 from ..physics.backends import elapse, partition, react, settle_phases
 from ..physics.chemistry import CLOCK, PRESENT, ROLE_GAS, TEMPERATURE, Chemistry
 from ..physics.shelf import CLOCK_SETTLED, ShelfArrays
@@ -44,6 +45,7 @@ from .manager_state import (
     ManagerState,
     Rules,
 )
+from .manager_view import shown_fill
 
 __all__ = [
     "BEGUN",
@@ -85,8 +87,27 @@ def _count_slots(n: int, base: int, state: ManagerState, rules: Rules, shelf: Sh
 
 
 @helper
+def _may_leave(n: int, s: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> bool:
+    """Return True if the vessel of a slot may be submitted.
+
+    With hidden parameters, a bench must have worked on it; it must not be emptier than the scenario allows.
+    """
+    row = shelf.rows[n * shelf.vessels + s]
+    if row[PRESENT] <= 0.0 or (rules.hides and state.last_bench[n, s] == 0):
+        return False
+    return bool(rules.least_fill <= 0.0 or shown_fill(row, rules, chem) >= rules.least_fill - 1e-9)
+
+
+@helper
 def _allowed(
-    n: int, a: int, slots: tuple[int, int], any_busy: bool, state: ManagerState, rules: Rules, shelf: ShelfArrays
+    n: int,
+    a: int,
+    slots: tuple[int, int],
+    any_busy: bool,
+    state: ManagerState,
+    rules: Rules,
+    shelf: ShelfArrays,
+    chem: Handle,
 ) -> bool:
     kind, x, y = rules.table[a, KIND], rules.table[a, FIRST], rules.table[a, SECOND]
     base = n * shelf.vessels
@@ -99,9 +120,10 @@ def _allowed(
     if kind == DISCARD:  # the last vessel cannot be discarded: without one no action would remain
         return bool(shelf.rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy))
     if kind == SUBMIT:
-        return bool(shelf.rows[base + x, PRESENT] > 0.0 and not state.filled[n, y] and _has_come(n, y, state))
+        free = not state.filled[n, y] and _has_come(n, y, state)
+        return free and _may_leave(n, x, state, rules, shelf, chem)
     if kind == RECALL:
-        return bool(state.busy[x, n])
+        return bool(state.busy[x, n] and (state.bench_steps[x, n] > 0 or not rules.hides))
     if kind == CALIBRATE:
         return bool(state.charges[n, INSTRUMENTS] + rules.calibration_price[x] <= rules.budget + 1e-12)
     if kind == REPAIR:
@@ -152,18 +174,20 @@ def _any_busy(n: int, busy: BoolArray) -> bool:
 
 
 @kernel
-def manager_mask(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, out: MaskArray) -> None:
+def manager_mask(
+    members: IntArray, manager: Handle, scenario: Handle, shelf: Handle, chemistry: Handle, out: MaskArray
+) -> None:
     """Write the manager's legal actions into ``out`` [B, A]."""
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]
         slots = _count_slots(n, n * arrays.vessels, state, rules, arrays)
-        any_busy = _any_busy(n, state.busy)
+        any_busy, chem = _any_busy(n, state.busy), chemistry[arrays.variant[n]]
         before, allowed = 0, False
         for a in range(rules.table.shape[0]):
             # Goals and requirements of one start are adjacent and have the same legality.
             if a == 0 or _differ(rules.table[a], rules.table[before]):
-                allowed = _allowed(n, a, slots, any_busy, state, rules, arrays)
+                allowed = _allowed(n, a, slots, any_busy, state, rules, arrays, chem)
                 before = a
             out[i, a] = allowed
 
@@ -211,10 +235,9 @@ def _remove(n: int, x: int, state: ManagerState, chem: Handle, row: FloatArray, 
 
 
 @inner
-def _payment(n: int, o: int, state: ManagerState, rules: Rules) -> float:
-    """Return the payment of an order with terms for its submission."""
+def _payment(n: int, o: int, amount: float, purity: float, state: ManagerState, rules: Rules) -> float:
+    """Return the payment of an order with terms for a submission."""
     terms, goal = state.terms[n, o], state.goal[n, o]
-    amount, purity = state.submitted[n, o, 0], state.submitted[n, o, 1]
     paid = terms[PRICE] if amount > 0.0 else 0.0
     if state.ticks[n] > terms[ARRIVES] + terms[WITHIN]:
         paid *= rules.late
@@ -222,6 +245,30 @@ def _payment(n: int, o: int, state: ManagerState, rules: Rules) -> float:
     if amount < least_amount or purity < max(terms[LEAST_PURITY], rules.least_purity[goal]):
         paid *= rules.short
     return float(paid)
+
+
+@helper
+def _earned(n: int, o: int, amount: float, purity: float, state: ManagerState, rules: Rules) -> float:
+    """Return the manager's reward for a submission with this amount and purity."""
+    goal = state.goal[n, o]
+    if state.terms.shape[1] > 0:
+        return float(rules.share * _payment(n, o, amount, purity, state, rules) / state.goal.shape[1])
+    if amount >= rules.least_amount[goal] and purity >= rules.least_purity[goal]:
+        return float(rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1])
+    return 0.0
+
+
+@helper
+def _answer(n: int, o: int, amount: float, purity: float, state: ManagerState, rules: Rules) -> None:
+    """Give the customer's feedback on a submission: the reward, for noisy values where feedback is noisy."""
+    if rules.feedback == 0.0:
+        state.rewards[rules.manager, n] += _earned(n, o, amount, purity, state, rules)
+    elif rules.feedback > 0.0:
+        said = state.feedback[n, o]
+        said[0] = max(amount + rules.feedback * rules.maximum[state.goal[n, o]] * normal(state.stream[n]), 0.0)
+        said[1] = min(max(purity + rules.feedback * normal(state.stream[n]), 0.0), 1.0)
+        said[2] = _earned(n, o, said[0], said[1], state, rules)
+        state.rewards[rules.manager, n] += said[2]
 
 
 @helper
@@ -240,11 +287,8 @@ def _submit(
     state.submitted[n, y, 1] = purity
     state.filled[n, y] = True
     if state.terms.shape[1] > 0:
-        state.paid[n, y] = _payment(n, y, state, rules)
-        state.rewards[rules.manager, n] += rules.share * state.paid[n, y] / state.goal.shape[1]
-    elif amount >= rules.least_amount[goal] and purity >= rules.least_purity[goal]:
-        earned = rules.share * amount * purity / rules.maximum[goal] / state.goal.shape[1]
-        state.rewards[rules.manager, n] += earned
+        state.paid[n, y] = _payment(n, y, amount, purity, state, rules)
+    _answer(n, y, amount, purity, state, rules)
     if last or _is_closed(n, state, rules):
         state.status[n] = CLOSED
     else:
@@ -318,7 +362,7 @@ def manager_act(
         state.begun[n], state.recalled[n], state.measured[n] = -1, -1, -1
         state.actions[n] += 1
         slots, any_busy = _count_slots(n, base, state, rules, arrays), _any_busy(n, state.busy)
-        state.illegal[n] = not _allowed(n, a, slots, any_busy, state, rules, arrays)
+        state.illegal[n] = not _allowed(n, a, slots, any_busy, state, rules, arrays, chem)
         kind, x, y = rules.table[a, KIND], rules.table[a, FIRST], rules.table[a, SECOND]
         if state.illegal[n]:
             state.charges[n, ILLEGAL] += rules.illegal_price

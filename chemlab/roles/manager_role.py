@@ -15,7 +15,7 @@ from .bench import check_discrete, load_observations, load_terms
 from .maintenance import go_astray
 from .manager import BEGUN, MEASURED, OVER, RECALLED, REPAIRED, manager_act, manager_mask
 from .manager_actions import FIRST, KIND, MEASURE, REPAIR, SECOND
-from .manager_state import MANAGER
+from .manager_state import ARRIVES, MANAGER
 from .manager_view import manager_channels, manager_observe, report_channels
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ class ManagerRole(Role):
 
     def mask(self, members: IntArray, out: MaskArray) -> None:
         labs = self.labs
-        manager_mask(members, labs.table.handle, labs.rules.handle, labs.shelf.handle, out)
+        manager_mask(members, *labs.handles(), out)
 
     def act(self, members: IntArray, actions: npt.NDArray[Any]) -> None:
         labs = self.labs
@@ -161,8 +161,15 @@ class ManagerRole(Role):
         labs.instruments.read(labs.shelf, state.reading, state.stream, members, slots, used, bias)
 
     def settle(self, members: IntArray, result: FloatArray, charges: FloatArray) -> None:
-        mix = self.labs.scenario.rewards
-        self.labs.state.rewards[self.index, members] -= (mix.manager_local + mix.manager_team) * charges
+        labs, state, demand = self.labs, self.labs.state, self.labs.scenario.demand
+        share = labs.rules.arrays.share
+        state.rewards[self.index, members] -= share * charges
+        if demand.feedback != 0.0:  # the part of the result that no submission has been rewarded for yet
+            state.rewards[self.index, members] += share * (result + charges)
+            state.rewards[self.index, members] -= state.feedback[members, :, 2].sum(axis=1)
+        elif demand.missed:
+            met = labs.worth(members).mean(axis=1)
+            state.rewards[self.index, members] += share * (result + charges - met)
 
     def reading(self, action: Any, member: int) -> dict[str, Any] | None:
         labs = self.labs
@@ -176,20 +183,18 @@ class ManagerRole(Role):
         """Further entries of its infos, of one laboratory or, with one more axis, of several.
 
         ``costs`` [items, as in :data:`~chemlab.roles.manager_state.COST_ITEMS`] so far, in units of the score; and by
-        order ``goals`` [orders] (index into the scenario's), ``submitted_mol`` [orders] and ``purity`` [orders] of the
-        vessel submitted for it (0 until then).
+        order ``goals`` [orders] (index into the scenario's, -1 before it arrives), ``submitted_mol`` [orders] and
+        ``purity`` [orders] of the vessel submitted for it, as far as the manager knows (0 until then).
         """
         labs, state = self.labs, self.labs.state
         if isinstance(which, int):
-            costs = labs.charges(labs.members[which : which + 1])[0]
+            costs = labs.shown_charges(labs.members[which : which + 1])[0]
         else:
-            costs = labs.charges(labs.members[which])
-        return {
-            "costs": costs,
-            "goals": state.goal[which].copy(),
-            "submitted_mol": state.submitted[which, :, 0].copy(),
-            "purity": state.submitted[which, :, 1].copy(),
-        }
+            costs = labs.shown_charges(labs.members[which])
+        goals, told = state.goal[which].copy(), labs.feedback(which)
+        if state.terms.shape[1]:
+            goals[state.ticks[which, ..., None] < state.terms[which, ..., ARRIVES]] = -1
+        return {"costs": costs, "goals": goals, "submitted_mol": told[..., 0], "purity": told[..., 1]}
 
     # -- state ------------------------------------------------------------------------------------------------
 

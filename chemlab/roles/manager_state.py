@@ -51,8 +51,8 @@ ARRIVES, WITHIN, PRICE, LEAST_AMOUNT, LEAST_PURITY = range(5)
 class ManagerState(NamedTuple):
     """Arrays of laboratories except vessels and experiments.
 
-    N laboratories, S slots, B benches, G agents, O orders, K orders with terms (all or none), F benches (all or none)
-    that report 3 numbers, I instruments, R numbers of all readings, M materials, E kinds of safety events, items of the
+    N laboratories, S slots, B benches, G agents, O orders, K orders with terms (all or none), C orders (all or none)
+    with noisy feedback, F benches (all or none) that report 3 numbers, I instruments, R numbers of all readings, M materials, E kinds of safety events, items of the
     costs. With degrading benches W = B, else 0; with drifting instruments D = I and Z = R, else 0.
     """
 
@@ -76,6 +76,8 @@ class ManagerState(NamedTuple):
     """[N, K, 5] ARRIVES (tick), WITHIN (ticks from then), PRICE, LEAST_AMOUNT (mol) and LEAST_PURITY of each order"""
     paid: Annotated[FloatArray, Field("N K")]
     """[N, K] payment received, as a share of the price"""
+    feedback: Annotated[FloatArray, Field("N C 3")]
+    """[N, C, 3] noisy feedback on each order's submission: mol, purity, and the reward given for it at once"""
     report: Annotated[FloatArray, Field("N F 3")]
     """[N, F, 3] last self-reported outcome of each bench from 0 to 1 (see :data:`chemlab.roles.grades.REPORT`)"""
     actions: Annotated[IntArray, Field("N")]
@@ -208,7 +210,13 @@ class Rules(NamedTuple):
     """share of the price for a submission that fails the terms"""
     most_terms: Annotated[FloatArray, Field("5")]
     """[5] upper bounds of the terms of any order"""
+    feedback: Annotated[float, Field("")]
+    """standard deviation of the feedback on a submission; below 0: no feedback before the end"""
+    hides: Annotated[int, Field("")]
+    """1 if parameters are hidden: a vessel is submitted only after a bench, and recalled only after a tick"""
+    least_fill: Annotated[float, Field("")]
+    """minimum fill level, as observed, of a vessel that may be submitted"""
     gauge: Annotated[float, Field("")]
-    """resolution of the fill level as a share of the capacity; 0: exact"""
+    """resolution of fill levels as a share of the capacity, and of stock as a share of the first; 0: exact"""
     work: Annotated[FloatArray, Field("a b")]
     """scratch"""

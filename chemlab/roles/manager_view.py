@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 
 from ..config.scenario import Scenario
-from ..kernels.arrays import Handle, IntArray, ObservationArray
-from ..kernels.jit import inner, kernel, opened
+from ..kernels.arrays import FloatArray, Handle, IntArray, ObservationArray
+from ..kernels.jit import helper, inner, kernel, opened
 from ..physics.chemistry import CAPACITY, PRESENT, TEMPERATURE
 from ..physics.shelf import ShelfArrays
 from ..physics.transfer import volume
@@ -19,7 +19,7 @@ from .instruments.table import InstrumentTable
 from .manager_actions import ManagerActions
 from .manager_state import ARRIVES, INSTRUMENTS, LEAST_AMOUNT, LEAST_PURITY, PRICE, WITHIN, ManagerState, Rules
 
-__all__ = ["manager_channels", "manager_observe", "order_channels", "report_channels", "terms_channels"]
+__all__ = ["manager_channels", "manager_observe", "order_channels", "report_channels", "shown_fill", "terms_channels"]
 
 _COLDEST_K, _HOTTEST_K = VESSEL_TEMPERATURES_K
 
@@ -50,6 +50,20 @@ def _vessel_channels(slot: str, scenario: Scenario, positions: int, largest_capa
     ]
 
 
+@helper
+def _shown(share: float, gauge: float) -> float:
+    """Return a share as a gauge shows it; what is not empty never reads 0."""
+    if gauge > 0.0 and share > 0.0:
+        share = gauge * max(math.floor(share / gauge + 0.5), 1.0)
+    return float(min(share, 1.0))
+
+
+@helper
+def shown_fill(row: FloatArray, rules: Rules, chem: Handle) -> float:
+    """Return the observed fill level of a vessel."""
+    return _shown(volume(row, chem) / row[CAPACITY], rules.gauge)
+
+
 @inner
 def _write_vessel(
     out: ObservationArray, at: int, n: int, s: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle
@@ -57,10 +71,7 @@ def _write_vessel(
     row = shelf.rows[n * shelf.vessels + s]
     if row[PRESENT] > 0.0:
         out[at] = 1.0
-        fill = volume(row, chem) / row[CAPACITY]
-        if rules.gauge > 0.0 and fill > 0.0:  # a non-empty vessel never reads 0
-            fill = rules.gauge * max(math.floor(fill / rules.gauge + 0.5), 1.0)
-        out[at + 1] = min(fill, 1.0)
+        out[at + 1] = shown_fill(row, rules, chem)
         out[at + 2] = min(max((row[TEMPERATURE] - _COLDEST_K) / (_HOTTEST_K - _COLDEST_K), 0.0), 1.0)
         out[at + 3] = min(row[CAPACITY] / rules.largest_capacity, 1.0)
         out[at + 4 + state.last_bench[n, s]] = 1.0
@@ -121,7 +132,7 @@ def _write_stock(out: ObservationArray, at: int, n: int, rules: Rules, shelf: Sh
     for k in range(rules.stocked.shape[0]):
         m = rules.stocked[k]
         left = shelf.stock[n, m] / rules.first_stock[m] if rules.first_stock[m] > 0.0 else 0.0
-        out[at + k] = min(max(left, 0.0), 1.0)
+        out[at + k] = max(_shown(left, rules.gauge), 0.0)
     return int(at + rules.stocked.shape[0])
 
 
