@@ -133,7 +133,11 @@ def _customer_lines(spec: Scenario) -> list[str]:
     if demand.missed:
         lines.append(f"An order that is not met costs {demand.missed:g} of its price.")
     if demand.feedback != 0.0:
-        early = "nothing is learned" if demand.feedback == "none" else f"only noisy values ({demand.feedback:g}) are learned"
+        early = (
+            "nothing is learned"
+            if demand.feedback == "none"
+            else f"only noisy values ({demand.feedback:g}) are learned"
+        )
         lines.append(f"Of a submission {early} before the end of the episode.")
     if spec.hides:
         full = f", at least {demand.fill_at_least:g} full," if demand.fill_at_least else ""
@@ -183,7 +187,8 @@ def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
     targets = _ranges([numbers_of.get(one) or _tokens(one, name) for one in draw.of if one not in spec.benches])
     of = f" of {name(draw.material)}" if draw.material else ""
     of += f" (rest {name(draw.inert)})" if draw.inert else ""
-    told = f", revealed to {', '.join(draw.told)}" if draw.told else ""
+    told = "all agents" if spec.world.revealed else ", ".join(draw.told)
+    told = f", revealed to {told}" if told else ""
     where = f" ({targets})" if targets else ""
     return f"{draw.what}{of}{where}, {change}{kind} {', '.join(parts)}{told}"
 

@@ -430,7 +430,8 @@ def _advice(workplace: Workplace) -> str:
 def given_as(scenario: Scenario) -> str:
     """Return the command-line argument for a scenario: a bundled one's name, else the path of its file."""
     shipped = scenario.origin == str(shipped_file(scenario.name))
-    return shlex.quote(scenario.origin if Path(scenario.origin).is_file() and not shipped else scenario.name)
+    own = Path(scenario.origin).is_file() and not shipped
+    return shlex.quote(scenario.origin + scenario.level if own else scenario.name)
 
 
 def _difference(card: Card, workplace: Workplace) -> str:

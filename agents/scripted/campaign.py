@@ -27,6 +27,8 @@ _SAMPLES = 32
 _MODEL_ERROR = 0.004
 """Standard deviation of readings besides their noise: true rates lie between the grid's."""
 _SURPRISE = 1e-12
+_LEAST_GAIN = 1e-3
+"""Expected gain below which a free measurement is not taken either."""
 
 
 def has_unknown_rate(scenario: Scenario) -> str | None:
@@ -83,7 +85,7 @@ class CampaignManager(ScriptedManager[_Belief]):
         self._expected, self._worth = _foreseen(scenario, drawn, self._numbers, self._instrument, self._rxn)
         spec = scenario.instruments.get(str(self._instrument))
         self._noise = float(np.hypot(spec.noise, _MODEL_ERROR)) if spec is not None else 1.0
-        self._price = spec.price if spec is not None else 0.0
+        self._price = max(spec.price, _LEAST_GAIN) if spec is not None else 0.0
         # Fixed random numbers for every decision: rates, spread over all likely ones, and noise.
         self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, self._expected.shape[2]))

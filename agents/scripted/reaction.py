@@ -27,21 +27,22 @@ _LOSS = 0.1
 """Accepted loss of a product per run by thermal decomposition, as a share."""
 
 
-def _hottest(bench: ReactionBench) -> tuple[FloatArray, FloatArray] | None:
-    """Return the maximum temperature (K) of the bench at quantiles of the prior, or None if no rate is revealed.
+def _hottest(bench: ReactionBench) -> tuple[int, FloatArray, FloatArray] | None:
+    """Return the maximum temperature (K) of the bench at quantiles of the prior, or None if no rate is revealed to it.
 
-    At the maximum, a reaction whose pre-exponential factor is revealed to the bench proceeds for ``_LOSS`` time
-    constants in one run.
+    The first number is the rate's index among all that is revealed. At the maximum, a reaction whose pre-exponential
+    factor is revealed to the bench proceeds for ``_LOSS`` time constants in one run.
     """
-    draws = [bench.scenario.world.draws[name] for name in bench.told]
-    rates = [draw for draw in draws if draw.what == "pre_exponential" and draw.variables == 1]
-    if not rates or rates[0] is not draws[0]:
+    world = bench.scenario.world
+    rates = [n for n, d in world.draws.items() if bench.key in d.told and d.what == "pre_exponential"]
+    if not rates or world.draws[rates[0]].variables > 1:
         return None
-    step = next(one for one in bench.scenario.family.reaction if equation(one) in rates[0].of)
+    rate, column = world.draws[rates[0]], world.numbers(bench.told[: bench.told.index(rates[0])])
+    step = next(one for one in bench.scenario.family.reaction if equation(one) in rate.of)
     shares = np.linspace(0.001, 0.999, 999)
-    factors = step.pre_exponential * quantiles(rates[0], shares)
+    factors = step.pre_exponential * quantiles(rate, shares)
     time = bench.step_limit * bench.options.tick
-    return shares, step.activation_energy_j_mol / (GAS_CONSTANT * np.log(factors * time / _LOSS))
+    return column, shares, step.activation_energy_j_mol / (GAS_CONSTANT * np.log(factors * time / _LOSS))
 
 
 class ScriptedReaction:
@@ -90,7 +91,8 @@ class ScriptedReaction:
         if self._hottest is not None:
             low, high, most = self._span
             now = low + observation[:, self._slices["temperature"]][:, 0] * (high - low)
-            wanted = np.interp(observation[:, self._slices["told"]][:, 0], *self._hottest)
+            column, *curve = self._hottest
+            wanted = np.interp(observation[:, self._slices["told"]][:, column], *curve)
             warm = np.minimum(warm, np.clip(0.5 + (wanted - now) / (2.0 * most), 0.0, 1.0))
         piston = np.where(close, 1.0, 0.5)
         return np.column_stack((warm, piston, adding))

@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -184,7 +185,7 @@ class Draw(BaseModel):
     correlation: float = Bound(default=1.0, ge=0.0, le=1.0)
     """Share of the group's common score in the variance of the normal score."""
     told: tuple[Name, ...] = Bound(default=(), max_length=16)
-    """Benches, by key, whose agents observe the drawn values; no other agent does."""
+    """Benches, by key, whose agents observe the drawn values, or ``manager``; no other agent does."""
     test: tuple[tuple[Number, Number] | Name, ...] = Bound(default=(), max_length=16)
     """Regions [low, high] of the number (options by name) that training and validation never draw from.
 
@@ -260,6 +261,16 @@ class WorldSpec(BaseModel):
         default={}, max_length=_MOST_DRAWS
     )
     """Declared draws by name, in the order of drawing and application."""
+    revealed: bool = False
+    """True: all agents observe all drawn values."""
+
+    def told_to(self, key: str) -> list[str]:
+        """Return the draws whose values are revealed to a bench, by key, or to the ``manager``."""
+        return [name for name, draw in self.draws.items() if self.revealed or key in draw.told]
+
+    def numbers(self, names: Sequence[str]) -> int:
+        """Return how many numbers some draws have."""
+        return sum(self.draws[name].variables for name in names)
 
 
 @dataclass(frozen=True)

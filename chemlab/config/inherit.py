@@ -1,4 +1,4 @@
-"""Inheritance of scenario files: keys from ``base`` and defaults of the bench kinds.
+"""Inheritance of scenario files: keys from ``base``, levels, and defaults of the bench kinds.
 
 It works on parsed files before they are validated by the models of :mod:`chemlab.config.scenario`.
 """
@@ -16,10 +16,20 @@ from typing import Any
 
 from .datafile import DataError, dotted_key, read_toml
 
-__all__ = ["bench_defaults", "completed", "scenario_folder", "scenario_names", "shipped_file", "synthesis_names"]
+__all__ = [
+    "bench_defaults",
+    "completed",
+    "scenario_folder",
+    "scenario_names",
+    "shipped_file",
+    "split_level",
+    "synthesis_names",
+]
 
 _BENCHES = Path(__file__).resolve().parent.parent / "data" / "benches"
 _LONGEST_CHAIN = 16
+_TOP = 3
+"""Level of a scenario as its file has it."""
 
 
 def scenario_folder() -> Path:
@@ -43,8 +53,16 @@ def synthesis_names() -> list[str]:
     return sorted(path.stem for path in (scenario_folder() / "syntheses").glob("*.toml"))
 
 
+def split_level(name: str) -> tuple[str, int | None]:
+    """Return a scenario's name or path without its level, and the level: ``unlabelled@1``; None: none is given."""
+    found = re.fullmatch(r"(.+)@([0-9]{1,9})", name, re.ASCII)
+    return (name, None) if found is None else (found[1], int(found[2]))
+
+
 def shipped_file(name: object) -> Path | None:
-    """Return the file of a bundled scenario or synthesis; None for any other name."""
+    """Return the file of a bundled scenario, at any level, or of a synthesis; None for any other name."""
+    if isinstance(name, str):
+        name, _ = split_level(name)
     if name in scenario_names():
         return scenario_folder() / f"{name}.toml"
     return scenario_folder() / "syntheses" / f"{name}.toml" if name in synthesis_names() else None
@@ -60,29 +78,51 @@ def bench_defaults(kind: object) -> Mapping[str, Any]:
     return _shipped_benches().get(kind, {}) if isinstance(kind, str) else {}
 
 
-def completed(values: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
+def completed(values: Mapping[str, Any], where: str, folder: Path, level: int | None = None) -> dict[str, Any]:
     """Resolve the inheritance of a scenario file.
 
     Args:
         values: the parsed file.
         where: the file, for error messages.
         folder: folder to which its relative paths refer.
+        level: level of the scenario; None: as the file has it.
 
     Returns:
         The base's tables with the file's own merged into them key by key, without the keys that the file removes.
+        The tables of a level, and before it of those between it and the file's own, are merged in the same way.
         Missing keys of each bench are then filled from its kind. A bench's key is taken whole, from one or the other.
 
     Raises:
         DataError: the base is unknown or inherits from this file; a key to be removed does not exist; an empty table
-            has no effect.
+            has no effect; the level is not declared.
     """
-    content = _inherited(values, where, folder, ())
+    content = _at_level(_inherited(values, where, folder, ()), where, level)
     benches = content.get("benches")
     if isinstance(benches, Mapping):
         content["benches"] = {
             key: _whole(bench) if isinstance(bench, Mapping) else bench for key, bench in benches.items()
         }
     return content
+
+
+def _at_level(content: dict[str, Any], where: str, level: int | None) -> dict[str, Any]:
+    """Merge the tables ``levels.N`` of a scenario into it, from those below the top down to ``level``."""
+    levels = content.pop("levels", {})
+    known = {str(number) for number in range(1, _TOP)}
+    if not isinstance(levels, Mapping) or not set(levels) <= known:
+        raise DataError(f"{where}: levels: must be tables [levels.1] and [levels.2], given {list(levels)!r:.200}")
+    if level is None or (level == _TOP and levels):
+        return content
+    if str(level) not in levels:
+        choice = f"choose from {', '.join([*sorted(levels), str(_TOP)])}" if levels else "it has none"
+        raise DataError(f"{where}: level {level}: not declared under levels; {choice}")
+    for number in range(_TOP - 1, level - 1, -1):
+        own = dict(levels.get(str(number), {}))
+        here = f"{where}: levels.{number}"
+        for entry in own.pop("remove", []):
+            content = _without(content, dotted_key(entry, f"{here}.remove"), entry, f"{here}.remove", where)
+        content = _merged(content, own, here, ())
+    return {**content, "name": f"{content.get('name')}@{level}"}
 
 
 def _whole(bench: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing_extensions import Unpack
 from .checks import check_charges, check_draws, check_materials, check_vessels, mentioned_materials
 from .datafile import DataError, bounded, read_toml
 from .datamodel import validated, written
-from .inherit import completed, scenario_names, shipped_file, synthesis_names
+from .inherit import completed, scenario_names, shipped_file, split_level, synthesis_names
 from .materials import Material, load_materials, shipped_materials
 from .pairs import Pair, load_pairs, shipped_pairs
 from .reactions import (
@@ -95,8 +95,9 @@ def load_scenario(scenario: str | Path | Mapping[str, Any] | Scenario, **setting
     """Load and validate a scenario.
 
     Args:
-        scenario: a bundled name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, the
-            parsed content of one or a :func:`dump_scenario` as a mapping, or a loaded scenario.
+        scenario: a bundled name (see :func:`scenario_names` and :func:`synthesis_names`), a path to a TOML file, either
+            with a level (``unlabelled@1``), the parsed content of a file or a :func:`dump_scenario` as a mapping, or a
+            loaded scenario.
         settings: ``rewards``, ``split`` and ``actions`` of :meth:`~chemlab.config.scenario.Scenario.configured`.
 
     Raises:
@@ -115,26 +116,29 @@ def _loaded(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
         if isinstance(scenario.get("scenario"), Mapping):
             return restore_scenario(scenario, where)
         return _resolve(bounded(scenario, where), where, Path.cwd())
-    if isinstance(scenario, str) and (file := shipped_file(scenario)):
-        return _load_file(file)
     if not isinstance(scenario, (str, Path)):
         raise DataError(f"scenario: must be a name, a path, a mapping or a loaded scenario, given {scenario!r}")
-    path = Path(scenario)
+    name, level = split_level(str(scenario))
+    if isinstance(scenario, str) and (file := shipped_file(scenario)):
+        return _load_file(file, level)
+    path = Path(name)
     if path.suffix != ".toml":
         raise DataError(
             f"scenario: unknown name {str(scenario)!r:.200}; "
             f"choose from {', '.join([*scenario_names(), *synthesis_names()])}, or give a path to a .toml file"
         )
-    return _resolve(read_toml(path), str(path), path.parent)
+    return _resolve(read_toml(path), str(path), path.parent, level)
 
 
-@functools.lru_cache(maxsize=32)
-def _load_file(path: Path) -> Scenario:
-    return _resolve(read_toml(path), str(path), path.parent)
+@functools.lru_cache(maxsize=64)
+def _load_file(path: Path, level: int | None) -> Scenario:
+    return _resolve(read_toml(path), str(path), path.parent, level)
 
 
-def _resolve(values: Mapping[str, Any], where: str, folder: Path) -> Scenario:
-    spec: Scenario = validated(Scenario, completed(values, where, folder), where)
+def _resolve(values: Mapping[str, Any], where: str, folder: Path, level: int | None = None) -> Scenario:
+    if "@" in str(values.get("name")):
+        raise DataError(f"{where}: name: {values['name']!r:.200} must not have a level; declare it under levels")
+    spec: Scenario = validated(Scenario, completed(values, where, folder, level), where)
     known = dict(shipped_materials())
     for name, material in load_materials([folder / file for file in spec.material_files]).items():
         if name in known:
@@ -227,7 +231,7 @@ def plain_scenario(scenario: Scenario) -> str | dict[str, Any]:
     It is the scenario's name or file as long as these give the same scenario, else a :func:`dump_scenario`.
     """
     content = dump_scenario(scenario)
-    for known in (scenario.name, scenario.origin):
+    for known in (scenario.name, scenario.origin + scenario.level):
         with contextlib.suppress(DataError):
             if dump_scenario(load_scenario(known)) == content:
                 return known

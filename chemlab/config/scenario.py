@@ -214,7 +214,7 @@ class BenchSpec(BaseModel):
     """Standard deviation of the noise on every value that the bench's agent observes, by channel, on the scale from 0
     to 1.
 
-    It is drawn for each step. Channels that are not named are exact.
+    Half of its variance is drawn for an experiment, half for each step. Channels that are not named are exact.
     """
     resolution: dict[Key, Annotated[float, Field(gt=0.0, le=1.0)]] = Field(default={}, max_length=32)
     """Resolution of these values, noise included, by channel, on the same scale."""
@@ -407,8 +407,8 @@ class GradeSpec(OrderSpec):
 class DemandSpec(BaseModel):
     """What customers want and say: orders that arrive over time with their own terms, penalties, and feedback.
 
-    An order with terms pays its price for a submission in time that meets its requirements, and nothing for exceeding them. The
-    score is the mean over the orders, minus all costs.
+    An order with terms pays its price for a submission in time that meets its requirements, and nothing for exceeding
+    them. The score is the mean over the orders, minus all costs.
     """
 
     model_config = _FROZEN
@@ -472,8 +472,8 @@ class Scenario(BaseModel):
 
     model_config = _FROZEN
 
-    name: str = Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)
-    """Name in commands and records."""
+    name: str = Field(pattern=r"^[a-z][a-z0-9_]*(@[12])?$", max_length=100)
+    """Name in commands and records; with its level, if that is not the file's own: ``unlabelled@1``."""
     title: str = Field(max_length=300)
     """One line for lists."""
     summary: str
@@ -564,10 +564,11 @@ class Scenario(BaseModel):
             if wanted.purity_among and goal not in wanted.purity_among:
                 raise ValueError(f"specifications.{goal}.purity_among: {goal!r} itself must be one of them")
         for name, draw in self.world.draws.items():
-            unknown = [key for key in draw.told if key not in self.benches]
+            unknown = [key for key in draw.told if key not in (*self.benches, "manager")]
             if unknown:
                 raise ValueError(
-                    f"world.draws.{name}.told: {unknown[0]!r} is not one of benches ({', '.join(self.benches)})"
+                    f"world.draws.{name}.told: {unknown[0]!r} is not one of benches ({', '.join(self.benches)}), nor "
+                    "manager"
                 )
         unknown = [name for name in self.manager.readings or () if name not in self.instruments]
         if unknown:
@@ -625,9 +626,14 @@ class Scenario(BaseModel):
         """
         path = Path(self._origin)
         shipped = path == shipped_file(path.stem)
-        if path.suffix != ".toml" or (shipped and path.stem != self.name):  # created or changed in code
+        if path.suffix != ".toml" or (shipped and path.stem + self.level != self.name):  # created or changed in code
             return "FILE.toml"
-        return self.name if shipped else shlex.quote(self._origin)
+        return self.name if shipped else shlex.quote(self._origin + self.level)
+
+    @property
+    def level(self) -> str:
+        """Its level as part of its name, ``@1``; empty for the scenario as its file has it."""
+        return "".join(self.name.rpartition("@")[1:]) if "@" in self.name else ""
 
     @property
     def errs(self) -> bool:

@@ -130,6 +130,7 @@ class Laboratories:
             },
             F=len(self.benches) if any(bench.report is not None for bench in spec.benches.values()) else 0,
             K=len(spec.demand.order),
+            T=spec.world.numbers(spec.world.told_to("manager")),
             C=spec.orders if spec.demand.feedback not in (0.0, "none") else 0,
             I=len(self.instruments.names),
             R=numbers_read,
@@ -314,6 +315,8 @@ class Laboratories:
         state = self.state
         self.table.reset(members)
         self.worlds.set_terms(members, state.terms)
+        if state.told.shape[1]:
+            state.told[members] = self.worlds.told(members, "manager")
         _draw_goals(members, wanted, state.stream, state.goal)
         if self._prepared is not None:
             self._begin_half_way(members, *self._prepared)

@@ -200,7 +200,7 @@ class Worlds:
         self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
         """By quantity and bench or instrument: column of the number, and kind of change."""
         self._told: dict[str, IntArray] = {}
-        """By bench, the columns revealed to it; computed on first use."""
+        """By bench or ``manager``, the columns revealed to it; computed on first use."""
         self._demand, self._ticks = scenario.demand, float(scenario.limits.ticks)
         terms: list[tuple[int, int, int, int]] = []
         column = 0
@@ -415,12 +415,13 @@ class Worlds:
         if len(self._drawn_terms):
             _change_terms(members, self._drawn_terms, self.table.arrays.values, terms)
 
-    def told(self, members: IntArray, bench: str) -> FloatArray:
-        """Return [B, T] hidden parameters revealed to a bench, as given by :meth:`positions`."""
-        if bench not in self._told:
-            told = [bench in draw.told for draw in self._spec.draws.values() for _ in range(draw.variables)]
-            self._told[bench] = np.flatnonzero(told)
-        return positions(self._variables.arrays, self.table.arrays.values[members], self._told[bench])
+    def told(self, members: IntArray, key: str) -> FloatArray:
+        """Return [B, T] hidden parameters revealed to a bench or the manager, as given by :meth:`positions`."""
+        if key not in self._told:
+            names = self._spec.told_to(key)
+            told = [name in names for name, draw in self._spec.draws.items() for _ in range(draw.variables)]
+            self._told[key] = np.flatnonzero(told)
+        return positions(self._variables.arrays, self.table.arrays.values[members], self._told[key])
 
     def most_terms(self) -> FloatArray:
         """Return [quantities] the highest possible terms of any order; at least slightly above 0."""

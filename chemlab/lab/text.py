@@ -261,12 +261,12 @@ class RoleText:
             if self._role.grades.names:
                 factors = [self._role.grades.largest, 1.0, float(self._role.step_limit)]
                 scales["grade"] = (factors, ["mol at least", "purity at least", "ticks allowed"], "")
-            named = [
-                name if scenario.world.draws[name].variables == 1 else f"{name} {k}"
-                for name in self._role.told
-                for k in range(scenario.world.draws[name].variables)
-            ]
-            scales["told"] = ([1.0] * len(named), [f"{name} quantile" for name in named], "")
+        named = [
+            name if scenario.world.draws[name].variables == 1 else f"{name} {k}"
+            for name in scenario.world.told_to(self._role.key)
+            for k in range(scenario.world.draws[name].variables)
+        ]
+        scales["told"] = ([1.0] * len(named), [f"{name} quantile" for name in named], "")
         return scales
 
     def lines(self, observation: ObservationArray) -> list[str]:

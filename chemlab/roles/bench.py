@@ -59,6 +59,7 @@ __all__ = [
     "load_observations",
     "load_terms",
     "on_scale",
+    "told_channel",
     "weighted_amount",
 ]
 
@@ -84,6 +85,12 @@ class Channel:
     low: float
     high: float
     meaning: str
+
+
+def told_channel(names: Sequence[str], size: int) -> Channel:
+    """Return the channel of revealed hidden parameters."""
+    words = "which part of what may be drawn is below: " + ", ".join(names)
+    return Channel("told", size, "fraction", 0.0, 1.0, words)
 
 
 @dataclass(frozen=True)
@@ -355,18 +362,20 @@ def _blur(
 ) -> None:
     """Apply noise [size] and resolution [size] to the first values of observations ``out`` [B, any].
 
-    The noise follows from the experiment's stream and step, so that it is the same whenever a step is observed.
+    Half of the noise's variance is drawn for the experiment, half for the step. It follows from the experiment's stream
+    and step, so that it is the same whenever a step is observed.
     """
     state = opened(ExperimentState, experiment)
     for b in range(members.shape[0]):
         m = members[b]
         if state.busy[m]:
-            work[0] = state.stream[m, 0] ^ (np.uint64(1 + state.steps[m]) * _APART)
-            work[0] = random_bits(work)
+            work[0] = state.stream[m, 0]
+            work[1] = state.stream[m, 0] ^ (np.uint64(1 + state.steps[m]) * _APART)
+            work[1] = random_bits(work[1:])
             for k in range(noise.shape[0]):
                 value = float(out[b, k])
                 if noise[k] > 0.0:
-                    value += noise[k] * normal(work)
+                    value += noise[k] * math.sqrt(0.5) * (normal(work[:1]) + normal(work[1:]))
                 if resolution[k] > 0.0:
                     value = resolution[k] * math.floor(value / resolution[k] + 0.5)
                 out[b, k] = min(max(value, 0.0), 1.0)
@@ -448,8 +457,8 @@ class Bench(ABC):
         self.action_space: gymnasium.Space[Any]
         self.observation_space: gymnasium.spaces.Box
         self.grades = Grades(scenario, key)
-        self.told = [name for name, draw in scenario.world.draws.items() if key in draw.told]
-        self._told_numbers = sum(scenario.world.draws[name].variables for name in self.told)
+        self.told = scenario.world.told_to(key)
+        self._told_numbers = scenario.world.numbers(self.told)
         self.model: Any = load_model(scenario, key, self.model_methods)
         """Replaces the built-in physics where the scenario names one."""
         self._added = load_observations(self.spec.observe, scenario, f"benches.{key}.observe")
@@ -514,8 +523,7 @@ class Bench(ABC):
         most = f"least mol (1: {self.grades.largest:g}), least purity, ticks allowed (1: {self.step_limit})"
         graded = [Channel("grade", 3, "fraction", 0.0, 1.0, most)] if self.grades.names else []
         if self.told:
-            words = "which part of what may be drawn is below: " + ", ".join(self.told)
-            graded.append(Channel("told", self._told_numbers, "fraction", 0.0, 1.0, words))
+            graded.append(told_channel(self.told, self._told_numbers))
         self._errors = self._channel_errors(channels)
         self._graded_from = sum(channel.size for channel in (*channels, goal))
         self._added_from = self._graded_from + sum(channel.size for channel in graded)
@@ -655,7 +663,7 @@ class Bench(ABC):
         """Write the agents' observations into ``out`` [B, observation size]; zeros for an idle bench."""
         self.see(shelf, experiments, members, out)
         if self._errors is not None:
-            _blur(members, experiments.handle, *self._errors, np.zeros(1, dtype=np.uint64), out)
+            _blur(members, experiments.handle, *self._errors, np.zeros(2, dtype=np.uint64), out)
         if not self._is_shipped:
             name = f"{self.scenario.origin}: benches.{self.key}: {self.kind}"
             vessels = shelf.rows[experiments.places[members]]

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..config.parts import blamed, checked_numbers
 from ..kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 from .base import Quantity, Role
-from .bench import check_discrete, load_observations, load_terms
+from .bench import check_discrete, load_observations, load_terms, told_channel
 from .maintenance import go_astray
 from .manager import BEGUN, MEASURED, OVER, RECALLED, REPAIRED, manager_act, manager_mask
 from .manager_actions import FIRST, KIND, MEASURE, REPAIR, SECOND
@@ -42,10 +42,13 @@ class Manager:
         self.added = load_observations(spec.manager.observe, spec, "manager.observe")
         own = manager_channels(spec, labs.instruments, labs.rules.arrays)
         reports = report_channels(spec)
+        self.told = spec.world.told_to("manager")
+        told = [told_channel(self.told, spec.world.numbers(self.told))] if self.told else []
         self.reports_from = sum(channel.size for channel in own)
-        self.added_from = self.reports_from + sum(channel.size for channel in reports)
+        self.told_from = self.reports_from + sum(channel.size for channel in reports)
+        self.added_from = self.told_from + sum(channel.size for channel in told)
         self.added_channels = [part.declared(name, labs) for name, part in self.added.items()]
-        self.channels = (*own, *reports, *self.added_channels)
+        self.channels = (*own, *reports, *told, *self.added_channels)
         size = sum(channel.size for channel in self.channels)
         self.observation_space: gymnasium.spaces.Box = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space: gymnasium.Space[Any] = gymnasium.spaces.Discrete(len(self.actions))
@@ -103,9 +106,11 @@ class ManagerRole(Role):
             rows = np.arange(len(members))
         manager_observe(members, *labs.handles(), out, rows)
         if self._reporting:
-            size = manager.added_from - manager.reports_from
+            size = manager.told_from - manager.reports_from
             reports = labs.state.report[members][:, self._reporting].reshape(len(members), size)
-            out[rows, manager.reports_from : manager.added_from] = reports
+            out[rows, manager.reports_from : manager.told_from] = reports
+        if manager.told:
+            out[rows, manager.told_from : manager.added_from] = labs.state.told[members]
         at = manager.added_from
         for (name, part), channel in zip(manager.added.items(), manager.added_channels, strict=True):
             out[rows, at : at + channel.size] = part.seen(name, len(members), channel.size, labs, members)

@@ -52,8 +52,10 @@ class ManagerState(NamedTuple):
     """Arrays of laboratories except vessels and experiments.
 
     N laboratories, S slots, B benches, G agents, O orders, K orders with terms (all or none), C orders (all or none)
-    with noisy feedback, F benches (all or none) that report 3 numbers, I instruments, R numbers of all readings, M materials, E kinds of safety events, items of the
-    costs. With degrading benches W = B, else 0; with drifting instruments D = I and Z = R, else 0.
+    with noisy feedback, F benches (all or none) that report 3 numbers, T numbers revealed to the manager, I
+    instruments, R numbers of all readings, M materials, E kinds of safety events, items of the costs.
+
+    With degrading benches W = B, else 0; with drifting instruments D = I and Z = R, else 0.
     """
 
     reserved: Annotated[IntArray, Field("N S", first=-1)]
@@ -80,6 +82,8 @@ class ManagerState(NamedTuple):
     """[N, C, 3] noisy feedback on each order's submission: mol, purity, and the reward given for it at once"""
     report: Annotated[FloatArray, Field("N F 3")]
     """[N, F, 3] last self-reported outcome of each bench from 0 to 1 (see :data:`chemlab.roles.grades.REPORT`)"""
+    told: Annotated[FloatArray, Field("N T", first=None)]
+    """[N, T] hidden parameters revealed to the manager, scaled to [0, 1]"""
     actions: Annotated[IntArray, Field("N")]
     """[N] manager actions so far"""
     ticks: Annotated[IntArray, Field("N")]
