@@ -186,7 +186,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
                 infos[name]["elapsed_ticks"] = labs.state.ticks.item(0) - self._last_turn[name]
             self.agent_selection = labs.manager.name
         if not manages and self.agent_selection == labs.manager.name:
-            infos[self.agent_selection]["costs"] = labs.shown_charges(self._members)[0]
+            infos[self.agent_selection].update(labs.manager.accounts(0))
         self._accumulate_rewards()
         self._unfinished = False
         self._show()

@@ -65,12 +65,15 @@ def test_the_bench_sees_what_is_asked_and_told_and_nobody_else_is_told() -> None
     env = laboratory(graded(purity_at_least=0.3, amount_at_least_mol=2.0))
     labs = env.laboratories
     manager(env, "start", "rxn_0", 0, "2-chlorohexane", "asked")
+    assert not env.observe("rxn_0").any()  # before its first turn
+    manager(env, "wait")
     slices, seen = channel_slices(labs.benches[0].channels), env.observe("rxn_0")
     assert seen[slices["grade"]] == pytest.approx([0.5, 0.3, 1.0])
     assert seen[slices["told"]] == pytest.approx(labs.worlds.positions(labs.members)[0], abs=1e-6)
     other = laboratory(graded(purity_at_least=0.3, amount_at_least_mol=2.0))
     other.reset(seed=0, options={"world": {"rate": 3.9}})
     manager(other, "start", "rxn_0", 0, "2-chlorohexane", "asked")
+    manager(other, "wait")
     assert (other.observe("manager_0") == env.observe("manager_0")).all()
     changed = np.flatnonzero(other.observe("rxn_0") != seen)
     assert changed.tolist() == [slices["told"].start]

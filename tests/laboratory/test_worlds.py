@@ -150,12 +150,13 @@ def test_results_depend_neither_on_the_batch_nor_on_threads() -> None:
 
 
 def test_a_world_disturbs_no_other_stream() -> None:
-    """With amounts that come out as the file has them anyway, an episode is the one without a world."""
+    """With amounts that come out as the file has them anyway, episodes are equal however many numbers are drawn."""
     same = {"kind": "choice", "options": [1.0]}
-    drawn = scenario({"feed": {"what": "amount", "of": SLOTS, "material": HALIDES[0], "distribution": same}})
-    without = scenario({})
+    feed = {"what": "amount", "of": SLOTS, "material": HALIDES[0], "distribution": same}
+    one = scenario({"feed": feed})
+    more = scenario({"solvent": {**feed, "material": "diethyl_ether"}, "feed": feed})
     results = []
-    for spec in (drawn, without):
+    for spec in (one, more):
         env = raw_env(spec)
         policies = make_policies("random", env.laboratories, 5)
         results.append([play_episode(env, policies, seed).as_dict() for seed in range(3)])
@@ -460,6 +461,7 @@ def test_headers_that_no_recorder_writes_are_found(tmp_path: Path, key: str, val
 
 def test_records_without_a_seed_are_played_in_the_world_they_hold(tmp_path: Path) -> None:
     spec, path = scenario(), tmp_path / "record.jsonl"
+    spec = spec.model_copy(update={"limits": spec.limits.model_copy(update={"manager_actions": 1})})
     env = raw_env(spec)
     env.reset(seed=1)
     env.reset()
@@ -468,7 +470,7 @@ def test_records_without_a_seed_are_played_in_the_world_they_hold(tmp_path: Path
         recorder.begin()
         from chemlab.record import Play
 
-        action = labs.actions.encode("submit", 0)
+        action = labs.actions.encode("discard", 0)  # the last one that the limit leaves
         seen, mask = labs.observe(0, labs.members)[0], labs.mask(0, labs.members)
         assert mask is not None
         env.step(action)
