@@ -91,8 +91,8 @@ class ScriptedReaction:
         if self._hottest is not None:
             low, high, most = self._span
             now = low + observation[:, self._slices["temperature"]][:, 0] * (high - low)
-            column, *curve = self._hottest
-            wanted = np.interp(observation[:, self._slices["told"]][:, column], *curve)
+            column, shares, kelvin = self._hottest
+            wanted = np.interp(observation[:, self._slices["told"]][:, column], shares, kelvin)
             warm = np.minimum(warm, np.clip(0.5 + (wanted - now) / (2.0 * most), 0.0, 1.0))
         piston = np.where(close, 1.0, 0.5)
         return np.column_stack((warm, piston, adding))
