@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -135,7 +136,7 @@ def test_splits_share_no_world_and_training_none_of_a_test_region(count: int) ->
     """So many draws of each split from the same seeds."""
     region = (1.5, 2.0)
     spec = specified(x=number({"kind": "uniform", "low": 0.5, "high": 2.0}, test=[region]))
-    names = ("train", "validation", "test", "private:one", "private:two")
+    names = ("train", "validation", "test", "private:" + "1" * 32, "private:" + "2" * 32)
     found = {name: drawn(spec, count, name) for name in names}
     numbers = {name: table.arrays.number[:, 0] for name, (_, table) in found.items()}
     for i, name in enumerate(names):
@@ -189,10 +190,14 @@ def test_worlds_that_cannot_be_asked_for(given: dict[str, Any], message: str) ->
         given_values(spec, given, MATERIALS)
 
 
-@pytest.mark.parametrize("name", ["", "Train", "private", "private:", "tests"])
+@pytest.mark.parametrize(
+    "name", ["", "Train", "private", "private:", "private:quetzal", "private:" + "1" * 31, "tests"]
+)
 def test_splits_that_there_are_not(name: str) -> None:
-    with pytest.raises(ValueError, match=r"split: must be train, validation, test or private:SALT"):
+    with pytest.raises(ValueError, match=r"split: must be train, validation, test or private:SALT") as refused:
         Split.of(name)
+    new = re.findall(r"private:[0-9a-f]{32}", str(refused.value))[0]  # one that the message makes
+    assert Split.of(new).number == 3
 
 
 # -- scenario files ---------------------------------------------------------------------------------------------------

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import hashlib
 import math
+import re
+import secrets
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -55,7 +57,7 @@ Name = Annotated[str, Bound(min_length=1, max_length=500)]
 Option = float | Name
 
 SPLITS = ("train", "validation", "test")
-"""Splits by name; ``private:SALT`` is another one, which requires the salt."""
+"""Splits by name; ``private:SALT`` is another one, which requires the salt: 32 hexadecimal digits at least."""
 
 _PRIVATE = "private"
 
@@ -298,9 +300,12 @@ class Split:
         """
         if name in SPLITS:
             return cls(name, SPLITS.index(name), name == "test", (0x776F726C, SPLITS.index(name)))
-        private, colon, salt = str(name).partition(":")
-        if private != _PRIVATE or not (colon and salt):
-            raise ValueError(f"split: must be {', '.join(SPLITS)} or {_PRIVATE}:SALT, given {name!r:.100}")
+        private, _, salt = str(name).partition(":")
+        if private != _PRIVATE or re.fullmatch("[0-9a-fA-F]{32,200}", salt, re.ASCII) is None:
+            raise ValueError(
+                f"split: must be {', '.join(SPLITS)} or {_PRIVATE}:SALT, with 128 random bits or more as hexadecimal "
+                f"digits, for instance the new {_PRIVATE}:{secrets.token_hex(16)}; given {name!r:.100}"
+            )
         words = np.frombuffer(hashlib.blake2b(salt.encode(), digest_size=32).digest(), "<u4")
         return cls(name, len(SPLITS), True, (0x776F726C, len(SPLITS), *(int(word) for word in words)))
 

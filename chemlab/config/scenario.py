@@ -405,7 +405,7 @@ class GradeSpec(OrderSpec):
 
 
 class DemandSpec(BaseModel):
-    """What customers want and say: orders that arrive over time with their own terms, penalties, and feedback.
+    """Terms of customers: orders that arrive over time with their own terms, penalties, and feedback.
 
     An order with terms pays its price for a submission in time that meets its requirements, and nothing for exceeding
     them. The score is the mean over the orders, minus all costs.

@@ -82,7 +82,7 @@ def measure(name: str, count: Callable[[str], int]) -> list[str]:
     """One row of the table: tokens of an episode with a scripted policy at every seat."""
     from chemlab.lab.engine import Laboratories
 
-    room = Room(name, Laboratories(name).agents, salt="tokens", seed=0)
+    room = Room(name, Laboratories(name).agents, salt="70" * 16, seed=0)
     briefs = [count(room.brief(seat)) for seat in room.seats]
     replies: list[int] = []
     looks = [count(room.call(seat, "look").text) for seat in room.seats]

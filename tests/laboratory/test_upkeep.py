@@ -376,7 +376,7 @@ def test_the_state_of_critics_has_it() -> None:
     assert "bias" not in [channel.name for channel in raw_env("campaign").state_channels]
 
 
-@pytest.mark.parametrize("split", ["train", "private:quetzal"])
+@pytest.mark.parametrize("split", ["train", "private:7175657474616c007175657474616c00"])
 def test_records_prove_the_condition_of_benches_and_instruments(tmp_path: Path, split: str) -> None:
     """Also of a split whose worlds can only be told by their numbers; another number is another course of events."""
     path, spec = tmp_path / "record.jsonl", drawing()

@@ -177,7 +177,7 @@ def test_episodes_go_on_to_other_worlds_and_seeds_begin_again() -> None:
 
 def test_splits_have_worlds_of_their_own() -> None:
     numbers, titres = set(), {}
-    for split in ("train", "validation", "test", "private:quetzal"):
+    for split in ("train", "validation", "test", "private:7175657474616c007175657474616c00"):
         labs = Laboratories(scenario(), 200, split=split)
         for member in range(200):
             labs.seed(member, member)
@@ -186,7 +186,7 @@ def test_splits_have_worlds_of_their_own() -> None:
         titres[split] = min(min(labs.worlds.values(member)["titre"].values()) for member in range(200))
     assert len(numbers) == 4 * 200
     assert titres["train"] > 0.5 < titres["validation"]
-    assert titres["test"] < 0.5 > titres["private:quetzal"]
+    assert titres["test"] < 0.5 > titres["private:7175657474616c007175657474616c00"]
     with pytest.raises(ValueError, match="split: must be train"):
         Laboratories(scenario(), split="dev")
 
@@ -400,7 +400,7 @@ def test_two_worlds_look_equal_until_something_physical_differs() -> None:
 # -- records ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("split", ["train", "test", "private:quetzal"])
+@pytest.mark.parametrize("split", ["train", "test", "private:7175657474616c007175657474616c00"])
 @pytest.mark.parametrize("world", [None, 3])
 def test_records_hide_and_prove_the_world(tmp_path: Path, split: str, world: int | None) -> None:
     spec, path = scenario(), tmp_path / "record.jsonl"
@@ -448,7 +448,7 @@ def test_records_hide_and_prove_the_world(tmp_path: Path, split: str, world: int
 )
 def test_headers_that_no_recorder_writes_are_found(tmp_path: Path, key: str, value: Any) -> None:
     spec, path = scenario(), tmp_path / "record.jsonl"
-    env = raw_env(spec, split="private:quetzal")
+    env = raw_env(spec, split="private:7175657474616c007175657474616c00")
     with Recorder(path, env.laboratories) as recorder:
         play_episode(env, make_policies("random", env.laboratories), 6, options={"world": 2}, recorder=recorder)
     header, *lines = path.read_text().splitlines()
