@@ -549,7 +549,7 @@ def test_what_cannot_be_is_refused() -> None:
 
 def test_seats_are_entered_with_condition_calls_and_tokens(tmp_path: Path) -> None:
     """All episodes of a ledger count, those without calls left as they stood; a salt known to the operator alone."""
-    folder, keep, salt = tmp_path / "seats", tmp_path / "out", "0123456789abcdef"
+    folder, keep, salt = tmp_path / "seats", tmp_path / "out", "0123456789abcdef" * 2
     for episode, budget in ((0, 400), (3, 400)):
         room = Room(
             "unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + episode, calls=budget, condition="tools only"
