@@ -53,6 +53,9 @@ __all__ = [
     "scripted_manager",
 ]
 
+_MARGINS_K = {"scripted:hot": -8.0, "scripted:cool": 10.0}
+"""Kelvin below the highest temperature that a reaction bench thinks right."""
+
 _SCRIPTS: dict[str, dict[str, type[Any]]] = {
     "paper": {
         "reaction": ScriptedReaction,
@@ -125,7 +128,8 @@ class LapsingPolicy:
 
 def policy_names() -> tuple[str, ...]:
     """Return the names that :func:`make_policies` accepts."""
-    scripted = ("scripted", "scripted:unsafe", "scripted:no-extraction", "scripted:memoryless", "scripted:fifo")
+    ablated = ("scripted:unsafe", "scripted:no-extraction", "scripted:memoryless", "scripted:fifo")
+    scripted = ("scripted", *ablated, *_MARGINS_K)
     return (*scripted, "random", "pretrained", "pretrained-isolated", "trained", "plan")
 
 
@@ -143,7 +147,9 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
             * ``scripted``; with an ability removed: ``scripted:unsafe`` (no actions that serve only safety or
               measurement), ``scripted:no-extraction`` (the manager does not use extraction), ``scripted:memoryless``
               (the manager forgets its findings at the end of a batch, or at the next measurement), ``scripted:fifo``
-              (the manager takes one order at a time, in the order of arrival)
+              (the manager takes one order at a time, in the order of arrival); with other habits: ``scripted:hot`` and
+              ``scripted:cool`` (reaction benches work above or below the temperature that they know to be best, and the
+              manager counts on that)
             * ``random``
             * ``pretrained``: bundled benches and the scripted manager; ``pretrained-isolated``: the same with benches
               trained on single benches; ``trained``: a bundled manager as well, with the benches of its training
@@ -247,13 +253,14 @@ def agent_policy(
     if own == "trained" or (own in ("pretrained", "pretrained-isolated") and operates):
         found = pretrained_for(role, laboratory=True, alone=own == "pretrained-isolated")
         return _as_trained(found.played(way, seed), laboratories, number, seed, deep)
-    careful = own != "scripted:unsafe"
+    careful, margin_k = own != "scripted:unsafe", _MARGINS_K.get(own, 0.0)
     if isinstance(role, Bench):
-        return scripted_bench(role, careful, seed)
+        return scripted_bench(role, careful, seed, margin_k)
     benches = laboratories.scenario.benches
     washing = [key for key, bench in benches.items() if bench.kind == "extraction"]
     skip = washing if own == "scripted:no-extraction" else []
-    return scripted_manager(laboratories, careful, skip, own != "scripted:memoryless", own != "scripted:fifo")
+    remember, schedule = own != "scripted:memoryless", own != "scripted:fifo"
+    return scripted_manager(laboratories, careful, skip, remember, schedule, margin_k)
 
 
 def _as_trained(
@@ -280,17 +287,21 @@ def is_scripted(bench: Bench) -> bool:
     return bench.spec.kind in _SCRIPTS.get(bench.scenario.physics, {})
 
 
-def scripted_bench(bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None) -> Policy:
+def scripted_bench(
+    bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None, margin_k: float = 0.0
+) -> Policy:
     """Return the scripted policy of a bench; for kinds without one, random legal actions with a warning.
 
     Args:
         bench: the bench.
         careful: False omits actions that serve only safety.
         seed: seed of random actions.
+        margin_k: see :class:`.scripted.reaction.ScriptedReaction`.
     """
     kind = bench.spec.kind
     if is_scripted(bench):
-        policy: Policy = _SCRIPTS[bench.scenario.physics][kind](bench, careful)
+        style = {"margin_k": margin_k} if margin_k else {}
+        policy: Policy = _SCRIPTS[bench.scenario.physics][kind](bench, careful, **style)
         return NearestPolicy(policy, bench) if isinstance(bench, Discretised) else policy
     if kind not in _UNSCRIPTED:
         _UNSCRIPTED.add(kind)
@@ -308,6 +319,7 @@ def scripted_manager(
     skip: Collection[str] = (),
     remember: bool = True,
     schedule: bool = True,
+    margin_k: float = 0.0,
 ) -> Policy:
     """Return the scripted manager of some laboratories.
 
@@ -317,15 +329,17 @@ def scripted_manager(
         skip: benches that are not used.
         remember: False clears the belief at the end of a batch, or at the next measurement.
         schedule: False processes one order at a time in order of arrival.
+        margin_k: margin of the reaction benches that the manager counts on.
 
     Raises:
         ValueError: the scripted manager of the scenario has no memory or no schedule that could be removed.
     """
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
-    setting = Setting(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip)
-    if has_orders_to_schedule(labs.scenario) and remember:
-        return SchedulingManager(setting, schedule=schedule)
+    setting = Setting(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip, margin_k)
+    reports = any(bench.report is not None for bench in labs.scenario.benches.values())
+    if has_orders_to_schedule(labs.scenario) and (remember or reports):
+        return SchedulingManager(setting, schedule, remember)
     if not schedule:
         raise ValueError(f"scripted:fifo: the scripted manager of {labs.scenario.name} has no orders to choose from")
     if has_unknown_rate(labs.scenario) is not None:

@@ -55,9 +55,10 @@ class ScriptedReaction:
     Args:
         bench: the bench.
         careful: False heats regardless of the pressure gauge.
+        margin_k: kelvin below the highest temperature that a revealed rate allows; a negative number is above it.
     """
 
-    def __init__(self, bench: ReactionBench, careful: bool = True) -> None:
+    def __init__(self, bench: ReactionBench, careful: bool = True, margin_k: float = 0.0) -> None:
         priced = bench.scenario.safety.reward_price > 0.0
         self._safe_pressure = (_SAFEST_PRESSURE if priced else _SAFE_PRESSURE) if careful else np.inf
         self._slices = channel_slices(bench.channels)
@@ -68,7 +69,7 @@ class ScriptedReaction:
         self._late = np.zeros_like(self._need, dtype=bool)
         span = bench.options.temperature_k
         self._span = np.array([span.low, span.high, span.step])
-        self._hottest = _hottest(bench)
+        self._hottest, self._margin_k = _hottest(bench), margin_k
         self._hold_until = round(_HOLD_BACK * bench.spec.step_limit)
         for g, goal in enumerate(bench.goals.names):
             wanted = family.towards(goal)
@@ -92,7 +93,7 @@ class ScriptedReaction:
             low, high, most = self._span
             now = low + observation[:, self._slices["temperature"]][:, 0] * (high - low)
             column, shares, kelvin = self._hottest
-            wanted = np.interp(observation[:, self._slices["told"]][:, column], shares, kelvin)
+            wanted = np.interp(observation[:, self._slices["told"]][:, column], shares, kelvin) - self._margin_k
             warm = np.minimum(warm, np.clip(0.5 + (wanted - now) / (2.0 * most), 0.0, 1.0))
         piston = np.where(close, 1.0, 0.5)
         return np.column_stack((warm, piston, adding))

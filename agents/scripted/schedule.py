@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from statistics import NormalDist
+from typing import Any
 
 import numpy as np
+from scipy.special import ndtr
 
 from chemlab.config.draws import ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw
 from chemlab.config.scenario import DemandSpec, Scenario
@@ -25,11 +27,13 @@ _GRID = 33
 """Number of titre candidates."""
 _SURE = 0.9
 """Probability above which no further measurement is considered."""
-_LIKELY = 0.5
+_LIKELY = 0.25
 """Minimum probability of meeting an order for which reagent is used."""
 _MOST_TICKS = 1_000_000
 _SPREAD = 0.04
-"""Relative standard deviation of a vessel's yield besides the uncertainty of its reading; rates are hidden."""
+"""Relative standard deviation of a vessel's yield besides the uncertainty of its reading."""
+_RATES = 7
+"""Number of candidates of a rate that only a bench is told: midpoints of equally likely parts of its prior."""
 
 
 def has_orders_to_schedule(scenario: Scenario) -> bool:
@@ -68,21 +72,22 @@ class _Shop:
         stage: by slot, the number of benches that the vessel has been at.
         serves: by slot, the order for which the vessel was started.
         running: by bench agent, the slot of its vessel.
+        grade: by slot, the number of the quality requirement of its last run.
         reported: by slot, the amount that the bench reported for its last run.
-        factor: ratio of actual to predicted yields.
-        ended: number of runs behind ``factor``.
+        rates: by stage, [L] the probability of each rate that the stage's bench is told.
         seen: orders in the order of their arrival.
         asked: the slot that is being measured.
     """
+
+    rates: list[FloatArray]
 
     titre: dict[int, float] = field(default_factory=dict)
     stage: dict[int, int] = field(default_factory=dict)
     serves: dict[int, int] = field(default_factory=dict)
     running: dict[str, int] = field(default_factory=dict)
+    grade: dict[int, int] = field(default_factory=dict)
     reported: dict[int, float] = field(default_factory=dict)
     seen: list[int] = field(default_factory=list)
-    factor: float = 1.0
-    ended: int = 0
     asked: int | None = None
 
 
@@ -92,20 +97,23 @@ class SchedulingManager(ScriptedManager[_Shop]):
     An order is accepted if its price is among the highest ones for which there is reagent, counting known orders and
     those expected under the prior. It is made from the vessel with the highest probability of a sufficient yield, given
     its readings. A measurement is paid for if its value exceeds its price. Finished vessels fill the best paying orders
-    first.
+    first. A rate that only a bench is told is inferred from what the bench reports (Bayes), and decides which quality
+    requirement the bench is given.
 
     Args:
-        setting: the manager's laboratory; if not careful, it never measures.
+        setting: the manager's laboratory; if not careful, it never measures. Its margin is that of the benches.
         schedule: False processes one order at a time in order of arrival and drops only orders that cannot be met any
             more.
+        remember: False infers nothing from reports.
     """
 
-    def __init__(self, setting: Setting, schedule: bool = True) -> None:
+    def __init__(self, setting: Setting, schedule: bool = True, remember: bool = True) -> None:
         super().__init__(setting)
-        scenario, channels, _, instruments, _, careful, skip = setting
-        self._schedule = schedule
+        scenario, channels, _, instruments, _, careful, skip, margin_k = setting
+        self._schedule, self._remember = schedule, remember
         self._high = {channel.name: channel.high for channel in channels}
         self._stages = list(scenario.benches)
+        self._outcomes: dict[Any, tuple[FloatArray, FloatArray]] = {}  # of the present decision
         self._idle = bool(set(self._stages) & set(skip))
         self._agents = {key: [f"{key}_{i}" for i in range(scenario.benches[key].count)] for key in self._stages}
         # Quality requirements of every stage, the fastest first; without any, the step limits.
@@ -119,7 +127,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         self._draw = titre
         shares = (np.arange(_GRID) + 0.5) / _GRID
         self._titres = quantiles(titre, shares)
-        self._made = _foreseen(scenario, titre, self._titres, self._stages)
+        self._made = _foreseen(scenario, titre, self._titres, self._stages, margin_k)
         prices = [draw for draw in scenario.world.draws.values() if draw.what == "price"]
         base = scenario.demand.order[0].price
         self._prices = base * quantiles(prices[0], shares) if prices else np.full(_GRID, base)
@@ -158,37 +166,88 @@ class SchedulingManager(ScriptedManager[_Shop]):
         for agent, slot in list(shop.running.items()):
             if self._value(observation, f"{agent}_busy") < 0.5:
                 del shop.running[agent]
-                shop.stage[slot] = shop.stage.get(slot, 0) + 1
-                report = f"{agent}_reported_amount"
+                stage, report = shop.stage.get(slot, 0), f"{agent}_reported_amount"
                 if report in self._slices:
-                    shop.reported[slot] = self._value(observation, report)
-                    if shop.stage[slot] == len(self._stages) and slot in shop.titre:
-                        foreseen = float(np.interp(shop.titre[slot], self._titres, self._made[-1]))
-                        ratio = shop.reported[slot] / max(foreseen, 1e-9)
-                        shop.factor += (min(ratio, 2.0) - shop.factor) / (1.0 + shop.ended)
-                        shop.ended += 1
+                    said = self._value(observation, report)
+                    if self._remember and stage < len(self._stages):
+                        self._infer(shop, slot, stage, said)
+                    shop.reported[slot] = said
+                shop.stage[slot] = stage + 1
+
+    def _infer(self, shop: _Shop, slot: int, stage: int, said: float) -> None:
+        """Update the probabilities of the rate that a stage's bench is told, from what it reports."""
+        key = self._stages[stage]
+        error = (self._scenario.benches[key].report or 0.0) * self._high[f"{self._agents[key][0]}_reported_amount"]
+        expected = self._after(shop, slot, stage, shop.grade.get(slot, -1))
+        noise = np.hypot(_SPREAD * expected, error)
+        likely = np.exp(-0.5 * ((said - expected) / noise) ** 2) / noise
+        weights = shop.rates[stage] * likely.mean(axis=0) + 1e-9
+        shop.rates[stage] = weights / weights.sum()
+
+    def _after(self, shop: _Shop, slot: int, stage: int, grade: int, before: FloatArray | None = None) -> FloatArray:
+        """Return [..., L] mol after the run of a stage, at each rate that its bench may have been told.
+
+        Args:
+            shop, slot: the vessel.
+            stage, grade: the run.
+            before: [...] mol after the stage before; default: as reported, or the titre's candidates [T].
+        """
+        made = self._made[stage, grade]
+        if stage == 0:
+            given, at = (np.array([shop.titre[slot]]) if slot in shop.titre else self._titres), self._titres
+        else:
+            given = np.array([shop.reported[slot]]) if before is None else before
+            at = self._typical(stage - 1)
+        return np.stack([np.interp(given, at, own) for own in made], axis=-1)
+
+    def _typical(self, stage: int) -> FloatArray:
+        """Return [T] mol from which the next stage has been simulated."""
+        return np.asarray(self._made[stage, _best_grade(self._made[stage]), self._made.shape[2] // 2])
 
     def _chance(self, shop: _Shop, slot: int, order: _Order) -> float:
-        """Return the probability that the yield of a vessel meets an order's amount."""
-        made, stage = self._made[-1], shop.stage.get(slot, 0)
-        if slot in shop.reported:
-            own = self._made[stage - 1]
-            mean = (
-                shop.reported[slot] if stage == len(self._stages) else float(np.interp(shop.reported[slot], own, made))
-            )
-        elif slot not in shop.titre:
-            return float((shop.factor * made >= order.amount).mean())
-        else:
-            mean = shop.factor * float(np.interp(shop.titre[slot], self._titres, made))
-        spread = np.hypot(_SPREAD * mean, self._noise * made.max()) + 1e-9
-        return NormalDist(mean, float(spread)).cdf(2.0 * mean - order.amount)
+        """Return the probability that a vessel meets an order's amount and time."""
+        return self._best(shop, slot, order)[0]
+
+    def _best(self, shop: _Shop, slot: int, order: _Order) -> tuple[float, int]:
+        """Return the highest chance of meeting an order in time, and the number of the next stage's quality requirement
+        for it: of about equal ones the fastest, and the fastest where there is no time."""
+        steps = [self._grades[key] for key in self._stages[shop.stage.get(slot, 0) :]]
+        best, chosen = (0, 0), (0.0, 0)
+        for grades in itertools.product(range(len(self._names)), repeat=len(steps)):
+            ticks = sum(own[grade] for own, grade in zip(steps, grades, strict=True))
+            if ticks <= order.left:
+                chance = self._met(shop, slot, order.amount, grades)
+                if (round(20.0 * chance), -ticks) > best:
+                    best, chosen = (round(20.0 * chance), -ticks), (chance, grades[0] if grades else 0)
+        return chosen
+
+    def _met(self, shop: _Shop, slot: int, amount: float, grades: Sequence[int]) -> float:
+        """Return the probability that a vessel has an amount after runs of the remaining stages."""
+        stage, titre = shop.stage.get(slot, 0), shop.titre.get(slot)
+        key = (stage, shop.reported.get(slot, 0.0) if stage else titre, tuple(grades))
+        if key not in self._outcomes:
+            self._outcomes[key] = self._outcome(shop, slot, stage, grades)
+        amounts, weights = self._outcomes[key]
+        if stage == 0 and titre is None:
+            return float(weights @ (amounts >= amount))
+        spread = np.hypot(_SPREAD * amounts, self._noise * self._made[-1].max()) + 1e-9
+        return float(weights @ ndtr((amounts - amount) / spread))
+
+    def _outcome(self, shop: _Shop, slot: int, stage: int, grades: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return [K] mol after runs of the remaining stages, and [K] their probabilities."""
+        amounts, weights = np.array([shop.reported.get(slot, 0.0)]), np.ones(1)
+        for number, grade in enumerate(grades, stage):
+            amounts = self._after(shop, slot, number, grade, None if number == stage else amounts)
+            weights = np.multiply.outer(weights if number > stage else np.ones(len(amounts)), shop.rates[number])
+        return amounts.ravel(), (weights / weights.sum()).ravel()
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
     def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
-            self._kept[member] = _Shop()
+            self._kept[member] = _Shop([np.full(self._made.shape[2], 1.0 / self._made.shape[2]) for _ in self._stages])
         shop = self._kept[member]
+        self._outcomes.clear()
         self._learn(shop, observation)
         shop.seen += [order.number for order in self._known(observation) if order.number not in shop.seen]
 
@@ -198,6 +257,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         if kind == "start":
             agent = more[0]
             shop.running[agent] = slot
+            shop.grade[slot] = self._names.index(more[2]) if self._scenario.grades else 0
             served = set(shop.serves.values())
             waiting = [order for order in self._known(observation) if order.number not in served]
             if agent in self._agents[self._stages[0]] and slot not in shop.serves and waiting:
@@ -208,7 +268,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
             shop.asked = slot
 
     def _part_with(self, shop: _Shop, slot: int) -> None:
-        for memory in (shop.stage, shop.serves, shop.titre, shop.reported):
+        for memory in (shop.stage, shop.serves, shop.titre, shop.reported, shop.grade):
             memory.pop(slot, None)
         shop.stage[slot] = len(self._stages) + 1  # the vessel was removed
 
@@ -238,24 +298,23 @@ class SchedulingManager(ScriptedManager[_Shop]):
 
     def _go_on(self, shop: _Shop, orders: list[_Order], observation: ObservationArray, mask: MaskArray) -> int | None:
         """Send a vessel in process to its next bench."""
-        left = {order.number: order.left for order in orders}
+        known = {order.number: order for order in orders}
         for slot, stage in shop.stage.items():
             if 0 < stage < len(self._stages) and slot not in shop.running.values():
-                action = self._start(shop, slot, stage, left.get(shop.serves.get(slot, -1), 0.0), mask)
+                action = self._start(shop, slot, stage, known.get(shop.serves.get(slot, -1)), mask)
                 if action is not None:
                     return action
         return None
 
-    def _start(self, shop: _Shop, slot: int, stage: int, left: float, mask: MaskArray) -> int | None:
-        """Start a run on a free bench with the longest requirement that leaves time for the later stages."""
-        steps = [self._grades[key] for key in self._stages[stage:]]
-        in_time = [grade for grade, own in zip(self._names, zip(*steps, strict=True), strict=True) if sum(own) <= left]
-        grade = [in_time[-1] if in_time else self._names[0]] if self._scenario.grades else []
+    def _start(self, shop: _Shop, slot: int, stage: int, order: _Order | None, mask: MaskArray) -> int | None:
+        """Start a run on a free bench, with the quality requirement that is best for the vessel's order."""
+        grade = self._best(shop, slot, order)[1] if order is not None else 0
+        names = [self._names[grade]] if self._scenario.grades else []
         for agent in self._agents[self._stages[stage]]:
             if agent not in shop.running:
-                action = self._actions.encode("start", agent, slot, _goal(self._scenario, stage), *grade)
+                action = self._actions.encode("start", agent, slot, _goal(self._scenario, stage), *names)
                 if mask[action]:
-                    shop.running[agent] = slot
+                    shop.running[agent], shop.grade[slot] = slot, grade
                     return action
         return None
 
@@ -298,7 +357,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
             if look is not None:
                 return look
             if chance >= _LIKELY or self._instrument is None or not self._may_look(mask):
-                action = self._start(shop, ranked[0], 0, order.left, mask)
+                action = self._start(shop, ranked[0], 0, order, mask)
                 if action is not None:
                     shop.serves[ranked[0]] = order.number
                     return action
@@ -311,7 +370,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         """Measure a vessel without a reading if the expected gain of finding a better one exceeds the price."""
         if self._instrument is None or chance >= _SURE:
             return None
-        good = float((shop.factor * self._made[-1] >= order.amount).mean())
+        good = float((self._typical(-1) >= order.amount).mean())
         if (1.0 - chance) * good * order.price / len(self._orders) <= self._price:
             return None
         for slot in fresh:
@@ -327,10 +386,24 @@ def _goal(scenario: Scenario, stage: int) -> str:
     return scenario.goals[max(len(scenario.goals) - len(scenario.benches) + stage, 0)]
 
 
-def _foreseen(scenario: Scenario, titre: Draw, titres: FloatArray, stages: Sequence[str]) -> FloatArray:
-    """Simulate the yields [stages, T] in mol of each stage's goal from the first vessel at each titre.
+def _rate(scenario: Scenario, key: str) -> str | None:
+    """Return the name of the drawn rate that only a bench is told, or None."""
+    draws = scenario.world.draws.items()
+    return next((name for name, d in draws if d.what == "pre_exponential" and key in d.told), None)
 
-    The public scenario is used; all other hidden parameters have their prior's median.
+
+def _best_grade(made: FloatArray) -> int:
+    """Return the quality requirement of the highest yield of a stage [grades, L, T]."""
+    return int(made.mean(axis=(1, 2)).argmax())
+
+
+def _foreseen(
+    scenario: Scenario, titre: Draw, titres: FloatArray, stages: Sequence[str], margin_k: float
+) -> FloatArray:
+    """Simulate the yields [stages, grades, L, T] in mol of each stage's goal from the first vessel.
+
+    The public scenario is used at each titre, and at each of L rates that the stage's bench is told. The stages before
+    have had the best time, and all other hidden parameters have their prior's median.
     """
     slot = next(name for name in titre.of if name.startswith("slot_"))
     own = titre.model_copy(update={"of": (slot,), "test": ()})
@@ -342,13 +415,27 @@ def _foreseen(scenario: Scenario, titre: Draw, titres: FloatArray, stages: Seque
     typical = {name: float(quantiles(draw, np.array([0.5]))[0]) for name, draw in others.items()}
     world = scenario.world.model_copy(update={"draws": {"titre": own, **others}})
     known = scenario.model_copy(update={"world": world, "demand": DemandSpec()})
-    labs = Laboratories(known, len(titres))
-    for member, number in zip(labs.members, titres.tolist(), strict=True):
-        labs.reset(labs.members[member : member + 1], world={"titre": {slot: number}, **typical})
-    made = []
-    for stage, key in enumerate(stages):
+    rates = [_rate(scenario, key) for key in stages]
+    count = _RATES if any(rates) else 1
+    grades: list[str | None] = [*scenario.grades] or [None]
+    grades.sort(key=lambda name: (scenario.grades[name].ticks or _MOST_TICKS) if name else 0)
+    labs, at = Laboratories(known, count * len(titres)), int(slot[5:])
+    made = np.zeros((len(stages), len(grades), count, len(titres)))
+    for stage, rate in enumerate(rates):
+        shares = (np.arange(count) + 0.5) / count
+        told = quantiles(others[rate], shares) if rate else np.zeros(count)
+        for member in labs.members:
+            which, t = divmod(int(member), len(titres))
+            drawn = typical | ({rate: float(told[which])} if rate else {})
+            labs.reset(labs.members[member : member + 1], world={"titre": {slot: float(titres[t])}, **drawn})
+        for before in range(stage):
+            grade = grades[_best_grade(made[before])]
+            run_once(labs, f"{stages[before]}_0", _goal(scenario, before), at, grade, margin_k)
+        ready = labs.snapshot()
         goal = _goal(scenario, stage)
-        run_once(labs, f"{key}_0", goal, int(slot[5:]))
         part = labs.rules.arrays.parts[scenario.goals.index(goal), 0]
-        made.append(labs.shelf.amounts[:, int(slot[5:]), part].copy())
-    return np.array(made)
+        for g, grade in enumerate(grades):
+            labs.restore(ready)
+            run_once(labs, f"{stages[stage]}_0", goal, at, grade, margin_k)
+            made[stage, g] = labs.shelf.amounts[:, at, part].reshape(count, -1)
+    return made

@@ -106,6 +106,7 @@ class Setting(NamedTuple):
         positions: number of vessel positions of each bench.
         careful: False omits steps that serve only safety and measurement.
         skip: benches that are not used.
+        margin_k: margin of the reaction benches that it counts on, see :class:`.reaction.ScriptedReaction`.
     """
 
     scenario: Scenario
@@ -115,6 +116,7 @@ class Setting(NamedTuple):
     positions: Mapping[str, int]
     careful: bool = True
     skip: Collection[str] = ()
+    margin_k: float = 0.0
 
 
 class _Advice(NamedTuple):
