@@ -65,7 +65,7 @@ PRODUCTS = [
 ]
 ROLES = {
     "solvent": {"diethyl_ether", "water", "hexane", "ethyl_acetate"},
-    "solute": {*CHLOROHEXANES, *PRODUCTS, *"ABCDEFGHI"},
+    "solute": {*CHLOROHEXANES, *PRODUCTS, *"ABCDEFGHIJK"},
     "solid": {"Na", "NaCl", "NaOH"},
     "ion": set(IONS),
     "gas": {"air", "H2"},

@@ -20,6 +20,7 @@ from chemlab.agents.scripted.upkeep import UpkeepManager, has_wearing_lines
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.materials import DataError
 from chemlab.envs.players import Players
+from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import TEMPERATURE
 from chemlab.roles.manager_actions import MEASURE, SUBMIT
@@ -325,15 +326,54 @@ def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_l
         labs.seed(0, np.random.SeedSequence(0))
         labs.reset(labs.members, world={"first_limit": factor})
         agent: Any = ScriptedReaction(labs.benches[0])  # type: ignore[arg-type]
-        for action in (labs.actions.encode("start", "rxn_0", 0, "F", "full"), labs.actions.encode("wait")):
+        for action in (labs.actions.encode("start", "rxn_0", 0, "F", "slow"), labs.actions.encode("wait")):
             labs.act(0, labs.members, np.array([action]))
         row, hottest = labs.experiments[0].places[0, 0], 0.0
         for turn in range(12):
             actions = agent.act(labs.observe(1, labs.members), None, np.array([turn]), labs.members)
             labs.act(1, labs.members, actions)
             hottest = max(hottest, float(labs.shelf.rows[row, TEMPERATURE]))
-        limit = step.activation_energy_j_mol / (GAS * math.log(factor * step.pre_exponential * 20 * 0.05 / 0.1))
+        limit = step.activation_energy_j_mol / (GAS * math.log(factor * step.pre_exponential * 40 * 0.05 / 0.1))
         assert hottest == pytest.approx(min(limit, 348.15), abs=0.2)
+
+
+def team_scores(policy: str, episodes: int = 100) -> FloatArray:
+    labs = Laboratories("relay", episodes, split="validation")
+    return play_laboratory(labs, make_policies(policy, labs, 0), None, 0).returns
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("role", ["rxn", "fin"])
+def test_relay_needs_each_member(role: str) -> None:
+    """With one member random, at least 0.3 of what the team gains over random play is lost."""
+    team, random = team_scores("scripted").mean(), team_scores("random").mean()
+    assert team_scores(f"scripted,{role}=random").mean() <= team - 0.3 * (team - random)
+
+
+@pytest.mark.slow
+def test_the_best_manager_of_relay_depends_on_the_partners() -> None:
+    """Ovens that are run too hot need another manager than ovens that are run as they should be."""
+    for partners, right, wrong in (
+        ("scripted", "scripted", "scripted:hot"),
+        ("scripted:hot", "scripted:hot", "scripted"),
+    ):
+        better, worse = (team_scores(f"{partners},manager={manager}") for manager in (right, wrong))
+        gain = better - worse
+        assert gain.mean() > 2.0 * gain.std() / np.sqrt(len(gain))
+
+
+def test_reports_decide_what_a_manager_takes_a_rate_for() -> None:
+    """The manager believes a higher rate of loss, and so a cooler oven, after runs that made less than others."""
+    believed = []
+    for factor in (0.05, 20.0):
+        labs = Laboratories("relay", 1)
+        labs.seed(0, np.random.SeedSequence(3))
+        labs.reset(labs.members, world={"first_limit": factor})
+        policies = list(make_policies("scripted", labs, 0).values())
+        Players(labs, policies).play_on(labs.members)
+        rates = policies[0].get_memory()[0][0].rates[0]
+        believed.append(float(rates @ np.arange(len(rates))))
+    assert believed[0] < believed[1]
 
 
 # -- specifications ---------------------------------------------------------------------------------------------------
