@@ -148,8 +148,8 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
               measurement), ``scripted:no-extraction`` (the manager does not use extraction), ``scripted:memoryless``
               (the manager forgets its findings at the end of a batch, or at the next measurement), ``scripted:fifo``
               (the manager takes one order at a time, in the order of arrival); with other habits: ``scripted:hot`` and
-              ``scripted:cool`` (reaction benches work above or below the temperature that they know to be best, and the
-              manager counts on that)
+              ``scripted:cool`` (reaction benches to which the highest useful temperature is revealed work above or
+              below it, and the manager counts on that; others play as ``scripted``)
             * ``random``
             * ``pretrained``: bundled benches and the scripted manager; ``pretrained-isolated``: the same with benches
               trained on single benches; ``trained``: a bundled manager as well, with the benches of its training
@@ -300,8 +300,9 @@ def scripted_bench(
     """
     kind = bench.spec.kind
     if is_scripted(bench):
-        style = {"margin_k": margin_k} if margin_k else {}
-        policy: Policy = _SCRIPTS[bench.scenario.physics][kind](bench, careful, **style)
+        script = _SCRIPTS[bench.scenario.physics][kind]
+        habits = {"margin_k": margin_k} if script is ScriptedReaction else {}
+        policy: Policy = script(bench, careful, **habits)
         return NearestPolicy(policy, bench) if isinstance(bench, Discretised) else policy
     if kind not in _UNSCRIPTED:
         _UNSCRIPTED.add(kind)

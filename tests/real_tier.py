@@ -12,6 +12,7 @@ import numpy.typing as npt
 from chemlab.kernels.arrays import declared
 from chemlab.kernels.jit import kernel
 from chemlab.kernels.tables import Table
+from chemlab.physics.backends import law_addresses
 from chemlab.physics.backends.real.fields import independent_reactions, padded
 from chemlab.physics.backends.real.heats import enthalpy, set_enthalpy
 from chemlab.physics.backends.real.kinetics import ALONE, integrate, react_work_size
@@ -50,6 +51,7 @@ def real_table(materials: int, dissolved: Sequence[int] = (), layers: int = 1, *
     reactions = len(fields.get("stoichiometry", ()))
     nothing = np.zeros((reactions, 0))
     values: dict[str, Any] = {
+        "laws": law_addresses("real"),
         "role": np.full(materials, ROLE_SOLVENT),
         "solvents": np.arange(layers),
         "dissolved": np.array(dissolved, dtype=np.int64),

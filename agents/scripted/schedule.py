@@ -33,7 +33,7 @@ _MOST_TICKS = 1_000_000
 _SPREAD = 0.04
 """Relative standard deviation of a vessel's yield besides the uncertainty of its reading."""
 _RATES = 7
-"""Number of candidates of a rate that only a bench is told: midpoints of equally likely parts of its prior."""
+"""Number of candidates of a rate that is revealed only to a bench: midpoints of equally likely parts of its prior."""
 
 
 def has_orders_to_schedule(scenario: Scenario) -> bool:
@@ -74,7 +74,7 @@ class _Shop:
         running: by bench agent, the slot of its vessel.
         grade: by slot, the number of the quality requirement of its last run.
         reported: by slot, the amount that the bench reported for its last run.
-        rates: by stage, [L] the probability of each rate that the stage's bench is told.
+        rates: by stage, [L] the probability of each rate that may be revealed to the stage's bench.
         seen: orders in the order of their arrival.
         asked: the slot that is being measured.
     """
@@ -97,8 +97,8 @@ class SchedulingManager(ScriptedManager[_Shop]):
     An order is accepted if its price is among the highest ones for which there is reagent, counting known orders and
     those expected under the prior. It is made from the vessel with the highest probability of a sufficient yield, given
     its readings. A measurement is paid for if its value exceeds its price. Finished vessels fill the best paying orders
-    first. A rate that only a bench is told is inferred from what the bench reports (Bayes), and decides which quality
-    requirement the bench is given.
+    first. A rate that is revealed only to a bench is inferred from what the bench reports (Bayes), and decides which
+    quality requirement the bench is given.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures. Its margin is that of the benches.
@@ -175,7 +175,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
                 shop.stage[slot] = stage + 1
 
     def _infer(self, shop: _Shop, slot: int, stage: int, said: float) -> None:
-        """Update the probabilities of the rate that a stage's bench is told, from what it reports."""
+        """Update the probabilities of the rate that is revealed to a stage's bench, from its report."""
         key = self._stages[stage]
         error = (self._scenario.benches[key].report or 0.0) * self._high[f"{self._agents[key][0]}_reported_amount"]
         expected = self._after(shop, slot, stage, shop.grade.get(slot, -1))
@@ -185,7 +185,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         shop.rates[stage] = weights / weights.sum()
 
     def _after(self, shop: _Shop, slot: int, stage: int, grade: int, before: FloatArray | None = None) -> FloatArray:
-        """Return [..., L] mol after the run of a stage, at each rate that its bench may have been told.
+        """Return [..., L] mol after the run of a stage, at each rate that may be revealed to its bench.
 
         Args:
             shop, slot: the vessel.
@@ -387,7 +387,7 @@ def _goal(scenario: Scenario, stage: int) -> str:
 
 
 def _rate(scenario: Scenario, key: str) -> str | None:
-    """Return the name of the drawn rate that only a bench is told, or None."""
+    """Return the name of the drawn rate that is revealed only to a bench, or None."""
     draws = scenario.world.draws.items()
     return next((name for name, d in draws if d.what == "pre_exponential" and key in d.told), None)
 
@@ -402,8 +402,8 @@ def _foreseen(
 ) -> FloatArray:
     """Simulate the yields [stages, grades, L, T] in mol of each stage's goal from the first vessel.
 
-    The public scenario is used at each titre, and at each of L rates that the stage's bench is told. The stages before
-    have had the best time, and all other hidden parameters have their prior's median.
+    The public scenario is used at each titre, and at each of L rates that may be revealed to the stage's bench. The
+    stages before have had the best time, and all other hidden parameters have their prior's median.
     """
     slot = next(name for name in titre.of if name.startswith("slot_"))
     own = titre.model_copy(update={"of": (slot,), "test": ()})

@@ -281,7 +281,7 @@ class Single(Arguments):
         if self.bench is None:
             return "chemlab/LabManager-v0" if self.agent == "manager_0" else "chemlab/LabAgent-v0"
         own = {"scenario": self.scenario, "bench": self.bench}
-        return next((name for name, kwargs in _benches().items() if kwargs == own), "chemlab/Bench-v0")
+        return next((name for name, kwargs in _benches().items() if kwargs == own), _ANY_BENCH)
 
     def _task_name(self) -> str:
         name = self.env_id.removeprefix("chemlab/").removesuffix("-v0")
@@ -587,6 +587,9 @@ def _renamed(values: Mapping[str, Any], where: str) -> dict[str, Any]:
     return _placed(given, where)
 
 
+_ANY_BENCH = "chemlab/Bench-v0"
+
+
 def _benches() -> dict[str, dict[str, str]]:
     """Return the registered environments of one agent: what they are made with, by id."""
     import gymnasium
@@ -610,7 +613,7 @@ def _placed(given: dict[str, Any], where: str) -> dict[str, Any]:
     known = _benches()
     if env_id not in known:
         raise DataError(f"{where}: scenario: environments are {', '.join(known)}; given {shown(env_id)}")
-    own = known[env_id]
+    own = {} if env_id == _ANY_BENCH else known[env_id]  # of which any scenario has one
     for name, value in own.items():
         asked = given.get("bench" if name == "agent" else name, value)
         if asked != value:

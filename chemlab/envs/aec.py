@@ -79,7 +79,12 @@ def env(
 ) -> OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]:
     """Return the laboratory in PettingZoo's order-enforcing wrapper; arguments and errors as for :class:`raw_env`."""
     laboratory = raw_env(scenario, render_mode, rewards, split, actions)
-    return OrderEnforcingWrapper(laboratory)
+    return _Enforced(laboratory)
+
+
+class _Enforced(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
+    def __repr__(self) -> str:
+        return repr(self.env)
 
 
 class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):

@@ -579,6 +579,7 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "period": (0,),
     "refund": (-0.1, 1.1, NAN),
     "processed": (-0.1, 1.1, NAN),
+    "practice": (-0.1, 1.0, NAN),
 }
 EDGES: dict[str, tuple[Any, ...]] = {
     "seed": (0, 2**32 - 1),
