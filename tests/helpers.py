@@ -19,9 +19,10 @@ import pytest
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.config.scenario import SAFETY_EVENTS, Scenario
 from chemlab.envs.aec import raw_env
+from chemlab.kernels.arrays import declared
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories
-from chemlab.physics.backends import heat, partition, settle_phases
+from chemlab.physics.backends import heat, law_addresses, partition, settle_phases
 from chemlab.physics.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, network_fields
 from chemlab.physics.constants import SOLIDS
 from chemlab.physics.shelf import T_MIX, Shelf
@@ -147,9 +148,9 @@ def network_table(
     activation_energy: FloatArray,
 ) -> Table[Chemistry]:
     """A chemistry that is nothing but a reaction network; its handle is good as long as the table is there."""
-    sizes = dict.fromkeys(["S", "R", "F", "C", "M", "L", "K", "V", "n", "3", "200"], 0)
+    sizes = {axis: 0 for field in declared(Chemistry) for axis in field.axes}
     fields = network_fields(species, stoichiometry, orders, pre_exponential, activation_energy)
-    return Table(Table.empty(Chemistry, **sizes).arrays._replace(**fields))
+    return Table(Table.empty(Chemistry, **sizes).arrays._replace(laws=law_addresses("paper"), **fields))
 
 
 class Glassware:
