@@ -252,7 +252,7 @@ def agent_policy(
         return agent_policy(_partners(laboratories), laboratories, number, seed, deep + 1)
     if own == "trained" or (own in ("pretrained", "pretrained-isolated") and operates):
         found = pretrained_for(role, laboratory=True, alone=own == "pretrained-isolated")
-        return _as_trained(found.played(way, seed), laboratories, number, seed, deep)
+        return _as_trained(found.as_played(way, seed), laboratories, number, seed, deep)
     careful, margin_k = own != "scripted:unsafe", _MARGINS_K.get(own, 0.0)
     if isinstance(role, Bench):
         return scripted_bench(role, careful, seed, margin_k)
@@ -373,7 +373,7 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
     if name == "random":
         return RandomPolicy(_size(bench.action_space), seed)
     if name == "pretrained":
-        return pretrained_for(bench).played(way, seed)
+        return pretrained_for(bench).as_played(way, seed)
     if not is_saved(name):
         raise ValueError(
             f"policy: must be scripted, random, pretrained, a bundled policy, or an existing path; given {name!r}"

@@ -289,7 +289,7 @@ class PretrainedPolicy:
             return f"{self.card.algo} learns values of actions" if self.card.algo in _VALUES else ""
         return "" if self.card.output == "clip" and LOG_STD in self.weights else f"it has no {LOG_STD}"
 
-    def played(self, way: str | None, seed: Seed = None) -> PretrainedPolicy:
+    def as_played(self, way: str | None, seed: Seed = None) -> PretrainedPolicy:
         """Return the policy, played in a way.
 
         Args:

@@ -33,7 +33,7 @@ class Saved:
 
 def _exported(name_or_path: str | Path, way: str | None) -> Callable[..., Policy]:
     def load(workplace: Workplace, seed: Seed = None) -> Policy:
-        return fitted(load_pretrained(name_or_path).played(way, seed), workplace)
+        return fitted(load_pretrained(name_or_path).as_played(way, seed), workplace)
 
     return load
 

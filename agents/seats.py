@@ -216,7 +216,7 @@ class Room:
 
     @property
     def score(self) -> float:
-        """The laboratory's score so far."""
+        """The laboratory's score if the episode ended now: an order that is not met has its penalty."""
         assert self._labs is not None
         return float(self._labs.result(self._labs.members)[0])
 
@@ -590,7 +590,7 @@ class LabTools:
         return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
 
     def get_reward(self) -> float:
-        """The laboratory's score so far."""
+        """The laboratory's score if the episode ended now: an order that is not met has its penalty."""
         return self._room.score
 
 

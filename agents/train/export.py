@@ -147,7 +147,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     policy = _player(best, arguments, config, task, model)
     if model is not None:
         difference = largest_difference(
-            model, policy.played(GREEDY), _observations(task, policy.card.advice is not None)
+            model, policy.as_played(GREEDY), _observations(task, policy.card.advice is not None)
         )
         if not difference <= _TOLERANCE:
             raise ValueError(
@@ -155,7 +155,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
             )
     # The exported policy is played with masks, however it was trained.
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
-    policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights).played(
+    policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights).as_played(
         way, RESULT_SEED
     )
     episodes = arguments.final_episodes

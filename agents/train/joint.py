@@ -186,7 +186,7 @@ class Team(Trainee):
             for number, (agent, own) in enumerate(zip(labs.agents, seeds, strict=True)):
                 mine = learned.get(role_of(agent))
                 other = self._background
-                policies[agent] = agent_policy(other, labs, number, own) if mine is None else mine.played(way, own)
+                policies[agent] = agent_policy(other, labs, number, own) if mine is None else mine.as_played(way, own)
             found[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())
         return found
 

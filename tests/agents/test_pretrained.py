@@ -251,33 +251,33 @@ def test_sampled_actions_follow_the_logits_and_the_seed() -> None:
     mask = np.ones((4000, len(logits)), dtype=np.int8)
     mask[:, ::3] = 0
     steps, members = np.zeros(4000, dtype=np.int64), np.arange(4000)
-    chosen = policy.played("sampled", 7).act(seen, mask, steps, members)
+    chosen = policy.as_played("sampled", 7).act(seen, mask, steps, members)
     weights = np.where(mask[0] != 0, np.exp(logits - logits.max()), 0.0)
     shares = np.bincount(chosen, minlength=len(logits)) / 4000
     assert not shares[::3].any()
     np.testing.assert_allclose(shares, weights / weights.sum(), atol=0.03)
-    again = policy.played("sampled", 7)
+    again = policy.as_played("sampled", 7)
     halves = [again.act(seen[own], mask[own], steps[own], members[own]) for own in np.split(members, 2)]
     np.testing.assert_array_equal(np.concatenate(halves), chosen)
-    assert (policy.played("sampled", 8).act(seen, mask, steps, members) != chosen).any()
-    greedy = again.played("greedy").act(seen, mask, steps, members)
+    assert (policy.as_played("sampled", 8).act(seen, mask, steps, members) != chosen).any()
+    greedy = again.as_played("greedy").act(seen, mask, steps, members)
     assert set(greedy.tolist()) == {int(np.where(mask[0] != 0, logits, -np.inf).argmax())}
 
 
 def test_sampled_continuous_actions_have_the_exported_spread() -> None:
     plain = made_up(bench_of(RXN))
     with pytest.raises(ValueError, match="cannot be sampled: it has no log_std"):
-        plain.played("sampled")
+        plain.as_played("sampled")
     size = plain.card.action_size
     weights = {**plain.weights, "log_std": np.full(size, -4.0, dtype=np.float32)}
     weights["1.weight"], weights["1.bias"] = plain.weights["1.weight"] * 0.01, np.full(size, 0.5, dtype=np.float32)
-    policy = PretrainedPolicy(plain.card, weights).played("sampled", 3)
+    policy = PretrainedPolicy(plain.card, weights).as_played("sampled", 3)
     seen = np.repeat(np.random.default_rng(5).random((1, plain.card.observation_size), dtype=np.float32), 4000, axis=0)
     found = policy.act(seen, None, np.zeros(4000, dtype=np.int64), np.arange(4000))
     np.testing.assert_allclose(found.mean(axis=0), policy.values(seen[:1])[0], atol=0.002)
     np.testing.assert_allclose(found.std(axis=0), np.exp(-4.0), rtol=0.1)
     with pytest.raises(ValueError, match="dqn learns values of actions"):
-        made_up(bench_of(DIT), algo="dqn").played("sampled")
+        made_up(bench_of(DIT), algo="dqn").as_played("sampled")
 
 
 def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

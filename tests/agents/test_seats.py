@@ -254,7 +254,7 @@ def test_methods_return_text_and_raise_one_kind_of_error(room: Room) -> None:
     for mistake in (lambda: tools.measure(99, "uv_vis"), lambda: tools.measure(1, 2, 3, 4, 5), lambda: tools.measure()):
         with pytest.raises(ToolError, match="measure: "):
             mistake()
-    assert tools.get_reward() == pytest.approx(-0.015)
+    assert tools.get_reward() == pytest.approx(-0.015 - load_scenario("unlabelled").demand.missed)
 
 
 @pytest.mark.parametrize(

@@ -33,6 +33,9 @@ SCENARIO = "wurtz_dodecane"
 TINY = {"envs": 2, "rollout": 16, "evaluations": 1, "checkpoints": 1, "eval_episodes": 1, "final_episodes": 1}
 MANAGER = training_arguments({"roles": "manager", "algo": "maskable-ppo", "scenario": SCENARIO, "steps": 32, **TINY})
 JOINT = training_arguments({"scenario": SCENARIO, "roles": ("dit", "ext"), "steps": 16, **TINY})
+LEADER = training_arguments(
+    {"roles": "manager", "algo": "ippo", "scenario": SCENARIO, "net_arch": (64, 64), "steps": 16, **TINY}
+)
 PARTS = """
 from pathlib import Path
 Path({marker!r}).write_text("ran")
@@ -128,22 +131,30 @@ PICKLES = {
         *("--episodes", 1, "--goal", "dodecane"),
     ],
     "run": lambda at: ["run", SCENARIO, "--policy", at / "manager", "--json"],
-    "run, joint": lambda at: ["run", SCENARIO, "--policy", at / "joint", "--json"],
     "compare": lambda at: ["evaluate", SCENARIO, "--policy", at / "manager", "--episodes", 1],
-    "plan": lambda at: ["audit", "plan", SCENARIO, "--benches", at / "joint", "--budget", 1, "--episodes", 1],
     "export": lambda at: ["export", at / "manager", "--out", at / "mine"],
     "imitate": lambda at: [
-        *("train", "manager", "--algo", "maskable-ppo", "--imitate", at / "manager", "--out", at / "new"),
-        *("--steps", 32, "--envs", 2, "--rollout", 16, "--imitate-steps", 800),
+        *("train", "manager", "--algo", "maskable-ppo", "--bc", at / "manager", "--out", at / "new"),
+        *("--steps", 32, "--envs", 2, "--rollout", 16, "--bc-steps", 800),
         *("--evaluations", 1, "--eval-episodes", 1, "--final-episodes", 1),
     ],
+    "begin": lambda at: [
+        *("train", SCENARIO, *LEADER.flags(), "--out", at / "new"),
+        *("--begin-from", f"manager={at / 'manager'}"),
+    ],
 }
-"""Commands that play what a folder holds."""
+"""Commands that play or go on from what the folder of a single agent's run holds."""
+WEIGHTS: dict[str, Any] = {
+    "run, joint": lambda at: ["run", SCENARIO, "--policy", at / "joint", "--json"],
+    "plan": lambda at: ["audit", "plan", SCENARIO, "--benches", at / "joint", "--budget", 1, "--episodes", 1],
+    "begin, joint": lambda at: ["train", SCENARIO, *JOINT.flags(), "--begin-from", at / "joint", "--out", at / "new"],
+}
+"""The same for roles that have learned together, whose policies are weights alone."""
 
 
-@pytest.mark.parametrize("way", PICKLES)
+@pytest.mark.parametrize("way", [*PICKLES, *WEIGHTS])
 def test_a_strangers_run_is_played_from_its_weights(way: str, bait: Path) -> None:
-    code, said = chemlab(*PICKLES[way](bait))
+    code, said = chemlab(*(PICKLES | WEIGHTS)[way](bait))
     assert code == 0, said
     assert not (bait / "ran").exists()
 
@@ -160,6 +171,19 @@ def test_a_strangers_pickles_are_refused(way: str, bait: Path) -> None:
     # It is the refusal that keeps it from running.
     chemlab_trusting(PICKLES[way](bait))
     assert (bait / "ran").exists()
+
+
+@pytest.mark.parametrize("way", WEIGHTS)
+def test_pickles_of_roles_that_learned_together_are_never_played(way: str, bait: Path) -> None:
+    """Neither the state for resuming nor the learners that older versions wrote, even with the flag."""
+    without_weights(bait / "joint")
+    for folder in (bait / "joint" / "checkpoints").glob("*-*"):
+        for name in ("dit.zip", "ext.maskable.zip", "state.pkl"):
+            (folder / name).write_bytes(pickle.dumps(Payload(bait / "ran")))
+    code, said = chemlab(*WEIGHTS[way](bait))
+    assert (code, "train it again" in said) == (2, True), said
+    chemlab_trusting(WEIGHTS[way](bait))
+    assert not (bait / "ran").exists()
 
 
 def chemlab_trusting(words: list[object]) -> None:
@@ -217,8 +241,7 @@ def test_figures_play_weights_and_leave_pickles_out(bait: Path) -> None:
 def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None:
     single = ["train", SCENARIO, *MANAGER.flags(), "--out", no_end(bait / "manager")]
     together = ["train", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]
-    begin = ["train", SCENARIO, *JOINT.flags(), "--begin-from", bait / "joint", "--out", bait / "new"]
-    for words in (single, together, begin):
+    for words in (single, together):
         code, said = chemlab(*words)
         assert code == 2, said
         assert "--trust" in said
@@ -229,11 +252,12 @@ def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None
 
 
 def test_what_a_configuration_names_is_no_way_around(bait: Path, strangers: Path) -> None:
-    without_weights(bait / "joint")
+    without_weights(bait / "manager")
     own = bait / "pretty"
-    shutil.copytree(strangers / "manager", own)  # weights that play, and others in the background
+    shutil.copytree(strangers / "manager", own)  # weights that play, and a bench's pickle in the background
     config = json.loads((own / "config.json").read_text())
-    (own / "config.json").write_text(json.dumps({**config, "background": str(bait / "joint")}))
+    (bait / "manager" / "config.json").write_text(json.dumps({**config, "bench": "rxn"}))
+    (own / "config.json").write_text(json.dumps({**config, "background": str(bait / "manager")}))
     code, said = chemlab("run", SCENARIO, "--policy", own, "--json")
     assert (code, "--trust" in said) == (2, True)
     # A background that leads back to itself ends.

@@ -231,7 +231,7 @@ def test_seeds_begin_the_same_episodes() -> None:
 def test_wrong_settings_and_steps_are_named() -> None:
     with pytest.raises(ValueError, match=r"env_config: known: scenario, .*; given scenery"):
         LaboratoryMultiAgentEnv({"scenery": "wurtz_dodecane"})
-    with pytest.raises(ValueError, match="roles: wurtz_dodecane choose from manager, rxn, ext, dit; given cook"):
+    with pytest.raises(ValueError, match="roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"):
         LaboratoryMultiAgentEnv({"roles": ["cook"]})
     env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane"})
     with pytest.raises(ValueError, match="call reset"):
