@@ -223,22 +223,25 @@ class SchedulingManager(ScriptedManager[_Shop]):
 
     def _met(self, shop: _Shop, slot: int, amount: float, grades: Sequence[int]) -> float:
         """Return the probability that a vessel has an amount after runs of the remaining stages."""
-        stage, titre = shop.stage.get(slot, 0), shop.titre.get(slot)
-        key = (stage, shop.reported.get(slot, 0.0) if stage else titre, tuple(grades))
+        known = shop.reported.get(slot, shop.titre.get(slot))
+        key = (slot in shop.reported, known, shop.stage.get(slot, 0), shop.grade.get(slot), *grades)
         if key not in self._outcomes:
-            self._outcomes[key] = self._outcome(shop, slot, stage, grades)
+            self._outcomes[key] = self._outcome(shop, slot, grades)
         amounts, weights = self._outcomes[key]
-        if stage == 0 and titre is None:
+        if known is None:
             return float(weights @ (amounts >= amount))
         spread = np.hypot(_SPREAD * amounts, self._noise * self._made[-1].max()) + 1e-9
         return float(weights @ ndtr((amounts - amount) / spread))
 
-    def _outcome(self, shop: _Shop, slot: int, stage: int, grades: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return [K] mol after runs of the remaining stages, and [K] their probabilities."""
+    def _outcome(self, shop: _Shop, slot: int, grades: Sequence[int]) -> tuple[FloatArray, FloatArray]:
+        """Return [K] mol after runs of the remaining stages, and [K] their probabilities: from the last report, or from
+        the titre."""
+        stage = min(shop.stage.get(slot, 0), len(self._stages))
+        begun = stage if slot in shop.reported else 0
         amounts, weights = np.array([shop.reported.get(slot, 0.0)]), np.ones(1)
-        for number, grade in enumerate(grades, stage):
-            amounts = self._after(shop, slot, number, grade, None if number == stage else amounts)
-            weights = np.multiply.outer(weights if number > stage else np.ones(len(amounts)), shop.rates[number])
+        for number, grade in enumerate([*[shop.grade.get(slot, 0)] * (stage - begun), *grades], begun):
+            amounts = self._after(shop, slot, number, grade, None if number == begun else amounts)
+            weights = np.multiply.outer(weights if number > begun else np.ones(len(amounts)), shop.rates[number])
         return amounts.ravel(), (weights / weights.sum()).ravel()
 
     # -- deciding ---------------------------------------------------------------------------------------------

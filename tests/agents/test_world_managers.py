@@ -391,7 +391,7 @@ def test_reports_decide_what_a_manager_takes_a_rate_for() -> None:
 )
 def test_what_falls_short_of_its_specification_is_worth_nothing(specification: dict[str, float], met: bool) -> None:
     """Three moles of four, of which an order gets three quarters of a quarter of the score."""
-    values = mapping("campaign")
+    values = mapping("campaign") | {"world": {}, "demand": {}}  # in which any vessel may be submitted
     values["specifications"] = {"2-chlorohexane": specification}
     values["shelf"]["vessel"][0]["contents"] = {"2-chlorohexane": 3.0, "1-chlorohexane": 1.0}
     labs = Laboratories(load_scenario(values))
@@ -405,7 +405,7 @@ def test_what_falls_short_of_its_specification_is_worth_nothing(specification: d
 
 def test_purity_may_be_meant_among_some_materials() -> None:
     """Six moles of ether leave three in four of the isomers what they are: 0.75 as without it, 0.3 of everything."""
-    values = mapping("campaign")
+    values = mapping("campaign") | {"world": {}, "demand": {}}
     values["shelf"]["vessel"][0]["contents"] = {"2-chlorohexane": 3.0, "1-chlorohexane": 1.0, "diethyl_ether": 6.0}
     for among, purity in ((["1-chlorohexane", "2-chlorohexane"], 0.75), ([], 0.3)):
         values["specifications"] = {"2-chlorohexane": {"purity_among": among}}
