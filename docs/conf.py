@@ -59,10 +59,13 @@ autodoc_mock_imports = [
     "tensordict",
     "benchmarl",
     "anyio",
+    "inspect_ai",
     "mcp",
     "mcp_types",
+    "openenv",
     "starlette",
     "uvicorn",
+    "verifiers",
 ]
 
 # Broken references to this project are errors; indexes of other projects would need network access.

@@ -68,7 +68,7 @@ HERE = Path(__file__).parent
 OUT = "generated"
 EXAMPLE = "wurtz_dodecane"
 _NEVER_PUBLIC = ("chemlab.cli", "chemlab.record.", "chemlab.openchem")  # the package itself exports all of its names
-_YET_PUBLIC = tuple(f"chemlab.openchem.{name}" for name in ("difficulty", "generate", "invented", "networks"))
+_YET_PUBLIC = tuple(f"chemlab.openchem.{name}" for name in ("difficulty", "generate", "invented", "reaction_networks"))
 _TIERS = tuple(PHYSICS_TIERS.values())
 """Their physical laws are documented on their own pages."""
 Rows = Iterable[Sequence[Any]]

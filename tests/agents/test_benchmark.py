@@ -392,7 +392,7 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
 def test_people_play_the_worlds_that_are_scored(tmp_path: Path) -> None:
     file = tmp_path / "people" / "game.jsonl"
     words = ["play", "selectivity", "--split", "test", "--seed", str(AUDIT_SEED), "--record", str(file)]
-    done = CliRunner().invoke(app, words, input="submit slot 0\n")
+    done = CliRunner().invoke(app, words, input="start rxn_0 on slot 0\nwait\nsubmit slot 0\n")
     assert done.exit_code == 0, done.output
     (row,) = find_rows([str(file)])
     assert [(name, record.path) for name, record in row.records] == [("selectivity", file)]

@@ -144,7 +144,7 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     ]
     found = crossplay(spec, managers, benches, TINY)
     labs = Laboratories(spec, 5, split="test")
-    scores = play_laboratory(labs, make_policies(team, labs), None, AUDIT_SEED).returns
+    scores = play_laboratory(labs, make_policies(team, labs, AUDIT_SEED), None, AUDIT_SEED).returns
     assert cell(found, team, team)["score"] == pytest.approx(scores.mean(), rel=1e-12)
     assert cell(found, team, team)["together"]
     assert cell(found, str(first), "scripted")["together"]
