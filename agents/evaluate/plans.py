@@ -945,7 +945,7 @@ class _Taped:
         known = {tape: number for number, tape in enumerate(dict.fromkeys(tape for tape in tapes if tape))}
         self._which = np.array([known[tape] if tape else -1 for tape in tapes])
         most = max(map(len, known), default=1)
-        longest = max((len(actions or ()) for tape in known for actions in tape), default=1)
+        longest = max((1, *(len(actions or ()) for tape in known for actions in tape)))
         kind = np.int64 if bench.action_count else np.float64
         self._actions = np.full((len(known), most, longest, *shape), bench.end_action if not shape else 0.0, dtype=kind)
         self._played = np.ones((len(known), most), dtype=np.bool_)

@@ -112,6 +112,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         if not self.agents:
             raise ValueError("step: the episode is over (or has not begun): call reset()")
         labs, names = self.laboratories, self.possible_agents
+        labs.turns(self._members, self._turns)  # a snapshot may have been restored
         acting = [number for number, turn in enumerate(self._turns[:, 0].tolist()) if turn]
         checked = []
         for number in acting:

@@ -22,7 +22,7 @@ from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job, foreseen
 from chemlab.agents.evaluate.plans import best_in_episode, search_plan
 from chemlab.agents.evaluate.scale import Scale, interval
 from chemlab.agents.policies import make_policies
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.record import scenario_hash
 
@@ -299,18 +299,6 @@ def test_whoever_knows_the_world_is_never_below_who_looks() -> None:
         # The scripted manager's own plan there, without its measurements.
         assert best >= scores[member] + labs.state.charges[member, 0] - 1e-9
         assert [score for _, score in curve] == sorted(score for _, score in curve)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in scenario_names() if load_scenario(name).world.draws])
-def test_every_scenario_with_a_world_meets_its_criteria(name: str) -> None:
-    """What the page of a scenario says of it stays true: a change that makes one trivial is found."""
-    found = audit(name, "small")
-    failed = {one for one, met in found["criteria"].items() if met is False}
-    # Trained agents that come along may use the headroom up. Above those that are written there has to be some.
-    if failed == {"headroom"} and found["best"]["way"] != found["policy"]:
-        failed = set() if found["reference"]["value"] <= 0.85 else failed
-    assert failed == set(), verdict(found)
 
 
 def test_stored_audits_are_of_the_scenarios_as_they_are() -> None:

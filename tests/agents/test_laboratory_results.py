@@ -255,7 +255,9 @@ def test_runs_without_checkpoints_keep_what_was_known(tmp_path: Path) -> None:
     assert [line.partition(" (")[0] for line in said] == [
         "manager/seed-0: its checkpoints are missing",
         "manager/seed-1: its checkpoints are missing",
-        "other/seed-0: its checkpoint has no manager",
+        "other/seed-0: policy: "
+        + str(runs / "other" / "seed-0")
+        + ": was trained by a version with other learners; train it again",
     ]
     assert [line.endswith("; the table has what was played earlier") for line in said] == [True, False, False]
     assert [run.name for run in read_runs(tables)] == [
