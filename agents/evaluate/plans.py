@@ -392,7 +392,7 @@ class _Moves:
         rng, now = self._rng, list(benches or [None] * len(self._benches))
         b = int(rng.integers(len(now)))
         tape, bench, what = now[b], self._benches[b], rng.random()
-        changed = self._constant(bench) if what < 0.3 or tape is None else self._changed_tape(tape, bench)
+        changed = self._constant(bench) if what < 0.3 or not tape else self._changed_tape(tape, bench)
         alike = rng.random() < 0.5
         for i, other in enumerate(self._benches):
             if i == b or (alike and other.key == bench.key):

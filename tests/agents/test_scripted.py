@@ -75,7 +75,7 @@ def test_the_heuristic_is_clearly_better_than_chance(name: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "seed"), [("crude", 4), ("crude", 7), ("runaway", 0), ("selectivity", 1)])
+@pytest.mark.parametrize(("name", "seed"), [("crude", 7)])
 def test_there_are_worlds_with_nothing_to_sell(name: str, seed: int) -> None:
     """Nobody earns anything there, not even a planner that knows the world."""
     labs = Laboratories(name, 1)
