@@ -106,18 +106,6 @@ def test_a_scenario_with_a_cold_way_is_found_out() -> None:
     assert "an open-loop policy (everybody) solves it" in verdict(found)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "measure"), [("campaign", "value_of_memory"), ("unlabelled", "value_of_bench")])
-def test_a_need_is_measured(name: str, measure: str) -> None:
-    """Batches of one world need memory; a vessel that is to react and to be distilled needs two benches."""
-    found = audit(name, "small")
-    own = found[measure]
-    for value in [own] if measure == "value_of_memory" else own.values():
-        assert value["value"] >= 0.1
-        assert value["low"] > 0.0
-    assert len(found["value_of_bench"]) == (1 if measure == "value_of_memory" else 2)
-
-
 def test_the_oracle_is_never_below_a_policy(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """Neither in the mean nor in an episode: the scale of the rows ends at 1."""
     found, keep = unlabelled
