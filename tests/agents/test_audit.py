@@ -98,14 +98,6 @@ def test_constant_actions_of_benches_are_searched() -> None:
     assert everybody.play(20, split="test").mean() > plan.play(20, split="test").mean() + 0.3
 
 
-@pytest.mark.slow
-def test_a_scenario_with_a_cold_way_is_found_out() -> None:
-    found = audit(COLD, "small")
-    assert found["criteria"]["open_loop"] is False
-    assert found["open_loop"]["way"] == "everybody"
-    assert "an open-loop policy (everybody) solves it" in verdict(found)
-
-
 def test_the_oracle_is_never_below_a_policy(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """Neither in the mean nor in an episode: the scale of the rows ends at 1."""
     found, keep = unlabelled
