@@ -100,7 +100,7 @@ def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.Monkey
 
 def says_version_1(page: Path) -> bool:
     """Whether a page says that its results are of scenarios as they were; else they have to be of those that are."""
-    return "All results on this page are of version 1 of the scenarios." in page.read_text(encoding="utf-8")
+    return "All results on this page are for version 1 of the scenarios." in page.read_text(encoding="utf-8")
 
 
 def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -118,7 +118,7 @@ def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.Mo
     for line in lines:
         assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"])) or says_version_1(PAGE)
         assert line["value"] is None or line["value"] <= 1.0
-    assert "of version 1" in TEXT or not says_version_1(PAGE)
+    assert "for version 1" in TEXT or not says_version_1(PAGE)
 
 
 @pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")

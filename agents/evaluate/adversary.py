@@ -97,15 +97,8 @@ class _Learned:
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
-        import torch
-
-        seen, allowed = observation[:, self._learner.columns], None if mask is None else mask != 0
-        if self._sampled:
-            actions = self._learner.act(seen, allowed)[0]
-        else:
-            with torch.no_grad():
-                legal = None if allowed is None else torch.from_numpy(allowed)
-                actions = self._learner.network.distribution(torch.from_numpy(seen), legal).mode.numpy()
+        allowed = None if mask is None else mask != 0
+        actions, _ = self._learner.act(observation[:, self._learner.columns], allowed, greedy=not self._sampled)
         return actions if mask is not None else np.clip(actions, 0.0, 1.0).astype(np.float64)
 
 

@@ -8,13 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.reactions import equation
+from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
 
-__all__ = ["ScriptedReaction"]
+__all__ = ["ScriptedReaction", "told_rate"]
 
 _SAFE_PRESSURE = 0.68
 """Reading of the pressure gauge above which the piston moves out; the valve opens at 0.8."""
@@ -27,17 +28,22 @@ _LOSS = 0.1
 """Accepted loss of a product per run by thermal decomposition, as a share."""
 
 
+def told_rate(scenario: Scenario, key: str) -> str | None:
+    """Return the name of the drawn rate that is revealed only to a bench, or None."""
+    draws = scenario.world.draws.items()
+    return next((name for name, d in draws if d.what == "pre_exponential" and key in d.told), None)
+
+
 def _hottest(bench: ReactionBench) -> tuple[int, FloatArray, FloatArray] | None:
     """Return the maximum temperature (K) of the bench at quantiles of the prior, or None if no rate is revealed to it.
 
     The first number is the rate's index among all that is revealed. At the maximum, a reaction whose pre-exponential
     factor is revealed to the bench proceeds for ``_LOSS`` time constants in one run.
     """
-    world = bench.scenario.world
-    rates = [n for n, d in world.draws.items() if bench.key in d.told and d.what == "pre_exponential"]
-    if not rates or world.draws[rates[0]].variables > 1:
+    world, name = bench.scenario.world, told_rate(bench.scenario, bench.key)
+    if name is None or world.draws[name].variables > 1:
         return None
-    rate, column = world.draws[rates[0]], world.numbers(bench.told[: bench.told.index(rates[0])])
+    rate, column = world.draws[name], world.numbers(bench.told[: bench.told.index(name)])
     step = next(one for one in bench.scenario.family.reaction if equation(one) in rate.of)
     shares = np.linspace(0.001, 0.999, 999)
     factors = step.pre_exponential * quantiles(rate, shares)

@@ -19,6 +19,7 @@ from chemlab.roles.manager_actions import MEASURE
 from chemlab.roles.manager_view import terms_channels
 
 from .campaign import run_once
+from .reaction import told_rate
 from .script import ScriptedManager, Setting, cheapest
 
 __all__ = ["SchedulingManager", "has_orders_to_schedule"]
@@ -80,7 +81,6 @@ class _Shop:
     """
 
     rates: list[FloatArray]
-
     titre: dict[int, float] = field(default_factory=dict)
     stage: dict[int, int] = field(default_factory=dict)
     serves: dict[int, int] = field(default_factory=dict)
@@ -389,12 +389,6 @@ def _goal(scenario: Scenario, stage: int) -> str:
     return scenario.goals[max(len(scenario.goals) - len(scenario.benches) + stage, 0)]
 
 
-def _rate(scenario: Scenario, key: str) -> str | None:
-    """Return the name of the drawn rate that is revealed only to a bench, or None."""
-    draws = scenario.world.draws.items()
-    return next((name for name, d in draws if d.what == "pre_exponential" and key in d.told), None)
-
-
 def _best_grade(made: FloatArray) -> int:
     """Return the quality requirement of the highest yield of a stage [grades, L, T]."""
     return int(made.mean(axis=(1, 2)).argmax())
@@ -418,7 +412,7 @@ def _foreseen(
     typical = {name: float(quantiles(draw, np.array([0.5]))[0]) for name, draw in others.items()}
     world = scenario.world.model_copy(update={"draws": {"titre": own, **others}})
     known = scenario.model_copy(update={"world": world, "demand": DemandSpec()})
-    rates = [_rate(scenario, key) for key in stages]
+    rates = [told_rate(scenario, key) for key in stages]
     count = _RATES if any(rates) else 1
     grades: list[str | None] = [*scenario.grades] or [None]
     grades.sort(key=lambda name: (scenario.grades[name].ticks or _MOST_TICKS) if name else 0)
