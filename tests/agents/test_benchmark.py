@@ -579,7 +579,7 @@ def test_seats_are_entered_with_condition_calls_and_tokens(tmp_path: Path) -> No
     checks = [check for check in check_leaderboard(keep / "leaderboard.json") if check.policy == str(folder)]
     assert [(check.proof, check.records, check.faults) for check in checks] == [("all", 2, [])]
     with pytest.raises(ValueError, match=r"0\.jsonl: "):  # another salt
-        benchmark(["unlabelled"], [ROWS[0], row], TINY, 2, split="private:other")
+        benchmark(["unlabelled"], [ROWS[0], row], TINY, 2, split="private:" + "f" * 32)
     room = Room("unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + 1, calls=400, condition="tools only")
     with pytest.raises(ValueError, match="this episode has no end"):
         find_rows([str(folder)])
