@@ -4,8 +4,8 @@ Minari has no multi-agent datasets. The turns of each agent therefore form singl
 
 | Agent | Episode | Spaces and rewards |
 |---|---|---|
-| manager | the laboratory's episode | `chemlab/LabManager-v0` |
-| bench agent | one experiment, from the manager's `start` to its end | `chemlab/Bench-v0` of that bench |
+| manager | the laboratory's episode | `chemlab/LabManager-v1` |
+| bench agent | one experiment, from the manager's `start` to its end | `chemlab/Bench-v1` of that bench |
 
 A reward is the sum of the agent's rewards until its next turn. Rewards while its bench is idle (its share
 of the result, if the scenario shares it) belong to its last turn. The rewards of all episodes therefore add
@@ -261,7 +261,7 @@ def write_datasets(
 def _environment(scenario: Scenario, agent: str, labs: Laboratories) -> EnvSpec:
     """Return the spec of the environment whose spaces and episodes a dataset has."""
     manager = agent == MANAGER_AGENT
-    spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v0" if manager else "chemlab/Bench-v0"))
+    spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v1" if manager else "chemlab/Bench-v1"))
     spec.kwargs["scenario"] = plain_scenario(scenario)
     if not manager:
         spec.kwargs["bench"] = labs.roles[labs.agents.index(agent)].key

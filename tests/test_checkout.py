@@ -35,7 +35,7 @@ def test_environments_and_every_part_are_those_of_the_checkout() -> None:
     program = """
 import gymnasium
 import chemlab, chemlab.agents.policies, chemlab.scenarios
-environment = gymnasium.make("chemlab/LabManager-v0", scenario="fictitious")
+environment = gymnasium.make("chemlab/LabManager-v1", scenario="fictitious")
 environment.reset(seed=0)
 for module in (chemlab, chemlab.agents, chemlab.scenarios):
     print(module.__file__)

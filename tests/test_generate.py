@@ -287,7 +287,7 @@ def test_a_disk_without_room_has_all_files_or_none(tmp_path: Path, monkeypatch: 
 
 
 def test_gymnasium_takes_a_generated_scenario() -> None:
-    env = gymnasium.make("chemlab/Bench-v0", scenario=chemistry(7), bench="rxn")
+    env = gymnasium.make("chemlab/Bench-v1", scenario=chemistry(7), bench="rxn")
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)
     assert env.action_space.shape == (2 + 3,)

@@ -719,7 +719,7 @@ def test_an_agent_learns_in_it(acetate: Path) -> None:
         pytest.importorskip(package, reason=f'{package} is not installed: pip install ".[train]"')
     lab, trained = acetate.with_name("lab.toml"), acetate.with_name("trained")
     run("new", "acetate_lab", "--reactions", acetate, "-o", lab)
-    words = ["train", "chemlab/Bench-v0", "--scenario", lab, "--bench", "rxn", "--steps", 40_000]
+    words = ["train", "chemlab/Bench-v1", "--scenario", lab, "--bench", "rxn", "--steps", 40_000]
     run(*words, "--evaluations", 4, "--eval-episodes", 5, "--final-episodes", 20, "--quiet", "--out", trained)
     result = json.loads((trained / "result.json").read_text())
     assert result["mean"] > 0.6 * result["scripted_mean"] > 0.1

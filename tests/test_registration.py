@@ -12,14 +12,14 @@ import chemlab
 
 HEAVY = ("gymnasium", "numba", "numpy", "pettingzoo", "pydantic", "torch")
 AFTERWARDS = """
-assert "chemlab/LabManager-v0" in gymnasium.registry and "chemlab/RealWurtzReaction-v0" in gymnasium.registry
+assert "chemlab/LabManager-v1" in gymnasium.registry and "chemlab/RealWurtzReaction-v0" in gymnasium.registry
 assert gymnasium.spec("chemlab/WurtzReaction-v0").kwargs == {"scenario": "wurtz_dodecane", "bench": "rxn"}
 try:
     from pettingzoo import aec_registry, parallel_registry
 except ImportError:
     pass
 else:
-    assert "chemlab/Laboratory-v0" in aec_registry and "chemlab/Laboratory-v0" in parallel_registry
+    assert "chemlab/Laboratory-v1" in aec_registry and "chemlab/Laboratory-v1" in parallel_registry
 """
 
 
@@ -77,7 +77,7 @@ def test_either_may_come_first(first: str) -> None:
     ],
 )
 def test_ids_that_name_the_module_need_nothing_else(before: str) -> None:
-    run(f"{before}\ngymnasium.make('chemlab:chemlab/Bench-v0', scenario='fictitious', bench='rxn')")
+    run(f"{before}\ngymnasium.make('chemlab:chemlab/Bench-v1', scenario='fictitious', bench='rxn')")
 
 
 def test_a_registered_library_keeps_its_own_loader() -> None:

@@ -186,7 +186,7 @@ class Arguments(BaseModel):
     @property
     def env_id(self) -> str:
         """Environment id, for cards and tables."""
-        return "chemlab/Laboratory-v0"
+        return "chemlab/Laboratory-v1"
 
     @property
     def label(self) -> str:
@@ -279,12 +279,12 @@ class Single(Arguments):
     def env_id(self) -> str:
         """Environment id, for cards and tables."""
         if self.bench is None:
-            return "chemlab/LabManager-v0" if self.agent == "manager_0" else "chemlab/LabAgent-v0"
+            return "chemlab/LabManager-v1" if self.agent == "manager_0" else "chemlab/LabAgent-v1"
         own = {"scenario": self.scenario, "bench": self.bench}
         return next((name for name, kwargs in _benches().items() if kwargs == own), _ANY_BENCH)
 
     def _task_name(self) -> str:
-        name = self.env_id.removeprefix("chemlab/").removesuffix("-v0")
+        name = self.env_id.removeprefix("chemlab/").rpartition("-v")[0]
         known = name not in ("Bench", "LabAgent", "LabManager")
         return name if known else f"{Path(self.scenario).stem}-{self.bench or self.agent}"
 
@@ -587,7 +587,7 @@ def _renamed(values: Mapping[str, Any], where: str) -> dict[str, Any]:
     return _placed(given, where)
 
 
-_ANY_BENCH = "chemlab/Bench-v0"
+_ANY_BENCH = "chemlab/Bench-v1"
 
 
 def _benches() -> dict[str, dict[str, str]]:
@@ -609,7 +609,7 @@ def _placed(given: dict[str, Any], where: str) -> dict[str, Any]:
         env_id = given.pop("scenario")
     if env_id is None:
         return given
-    env_id = "chemlab/LabManager-v0" if env_id == "manager" else env_id
+    env_id = "chemlab/LabManager-v1" if env_id == "manager" else env_id
     known = _benches()
     if env_id not in known:
         raise DataError(f"{where}: scenario: environments are {', '.join(known)}; given {shown(env_id)}")

@@ -47,6 +47,8 @@ submission). :func:`chemlab.lab.text.named_events` and :func:`~chemlab.lab.text.
 `reset(seed, options={"goal": name})` sets the goal instead of drawing it; `{"world": seed or values}` sets the world.
 
 ### Version history
+- v1: worlds, version 2: no observation of a vessel before the first turn, noise and resolution as declared, a price for
+  orders that are not met.
 - v0: first version.
 """
 
@@ -101,7 +103,7 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
-        "name": "chemlab_laboratory_v0",
+        "name": "chemlab_laboratory_v1",
         "render_modes": list(RENDER_MODES),
         "render_fps": 8,
         "is_parallelizable": False,

@@ -18,6 +18,8 @@ As in AEC for the step, and `has_turn` (in the next one). `elapsed_ticks` is the
 agent last had the turn, or since the beginning of the episode.
 
 ### Version history
+- v1: worlds, version 2: no observation of a vessel before the first turn, noise and resolution as declared, a price for
+  orders that are not met.
 - v0: first version.
 """
 
@@ -53,7 +55,7 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
-        "name": "chemlab_laboratory_v0",
+        "name": "chemlab_laboratory_v1",
         "render_modes": list(RENDER_MODES),
         "render_fps": 8,
     }

@@ -37,14 +37,14 @@ def _register_laboratory() -> None:
     with contextlib.suppress(ImportError):
         from pettingzoo import aec_registry, parallel_registry, register
 
-        if "chemlab/Laboratory-v0" not in aec_registry:
-            register("aec", "chemlab/Laboratory-v0", entry_point="chemlab.laboratory:env")
-        if "chemlab/Laboratory-v0" not in parallel_registry:
-            register("parallel", "chemlab/Laboratory-v0", entry_point="chemlab.laboratory:parallel_env")
+        if "chemlab/Laboratory-v1" not in aec_registry:
+            register("aec", "chemlab/Laboratory-v1", entry_point="chemlab.laboratory:env")
+        if "chemlab/Laboratory-v1" not in parallel_registry:
+            register("parallel", "chemlab/Laboratory-v1", entry_point="chemlab.laboratory:parallel_env")
 
 
 def _register_views() -> None:
-    """Register the environments of one role with Gymnasium.
+    """Register the environments of one role with Gymnasium, those of any scenario as version 1.
 
     Entry points are strings, so nothing heavy is imported.
     """
@@ -57,9 +57,10 @@ def _register_views() -> None:
     for name, arguments in (("LabManager", {"agent": "manager_0"}), ("LabAgent", {})):
         views[name] = "chemlab.agents.background:role_env", "chemlab.agents.background:role_vector_env", arguments
     for name, (entry_point, vector_entry_point, arguments) in views.items():
-        if f"chemlab/{name}-v0" not in registry:
+        env_id = f"chemlab/{name}-v{0 if 'scenario' in arguments else 1}"
+        if env_id not in registry:
             register(
-                f"chemlab/{name}-v0",
+                env_id,
                 entry_point=entry_point,
                 vector_entry_point=vector_entry_point,
                 kwargs=arguments,

@@ -11,9 +11,9 @@
 | `chemlab/RealWurtzReaction-v0` | rxn of `wurtz_real` | Box(208) | Box(5) |
 | `chemlab/RealWurtzExtraction-v0` | ext of `wurtz_real` | Box(301) | Discrete(41) |
 | `chemlab/RealWurtzDistillation-v0` | dit of `wurtz_real` | Box(304) | Discrete(31) |
-| `chemlab/Bench-v0` | `bench` of any `scenario` | follows the scenario | follows the scenario |
-| `chemlab/LabManager-v0` | `manager_0` in the laboratory | follows the scenario | follows the scenario |
-| `chemlab/LabAgent-v0` | any `agent` in the laboratory | follows the scenario | follows the scenario |
+| `chemlab/Bench-v1` | `bench` of any `scenario` | follows the scenario | follows the scenario |
+| `chemlab/LabManager-v1` | `manager_0` in the laboratory | follows the scenario | follows the scenario |
+| `chemlab/LabAgent-v1` | any `agent` in the laboratory | follows the scenario | follows the scenario |
 
 ### Arguments
 - `scenario` (bundled name, path or loaded scenario) and either `bench` (a bench's key: the bench alone) or `agent` (an
@@ -57,6 +57,7 @@ from a list), for any batch size and number of threads, as long as the policies 
 than what ``seed(member, seed)`` starts (scripted and random ones do).
 
 ### Version history
+- v1 (environments of any scenario): worlds, version 2.
 - v0: first version.
 """
 

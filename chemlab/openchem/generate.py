@@ -160,7 +160,7 @@ def chemistry(
     """Return a random chemistry as a scenario for any environment; see :func:`generated`.
 
     >>> import gymnasium
-    >>> env = gymnasium.make("chemlab/Bench-v0", scenario=chemistry(7), bench="rxn")
+    >>> env = gymnasium.make("chemlab/Bench-v1", scenario=chemistry(7), bench="rxn")
     """
     return generated(seed, materials, reactions, difficulty, physics, steps, goals).scenario()
 

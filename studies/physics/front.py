@@ -115,7 +115,7 @@ def run_of(folder: Path, grade: str) -> Path:
     )
     command = [
         "train",
-        "chemlab/Bench-v0",
+        "chemlab/Bench-v1",
         "--scenario",
         scenario,
         "--bench",

@@ -34,7 +34,7 @@ from rllib import algorithm_config
 
 STILL = 1e-9
 """A learning rate without effect."""
-VIEW, LABORATORIES = "chemlab/LabManager-v0", 64
+VIEW, LABORATORIES = "chemlab/LabManager-v1", 64
 
 
 class Timed:

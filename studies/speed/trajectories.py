@@ -113,7 +113,7 @@ def hashes(seeds: int) -> dict[str, list[str]]:
 def _bench(scenario: str, bench: str, starts: str) -> gymnasium.Env[Any, Any] | None:
     """Return a single bench of a scenario; None if it has no recorded initial states."""
     try:
-        return gymnasium.make("chemlab/Bench-v0", scenario=scenario, bench=bench, starts=starts)
+        return gymnasium.make("chemlab/Bench-v1", scenario=scenario, bench=bench, starts=starts)
     except (DataError, ValueError):
         return None
 

@@ -241,7 +241,7 @@ def mine(folder: Path) -> Path:
 def test_datasets_of_environments_with_scenarios_of_ones_own_name_them(minari: Any, tmp_path: Path, how: str) -> None:
     path = mine(tmp_path)
     scenario = path if how == "path" else load_scenario(path)
-    env = gymnasium.make("chemlab/Bench-v0", scenario=scenario, bench="ext")
+    env = gymnasium.make("chemlab/Bench-v1", scenario=scenario, bench="ext")
     steps: dict[str, list[Any]] = {key: [] for key in ("actions", "rewards", "terminations", "truncations")}
     observations = [env.reset(seed=1)[0]]
     while not any(steps["terminations"]):

@@ -57,7 +57,7 @@ def made_up(bench: Any, seed: int = 0, **changes: Any) -> PretrainedPolicy:
         weights[f"{i}.bias"] = rng.normal(size=sizes[i + 1]).astype(np.float32)
     card = Card(
         name="made_up",
-        env_id="chemlab/Bench-v0",
+        env_id="chemlab/Bench-v1",
         scenario=bench.scenario.name,
         bench=bench.key,
         goals=list(bench.goals.names),
@@ -70,7 +70,7 @@ def made_up(bench: Any, seed: int = 0, **changes: Any) -> PretrainedPolicy:
         label="ppo",
         seed=seed,
         step=1,
-        command="chemlab train chemlab/Bench-v0",
+        command="chemlab train chemlab/Bench-v1",
         versions={},
         activation="tanh",
         output="argmax" if bench.action_count else "clip",

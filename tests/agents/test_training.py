@@ -518,8 +518,8 @@ def test_old_names_are_accepted_with_a_notice(old: dict[str, Any], new: dict[str
     ("old", "new"),
     [
         ({"env_id": RXN}, {"scenario": "fictitious", "bench": "rxn"}),
-        ({"env_id": "chemlab/Bench-v0", "scenario": "crude", "bench": "ext"}, {"scenario": "crude", "bench": "ext"}),
-        ({"env_id": "chemlab/LabAgent-v0", "bench": "rxn_0"}, {"roles": "rxn_0"}),
+        ({"env_id": "chemlab/Bench-v1", "scenario": "crude", "bench": "ext"}, {"scenario": "crude", "bench": "ext"}),
+        ({"env_id": "chemlab/LabAgent-v1", "bench": "rxn_0"}, {"roles": "rxn_0"}),
         ({"env_id": "manager", "scenario": "crude"}, {"scenario": "crude", "roles": "manager_0"}),
     ],
 )
@@ -531,7 +531,7 @@ def test_environment_ids_stand_for_scenario_and_role(old: dict[str, Any], new: d
         made = training_arguments({**new, "algo": "maskable-ppo"})
     else:
         assert isinstance(made, PPO)
-    assert made.env_id == str(old["env_id"]).replace("manager", "chemlab/LabManager-v0")
+    assert made.env_id == str(old["env_id"]).replace("manager", "chemlab/LabManager-v1")
 
 
 def test_old_commands_are_accepted_with_a_notice(tmp_path: Path) -> None:
@@ -654,7 +654,7 @@ def test_training_on_an_empty_vessel_is_spoken_of(tmp_path: Path, monkeypatch: p
     file = tmp_path / "with_filter.toml"
     entry = '\n[benches.fil]\nkind = "filtration_bench:FiltrationBench"\nstep_limit = 5\n'
     file.write_text((Path(chemlab.scenarios.__path__[0]) / "wurtz_dodecane.toml").read_text() + entry)
-    short = {**SMALL, "env_id": "chemlab/Bench-v0", "scenario": str(file), "bench": "fil", "steps": 64}
+    short = {**SMALL, "env_id": "chemlab/Bench-v1", "scenario": str(file), "bench": "fil", "steps": 64}
     said = r"'fil' of wurtz_dodecane: .* empty vessel, .* no \[benches.fil.start\]; give it contents .moles by mat"
     with pytest.warns(UserWarning, match=said):
         result = train(training_arguments(short), tmp_path / "empty")
@@ -692,7 +692,7 @@ def test_arguments_that_do_not_fit_the_bench(values: dict[str, Any], message: st
 @pytest.mark.parametrize("wrong", [{"bc": "heuristc"}, {"bc": "nowhere/at/all"}, {"hints": "heuristc"}])
 def test_a_mistyped_policy_leaves_nothing_behind(wrong: dict[str, str], tmp_path: Path) -> None:
     """Whom to learn from is looked up before anything is written; the right name may follow in the same folder."""
-    values = {**SMALL, "env_id": "chemlab/LabManager-v0", "algo": "maskable-ppo", "scenario": "wurtz_any"}
+    values = {**SMALL, "env_id": "chemlab/LabManager-v1", "algo": "maskable-ppo", "scenario": "wurtz_any"}
     with pytest.raises(ValueError, match=next(iter(wrong.values()))):
         train(training_arguments({**values, **wrong}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
@@ -736,7 +736,7 @@ def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(
 
 
 def test_a_recurrent_learner_is_not_for_benches_that_a_laboratory_begins_anew(tmp_path: Path) -> None:
-    values = {"env_id": "chemlab/LabAgent-v0", "bench": "rxn_0", "algo": "recurrent-ppo"}
+    values = {"env_id": "chemlab/LabAgent-v1", "bench": "rxn_0", "algo": "recurrent-ppo"}
     with pytest.raises(ValueError, match="begins anew with each experiment"):
         train(training_arguments(values), tmp_path / "run")
     assert not (tmp_path / "run").exists()

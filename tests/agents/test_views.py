@@ -45,7 +45,7 @@ def chosen(background: Any, scenario: str = LINES) -> dict[str, Any]:
 
 @pytest.mark.parametrize("scenario", EVERY_SCENARIO)
 def test_ids_make_views_of_any_scenario(scenario: str) -> None:
-    env = gymnasium.make("chemlab/LabManager-v0", scenario=scenario)
+    env = gymnasium.make("chemlab/LabManager-v1", scenario=scenario)
     assert isinstance(env.unwrapped, RoleEnv)
     labs = env.unwrapped.laboratories
     assert env.unwrapped.agent == "manager_0"
@@ -56,14 +56,14 @@ def test_ids_make_views_of_any_scenario(scenario: str) -> None:
     observation, _, _, _, info = env.step(int(np.flatnonzero(info["action_mask"])[0]))
     assert env.observation_space.contains(observation)
     for number, agent in enumerate(labs.agents):
-        one = gymnasium.make("chemlab/LabAgent-v0", scenario=scenario, agent=agent)
+        one = gymnasium.make("chemlab/LabAgent-v1", scenario=scenario, agent=agent)
         assert one.observation_space == labs.observation_space(number)
         assert one.action_space == labs.action_space(number)
 
 
 def test_ids_make_batches() -> None:
     envs = gymnasium.make_vec(
-        "chemlab/LabManager-v0", num_envs=4, vectorization_mode="vector_entry_point", background="random"
+        "chemlab/LabManager-v1", num_envs=4, vectorization_mode="vector_entry_point", background="random"
     )
     assert isinstance(envs.unwrapped, RoleVectorEnv)
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
@@ -74,7 +74,7 @@ def test_ids_make_batches() -> None:
     assert observations in envs.observation_space
     assert rewards.shape == terminated.shape == truncated.shape == (4,)
     other = gymnasium.make_vec(
-        "chemlab/LabAgent-v0",
+        "chemlab/LabAgent-v1",
         num_envs=2,
         vectorization_mode="vector_entry_point",
         agent="dit_0",

@@ -71,7 +71,7 @@ def test_a_scripted_agent_loses_nothing_where_its_actions_are_in_the_table() -> 
 def test_every_view_takes_it_and_the_laboratory_goes_on_as_it_would() -> None:
     batch = BatchedLaboratory(2, actions="discrete")
     lone, together = raw_env(actions="discrete"), parallel_env(actions="discrete")
-    made = gymnasium.make("chemlab/LabAgent-v0", agent="rxn_0", actions="discrete")
+    made = gymnasium.make("chemlab/LabAgent-v1", agent="rxn_0", actions="discrete")
     spaces = [view.action_space("rxn_0") for view in (batch, lone, together)]
     assert {space.n for space in (*spaces, made.action_space)} == {36}
     assert batch.action_space("ext_0") == BatchedLaboratory(1).action_space("ext_0")

@@ -19,7 +19,7 @@ from chemlab.agents.background import role_env, role_vector_env
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.record import scenario_hash
 
-MANAGER, AGENT = "chemlab/LabManager-v0", "chemlab/LabAgent-v0"
+MANAGER, AGENT = "chemlab/LabManager-v1", "chemlab/LabAgent-v1"
 VIEWS = [(name, agent) for name in scenario_names() for agent in ("manager_0", *load_scenario(name).bench_agents())]
 EVERY_VIEW = slow_but(VIEWS, *(view for view in VIEWS if view[0] in FEATURED))
 
@@ -161,9 +161,9 @@ def test_vector_wrappers() -> None:
     [
         ("chemlab/WurtzReaction-v0", {}),
         ("chemlab/WurtzExtraction-v0", {}),
-        ("chemlab/Bench-v0", {"scenario": "salt_from_oil", "bench": "ext"}),
+        ("chemlab/Bench-v1", {"scenario": "salt_from_oil", "bench": "ext"}),
         (MANAGER, {"scenario": "wurtz_scarce"}),
-        ("chemlab/LabAgent-v0", {"agent": "ext_0"}),
+        ("chemlab/LabAgent-v1", {"agent": "ext_0"}),
     ],
 )
 def test_episodes_are_shorter_than_the_spec_says(name: str, arguments: dict[str, Any]) -> None:
@@ -196,7 +196,7 @@ def test_episodes_are_shorter_than_the_spec_says(name: str, arguments: dict[str,
     assert steps[0] == steps[1]
     assert steps[0][1] in ((True, False), (False, True))
     assert steps[0][0] <= bound - 1
-    if name != "chemlab/LabAgent-v0":  # others end its episodes sooner
+    if name != "chemlab/LabAgent-v1":  # others end its episodes sooner
         assert steps[0][0] == bound - 1
 
 
@@ -228,7 +228,7 @@ def _given(how: str, folder: Path) -> Any:
 def test_specs_are_json_that_makes_the_same_environment(how: str, tmp_path: Path) -> None:
     scenario = _given(how, tmp_path)
     made = {
-        "chemlab/Bench-v0": {"bench": "ext"},
+        "chemlab/Bench-v1": {"bench": "ext"},
         MANAGER: {"rewards": load_scenario("wurtz_dodecane").rewards.model_copy(update={"manager_local": 0.5})},
     }
     for name, arguments in made.items():
@@ -247,7 +247,7 @@ def test_specs_are_json_that_makes_the_same_environment(how: str, tmp_path: Path
 
 def test_arguments_of_a_spec_are_as_short_as_they_can_be(tmp_path: Path) -> None:
     def kept(scenario: Any) -> Any:
-        spec = gymnasium.make("chemlab/Bench-v0", scenario=scenario).spec
+        spec = gymnasium.make("chemlab/Bench-v1", scenario=scenario).spec
         assert spec is not None
         return spec.kwargs["scenario"]
 
@@ -256,7 +256,7 @@ def test_arguments_of_a_spec_are_as_short_as_they_can_be(tmp_path: Path) -> None
     assert isinstance(kept(_given("changed", tmp_path)), dict)
 
 
-@pytest.mark.parametrize(("name", "arguments"), [(MANAGER, {}), (AGENT, {"agent": "ext_0"}), ("chemlab/Bench-v0", {})])
+@pytest.mark.parametrize(("name", "arguments"), [(MANAGER, {}), (AGENT, {"agent": "ext_0"}), ("chemlab/Bench-v1", {})])
 def test_infos_have_types_of_numpys_and_stay_arrays_in_vector_environments(name: str, arguments: Any) -> None:
     env = gymnasium.make(name, **arguments)
     rng = np.random.default_rng(0)

@@ -335,7 +335,7 @@ class _TapedBatch(gymnasium.vector.VectorWrapper):
 def _managers(settings: Any) -> _TapedBatch:
     count = settings["num_envs"]
     BATCHES.append(
-        _TapedBatch(gymnasium.make_vec("chemlab/LabManager-v0", count, vectorization_mode="vector_entry_point"))
+        _TapedBatch(gymnasium.make_vec("chemlab/LabManager-v1", count, vectorization_mode="vector_entry_point"))
     )
     return BATCHES[-1]
 

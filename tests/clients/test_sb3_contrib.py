@@ -79,9 +79,9 @@ def manager_batch(members: int, name: str = "wurtz_dodecane") -> ChemlabVecEnv:
 @pytest.mark.filterwarnings("error::UserWarning", "ignore:.*symmetric and normalized Box action space")
 @pytest.mark.parametrize("name", EVERY_SCENARIO)
 def test_checker(name: str) -> None:
-    check_env(gymnasium.make("chemlab/LabManager-v0", scenario=name).unwrapped, skip_render_check=True)
+    check_env(gymnasium.make("chemlab/LabManager-v1", scenario=name).unwrapped, skip_render_check=True)
     for agent in load_scenario(name).bench_agents():
-        check_env(gymnasium.make("chemlab/LabAgent-v0", scenario=name, agent=agent).unwrapped, skip_render_check=True)
+        check_env(gymnasium.make("chemlab/LabAgent-v1", scenario=name, agent=agent).unwrapped, skip_render_check=True)
 
 
 # -- the manager ------------------------------------------------------------------------------------------------------
@@ -105,7 +105,7 @@ def test_masked_ppo_manages_a_batch_of_laboratories(name: str) -> None:
 
 def test_masked_ppo_manages_single_laboratories(tmp_path: Any) -> None:
     def make() -> Any:
-        return Monitor(gymnasium.make("chemlab/LabManager-v0", scenario="salt_from_oil"))
+        return Monitor(gymnasium.make("chemlab/LabManager-v1", scenario="salt_from_oil"))
 
     venv = DummyVecEnv([make, make])
     assert is_masking_supported(venv)
@@ -134,14 +134,14 @@ def test_single_and_batched_views_train_alike() -> None:
         return weights(model)
 
     batch = trained(manager_batch(2))
-    single = trained(make_vec_env("chemlab/LabManager-v0", 2))
+    single = trained(make_vec_env("chemlab/LabManager-v1", 2))
     np.testing.assert_allclose(batch, single, rtol=1e-4, atol=1e-6)
 
 
 def test_unmasked_learners_run_too() -> None:
     watch = learned(PPO("MlpPolicy", manager_batch(4), **SMALL), 64)
     assert watch.illegal > 0, "without masks it plays illegal actions, and pays for them"
-    env = gymnasium.make("chemlab/LabManager-v0")
+    env = gymnasium.make("chemlab/LabManager-v1")
     model = DQN("MlpPolicy", env, learning_starts=20, buffer_size=200, batch_size=8, train_freq=4, seed=0, device="cpu")
     learned(model, 80)
 

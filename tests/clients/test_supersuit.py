@@ -117,7 +117,7 @@ def test_three_frames_are_the_last_three() -> None:
 
 @pytest.mark.parametrize("wrapper", WRAPPERS)
 def test_wrapped_views_keep_their_masks(wrapper: str) -> None:
-    env = WRAPPERS[wrapper](gymnasium.make("chemlab/LabManager-v0"))
+    env = WRAPPERS[wrapper](gymnasium.make("chemlab/LabManager-v1"))
     rng = np.random.default_rng(0)
     seen, _ = env.reset(seed=0)
     for _ in range(15):

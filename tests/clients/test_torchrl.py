@@ -207,7 +207,7 @@ def test_an_actor_for_each_role_learns(api: str, name: str) -> None:
 
 @pytest.mark.parametrize(
     ("name", "arguments"),
-    [("chemlab/LabManager-v0", {}), ("chemlab/LabAgent-v0", {"agent": "rxn_0"}), ("chemlab/WurtzExtraction-v0", {})],
+    [("chemlab/LabManager-v1", {}), ("chemlab/LabAgent-v1", {"agent": "rxn_0"}), ("chemlab/WurtzExtraction-v0", {})],
 )
 def test_the_default_reader_takes_infos_of_single_views(name: str, arguments: dict[str, Any]) -> None:
     env = GymEnv(name, **arguments).auto_register_info_dict()

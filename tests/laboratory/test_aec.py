@@ -112,7 +112,7 @@ def test_observations_are_not_pictures(
 
 def test_the_registry_knows_the_laboratory() -> None:
     pettingzoo = pytest.importorskip("pettingzoo", minversion="1.27")
-    env = pettingzoo.make("aec", "chemlab/Laboratory-v0", scenario="wurtz_dodecane_direct")
+    env = pettingzoo.make("aec", "chemlab/Laboratory-v1", scenario="wurtz_dodecane_direct")
     env.reset(seed=0)
     assert env.possible_agents == ["manager_0", "rxn_0", "dit_0"]
     assert env.unwrapped.scenario.name == "wurtz_dodecane_direct"

@@ -97,7 +97,7 @@ def assert_same_arrays(first: Any, second: Any) -> None:
 def test_every_bench_kind_is_registered() -> None:
     assert len(IDS) >= 5
     assert {gymnasium.spec(name).kwargs["bench"] for name in IDS} == {"rxn", "ext", "dit", "cry"}
-    for name in [*IDS, "chemlab/Bench-v0"]:
+    for name in [*IDS, "chemlab/Bench-v1"]:
         spec = gymnasium.spec(name)
         assert isinstance(spec.entry_point, str), "entry points are strings, so that importing chemlab stays light"
         assert isinstance(spec.vector_entry_point, str)
@@ -504,7 +504,7 @@ def test_a_forked_child_has_threads_of_its_own() -> None:
 
 @pytest.mark.parametrize("mode", ["ansi", "rgb_array", "human", "hologram"])
 def test_batches_refuse_render_modes_when_they_are_made(mode: str) -> None:
-    for name in ("chemlab/WurtzReaction-v0", "chemlab/LabManager-v0"):
+    for name in ("chemlab/WurtzReaction-v0", "chemlab/LabManager-v1"):
         with pytest.raises(ValueError, match=f"render_mode: must be None.*{mode}"):
             gymnasium.make_vec(name, num_envs=2, render_mode=mode)
 
@@ -759,7 +759,7 @@ def test_any_integers_will_do(dtype: Any) -> None:
 def test_any_bench_of_any_scenario(name: str) -> None:
     laboratories = Laboratories(name)
     for agent, bench in enumerate(laboratories.benches, start=1):
-        env = gymnasium.make("chemlab/Bench-v0", scenario=name, bench=bench.key)
+        env = gymnasium.make("chemlab/Bench-v1", scenario=name, bench=bench.key)
         assert env.observation_space == laboratories.observation_space(agent)
         assert env.action_space == laboratories.action_space(agent)
         observation, _ = env.reset(seed=0)
@@ -767,7 +767,7 @@ def test_any_bench_of_any_scenario(name: str) -> None:
 
 
 def test_the_generic_id_is_the_named_one() -> None:
-    generic = gymnasium.make("chemlab/Bench-v0", scenario="salt_from_oil", bench="ext")
+    generic = gymnasium.make("chemlab/Bench-v1", scenario="salt_from_oil", bench="ext")
     named = gymnasium.make("chemlab/SaltFromOilExtraction-v0")
     np.testing.assert_array_equal(generic.reset(seed=1)[0], named.reset(seed=1)[0])
     for action in plan("chemlab/SaltFromOilExtraction-v0", 1, 5)[:, 0] % 40:

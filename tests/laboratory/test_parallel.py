@@ -387,7 +387,7 @@ def test_spaces_are_those_of_aec(name: str) -> None:
 
 def test_the_registry_knows_it() -> None:
     pettingzoo = pytest.importorskip("pettingzoo", minversion="1.27")
-    env = pettingzoo.make("parallel", "chemlab/Laboratory-v0", scenario="wurtz_dodecane_direct")
+    env = pettingzoo.make("parallel", "chemlab/Laboratory-v1", scenario="wurtz_dodecane_direct")
     assert env.possible_agents == ["manager_0", "rxn_0", "dit_0"]
     _, infos = env.reset(seed=0)
     assert infos["manager_0"]["has_turn"]

@@ -251,7 +251,7 @@ def test_too_small_a_picture_is_refused() -> None:
 
 @pytest.mark.parametrize(("name", "key"), EVERY_BENCH)
 def test_a_bench_renders_arrays(name: str, key: str) -> None:
-    env = gymnasium.make("chemlab/Bench-v0", scenario=name, bench=key, render_mode="rgb_array")
+    env = gymnasium.make("chemlab/Bench-v1", scenario=name, bench=key, render_mode="rgb_array")
     env.reset(seed=0)
     frame = env.render()
     assert isinstance(frame, np.ndarray)
