@@ -64,8 +64,8 @@ def learned_scores(
     from ..train.ppo import PPOTeam
 
     spec = scenario.configured(rewards="cooperative")
-    own_settings: dict[str, Any] = {"envs": _ENVS, "rollout": _ROLLOUT, "epochs": 3, "batch_size": 2048}
-    settings = IPPO(**own_settings, practice=0.0, refund=0.5 if begin is None else 0.0, processed=0.0)
+    refund = 0.5 if begin is None else 0.0
+    settings = IPPO(envs=_ENVS, rollout=_ROLLOUT, practice=0.0, refund=refund, processed=0.0)
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
     if begin is not None:
         _clone(team, spec, begin)

@@ -141,7 +141,7 @@ ABOUT: dict[str, str] = {
     "by_ticks": "Discount by elapsed ticks instead of turns.",
     "practice": "Share of training in which benches that learn do so on their own; a manager that learns begins then.",
     "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
-    "processed": "Share of training in which only vessels that have been at a bench may be submitted.",
+    "processed": "Share of training over which ever fewer laboratories let only vessels that have been at a bench be submitted.",
     "own_goals": "Start experiments for goals of the orders alone.",
     "balanced": "Draw every kind of the manager's actions equally often at first.",
 }
@@ -445,15 +445,15 @@ class IPPO(Clipped, Arguments, Cloning):
     begin_from: str | None = None
     steps: Many = 250_000
     envs: Count = 256
-    rollout: Turns = 64
+    rollout: Turns = 128
     learning_rate: Positive = 1e-3
     net_arch: Layers = (128, 128)
     manager_gamma: Share = 1.0
     by_ticks: bool = False
     gae_lambda: Share = 0.95
     ent_coef: Weight = 0.01
-    epochs: Annotated[int, Field(ge=1, le=10_000)] = 4
-    batch_size: Minibatch = 512
+    epochs: Annotated[int, Field(ge=1, le=10_000)] = 3
+    batch_size: Minibatch = 2048
     eval_episodes: Count = 50
     play: Play = "better"
     practice: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.65

@@ -143,13 +143,15 @@ class Team(Trainee):
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         a, team, done = self.arguments, self.team, progress.step / self.steps
-        for role, practice in team.practices.items():
-            if practice.scores:
-                self.logger.record(f"practice/{role}", float(np.mean(practice.scores)))
-            practice.scores = []
         if team.practices and done < a.practice:
             turns = team.practise(1.0 - done)
+            means = {role: float(np.mean(one.scores)) for role, one in team.practices.items() if one.scores}
+            for role, mean in means.items():
+                self.logger.record(f"practice/{role}", mean)
+                team.practices[role].scores = []
+            self.note = ", ".join(["practice", *(f"{role} {mean:.3f}" for role, mean in means.items())])
         else:
+            self.note = ""
             # The help in the laboratory fades from its own beginning.
             begun = a.practice if team.practices else 0.0
             remaining = (1.0 - done) / (1.0 - begun)

@@ -46,8 +46,8 @@ class Watcher:
     def begun(self, step: int, steps: int) -> None:
         """Training begins, or resumes from a step above 0."""
 
-    def advanced(self, step: int, mean: float | None) -> None:
-        """A round is over; mean return of the episodes that ended in it."""
+    def advanced(self, step: int, mean: float | None, note: str = "") -> None:
+        """A round is over; mean return of the episodes that ended in it, and the learner's note."""
 
     def evaluated(self, evaluation: Evaluation, best: bool) -> None:
         """An evaluation is over, and a checkpoint written."""
@@ -90,11 +90,13 @@ class Trainee(ABC):
         arguments: of the run.
         steps: how many of them it learns from.
         logger: set by the loop; losses may be logged there.
+        note: what the last round was, where it was not of the episodes that are evaluated.
     """
 
     arguments: Arguments
     steps: int
     logger: Logger
+    note: str = ""
 
     @abstractmethod
     def check(self) -> None:
@@ -242,7 +244,7 @@ def train_in_rounds(run: Run, config: RunConfig, trainee: Trainee, progress: Pro
                 _save(run, trainee, p, evaluation, best)
             if evaluation is not None:
                 watcher.evaluated(evaluation, best)
-            watcher.advanced(p.step, point.return_mean)
+            watcher.advanced(p.step, point.return_mean, trainee.note)
     watcher.finishing()
     result = _result(run, config, trainee, p)
     write_text(run.result_file, to_text(asdict(result)))

@@ -505,14 +505,14 @@ class PPOTeam:
             )
         elif role_of(agent) in self.fixed:
             allowed = None if mask is None else mask.astype(np.bool_)
-            played, _ = self.learners[role_of(agent)].act(self._observed[agent][rows], allowed)
+            played, _ = self.learners[role_of(agent)].act(self._observed[agent][rows], allowed, greedy=True)
         else:
             learner, track = self.learners[role_of(agent)], self._tracks[agent]
             self.turns[role_of(agent)] += len(rows)
             observed = self._observed[agent][rows]
             allowed = None if mask is None else mask.astype(np.bool_)
             if role_of(agent) == MANAGER_ROLE and allowed is not None and not self._teachers:
-                allowed = self._helped(allowed, rows, 1.0 - remaining < self.settings.processed)
+                allowed = self._helped(allowed, rows, 1.0 - remaining)
             steps, chosen, log_probability = self.labs.turns_had(number)[rows], None, np.zeros(len(rows))
             if agent in self._teachers:
                 chosen = self._teachers[agent].advice(observed, mask, steps, rows)
@@ -535,18 +535,22 @@ class PPOTeam:
         out[rows] = played if played.dtype.kind == "i" else np.clip(played, space.low, space.high)  # type: ignore[attr-defined]
         return out
 
-    def _helped(self, mask: BoolArray, rows: IntArray, processed: bool) -> BoolArray:
-        """The manager's mask with the help that is given; the mask itself where that would leave nothing."""
+    def _helped(self, mask: BoolArray, rows: IntArray, done: float) -> BoolArray:
+        """The manager's mask with the help that is given; the mask itself where that would leave nothing.
+
+        The help of ``processed`` ends in one laboratory after another. If it ended in all of them at once, actions that
+        have never been tried would suddenly be likely.
+        """
         table, state = self.labs.actions.table, self.labs.state
         kinds, helped = table[:, 0], mask.copy()
         if self.settings.own_goals:
             starts = np.flatnonzero(kinds == START)
             wanted = (table[starts, 3][None, :, None] == state.goal[rows][:, None, :]).any(axis=2)
             helped[:, starts] &= wanted
-        if processed:
-            submits = np.flatnonzero(kinds == SUBMIT)
-            helped[:, submits] &= state.last_bench[rows][:, table[submits, 1]] > 0
-            helped[:, kinds == DISCARD] = False
+        limited = np.flatnonzero(done * self.settings.envs < self.settings.processed * (rows + 0.5))
+        submits, discards = np.flatnonzero(kinds == SUBMIT), np.flatnonzero(kinds == DISCARD)
+        helped[np.ix_(limited, submits)] &= state.last_bench[rows[limited]][:, table[submits, 1]] > 0
+        helped[np.ix_(limited, discards)] = False
         empty = ~helped.any(axis=1)
         helped[empty] = mask[empty]
         return helped

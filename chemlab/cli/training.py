@@ -32,13 +32,18 @@ __all__: list[str] = []
 # -- train ------------------------------------------------------------------------------------------------------------
 
 
+_CURVE, _BLOCKS = 24, " ▁▂▃▄▅▆▇█"
+"""Characters of the curve in the terminal, and its levels."""
+
+
 class _Account:
-    """A progress bar with the remaining time and the latest return; without a terminal, a line per evaluation."""
+    """A progress bar with the remaining time and the curve of returns; without a terminal, a line per evaluation."""
 
     def __init__(self, progress: Progress | None) -> None:
         self._progress = progress
         self._task = TaskID(0)
         self._steps = 0
+        self._curve: dict[int, float] = {}
 
     def _say(self, text: str) -> None:
         # Print a line at once, so that a log shows the run's folder.
@@ -53,11 +58,14 @@ class _Account:
         if self._progress is not None:
             self._task = self._progress.add_task("training", total=steps, completed=step, mean="")
 
-    def advanced(self, step: int, mean: float | None) -> None:
+    def advanced(self, step: int, mean: float | None, note: str = "") -> None:
         """See :class:`chemlab.agents.train.loop.Watcher`."""
-        if self._progress is not None:
-            shown = "" if mean is None else f"return {mean:.3f}"
-            self._progress.update(self._task, completed=step, mean=shown)
+        if self._progress is None:
+            return
+        if mean is not None:
+            self._curve[min(_CURVE * step // self._steps, _CURVE - 1)] = mean
+            note = f"return {mean:.3f} {_curve(self._curve)}"
+        self._progress.update(self._task, completed=step, mean=f"{step:,} steps, {note}")
 
     def evaluated(self, evaluation: Evaluation, best: bool) -> None:
         """See :class:`chemlab.agents.train.loop.Watcher`."""
@@ -72,6 +80,14 @@ class _Account:
         """See :class:`chemlab.agents.train.loop.Watcher`."""
         if self._progress is not None:
             self._progress.update(self._task, mean="last evaluation")
+
+
+def _curve(means: dict[int, float]) -> str:
+    """Draw mean returns by position as blocks, from 0, or the lowest if that is below, to the highest."""
+    low, high = min(0.0, *means.values()), max(means.values())
+    top = len(_BLOCKS) - 1
+    levels = {at: 1 + round((top - 1) * (mean - low) / (high - low)) if high > low else 1 for at, mean in means.items()}
+    return "".join(_BLOCKS[levels.get(at, 0)] for at in range(max(means) + 1))
 
 
 def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunResult]) -> None:

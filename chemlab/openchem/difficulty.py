@@ -42,7 +42,7 @@ from ..roles.manager_actions import WAIT
 from ..roles.reaction_bench import ReactionBench, ReactionOptions
 from .designs import feeds, steps_to
 
-__all__ = ["Conditions", "GoalDifficulty", "constant_conditions", "difficulty"]
+__all__ = ["Conditions", "GoalDifficulty", "constant_conditions", "difficulty", "waiting"]
 
 _TEMPERATURES = 8
 _SLOWLY = 0.5
@@ -183,7 +183,7 @@ def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:
     return round(abs(liquids[name].boiling_point_k - boils), 2), name
 
 
-def _waiting(labs: Laboratories) -> Callable[[ObservationArray, MaskArray | None], IntArray]:
+def waiting(labs: Laboratories) -> Callable[[ObservationArray, MaskArray | None], IntArray]:
     """Return a manager that waits, and takes the first legal action where it cannot."""
     wait = int(np.flatnonzero(labs.actions.table[:, 0] == WAIT)[0])
 
@@ -228,7 +228,7 @@ def difficulty(
         apart = _boils_next(spec, goal)
         wide = Laboratories(spec, explored)
         drawn = play_laboratory(wide, make_policies("scripted,manager=random", wide, seed), goal, seed)
-        idle = make_policies("scripted", labs, seed) | {MANAGER_AGENT: as_policy(_waiting(labs))}
+        idle = make_policies("scripted", labs, seed) | {MANAGER_AGENT: as_policy(waiting(labs))}
         rows.append(
             GoalDifficulty(
                 goal=goal,

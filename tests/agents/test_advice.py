@@ -322,7 +322,7 @@ def test_a_run_that_stops_comes_to_the_same_end(tmp_path: Path) -> None:
 
         def begun(self, step: int, steps: int) -> None: ...
 
-        def advanced(self, step: int, mean: float | None) -> None:
+        def advanced(self, step: int, mean: float | None, note: str = "") -> None:
             self.rounds -= 1
             if not self.rounds:
                 raise Stopped

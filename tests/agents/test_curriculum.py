@@ -206,7 +206,7 @@ class _Stop(Watcher):
     def __init__(self, rounds: int) -> None:
         self.rounds = rounds
 
-    def advanced(self, step: int, mean: float | None) -> None:
+    def advanced(self, step: int, mean: float | None, note: str = "") -> None:
         self.rounds -= 1
         if not self.rounds:
             raise KeyboardInterrupt

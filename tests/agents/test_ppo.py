@@ -89,7 +89,7 @@ def test_help_is_of_the_mask_and_ends() -> None:
     made = team(processed=0.5, own_goals=True)
     table, rows = made.labs.actions.table, made.labs.members
     mask = made._infos["manager_0"]["action_mask"].astype(np.bool_)
-    helped = made._helped(mask, rows, processed=True)
+    helped = made._helped(mask, rows, 0.0)
     kinds = table[:, 0]
     assert mask[:, kinds == SUBMIT].any()
     assert not helped[:, (kinds == SUBMIT) | (kinds == DISCARD)].any()
@@ -97,8 +97,11 @@ def test_help_is_of_the_mask_and_ends() -> None:
     goals = made.labs.state.goal[:, 0]
     assert helped[:, starts].any()
     assert all((table[starts[row], 3] == goal).all() for row, goal in zip(helped[:, starts], goals, strict=True))
-    without = made._helped(mask, rows, processed=False)
-    assert (without[:, kinds == SUBMIT] == mask[:, kinds == SUBMIT]).all()
+    submits = kinds == SUBMIT
+    fading = made._helped(mask, rows, 0.25)[:, submits]
+    assert not fading[len(rows) // 2 :].any()
+    assert (fading[: len(rows) // 2] == mask[: len(rows) // 2, submits]).all()
+    assert (made._helped(mask, rows, 0.5)[:, submits] == mask[:, submits]).all()
 
 
 def test_balanced_logits_give_every_kind_the_same_share() -> None:
@@ -197,7 +200,7 @@ def test_a_stopped_run_goes_on_alike(central: bool, tmp_path: Path) -> None:
     from chemlab.agents.train.loop import Watcher
 
     class Stopping(Watcher):
-        def advanced(self, step: int, mean: float | None) -> None:
+        def advanced(self, step: int, mean: float | None, note: str = "") -> None:
             if step >= 300:
                 raise Stop
 

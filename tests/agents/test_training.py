@@ -99,7 +99,7 @@ class Stop(Watcher):
     def begun(self, step: int, steps: int) -> None:
         self.first = step
 
-    def advanced(self, step: int, mean: float | None) -> None:
+    def advanced(self, step: int, mean: float | None, note: str = "") -> None:
         self.rounds -= 1
         if self.rounds == 0:
             raise Killed
