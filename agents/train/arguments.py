@@ -141,7 +141,7 @@ ABOUT: dict[str, str] = {
     "by_ticks": "Discount by elapsed ticks instead of turns.",
     "practice": "Share of training in which benches that learn do so on their own; a manager that learns begins then.",
     "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
-    "processed": "Share of training over which, in ever fewer laboratories, only vessels from a bench may be submitted.",
+    "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
     "own_goals": "Start experiments for goals of the orders alone.",
     "balanced": "Draw every kind of the manager's actions equally often at first.",
 }
