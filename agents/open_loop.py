@@ -1,7 +1,7 @@
 """Open-loop managers: fixed action sequences, one for each public context, independent of later observations.
 
 The *public context* is the goals of the orders, which are revealed at the start. Plans found by a search
-(:mod:`chemlab.agents.evaluate.plans`) are stored in ``models/plans/SCENARIO.BENCHES.json`` with the command that found
+(:mod:`chemlab.agents.evaluate.search`) are stored in ``models/plans/SCENARIO.BENCHES.json`` with the command that found
 them.
 """
 

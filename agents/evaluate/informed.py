@@ -30,8 +30,9 @@ from chemlab.roles.manager_actions import KIND, SUBMIT
 from ..open_loop import Context, Playback
 from ..policies import make_policies
 from ..roles import role_of
-from .plans import SEARCH_SEED, Search, Tape, TeamPlan, Trials, drawn_contexts
+from .plans import SEARCH_SEED, Tape, TeamPlan, Trials, drawn_contexts
 from .play import BATCH
+from .search import Search
 
 __all__ = ["informed_scores", "openings"]
 

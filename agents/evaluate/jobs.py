@@ -31,7 +31,8 @@ from ..policies import make_policies, scripted_manager
 from ..runs import versions
 from .contention import CONTENDED, Contention
 from .informed import informed_scores
-from .plans import FoundPlan, PlanSearch, Tape, TeamPlan, best_in_episode, replay_actions, search_plan
+from .plans import FoundPlan, PlanSearch, Tape, TeamPlan, replay_actions
+from .search import best_in_episode, search_plan
 
 __all__ = ["AUDIT_SEED", "BUDGETS", "AuditBudget", "Crew", "Job", "budget_of", "foreseen", "planner_jobs"]
 

@@ -125,7 +125,7 @@ def plan(
     ..., which the search does not use.
     """
     with readable_errors():
-        from ..agents.evaluate.plans import plan_budget, search_plan
+        from ..agents.evaluate.search import plan_budget, search_plan
         from ..config.loading import load_scenario
 
         spec = load_scenario(scenario)

@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..agents.episodes import play_laboratory
-from ..agents.evaluate.plans import search_plan
+from ..agents.evaluate.search import search_plan
 from ..agents.policies import as_policy, make_policies
 from ..config.datafile import DataError
 from ..config.loading import load_scenario

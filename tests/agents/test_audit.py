@@ -19,8 +19,8 @@ from scipy import stats
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.audit import audit, choosing_jobs, measure_rows, measuring_jobs, open_loop_plans, verdict
 from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job, foreseen
-from chemlab.agents.evaluate.plans import best_in_episode, search_plan
 from chemlab.agents.evaluate.scale import Scale, interval
+from chemlab.agents.evaluate.search import best_in_episode, search_plan
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories

@@ -13,7 +13,8 @@ from helpers import mapping, slow_but
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.evaluate.plans import FoundPlan, PlanSearch, plan_words, replay_actions, search_plan
+from chemlab.agents.evaluate.plans import FoundPlan, PlanSearch, plan_words, replay_actions
+from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.open_loop import (
     ConstantPlan,
     Plan,

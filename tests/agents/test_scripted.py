@@ -18,7 +18,7 @@ import pytest
 from helpers import EVERY_SCENARIO, slow_but
 
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode, play_laboratory
-from chemlab.agents.evaluate.plans import best_in_episode
+from chemlab.agents.evaluate.search import best_in_episode
 from chemlab.agents.policies import Policy, make_policies
 from chemlab.config.loading import scenario_names
 from chemlab.envs.aec import raw_env
