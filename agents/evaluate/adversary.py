@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 __all__ = ["learned_scores"]
 
 _ENVS, _ROLLOUT = 64, 64
-_DONORS, _EPOCHS = 16, 40
-"""Episodes of every context that are cloned, and passes over them."""
+_DONORS, _LEAST_STD = 16, 0.02
+"""Episodes of every context that are cloned, and the clones' least standard deviation of continuous actions."""
 _CHECKS, _CHECKED = 2, 64
 """Checkpoints in training, of which the best is kept, and the episodes of their evaluation."""
 _CHECK_SEED = 4_600_000
@@ -110,45 +110,41 @@ def _score(team: PPOTeam, spec: Scenario, episodes: int, seed: int, split: str, 
 
 
 class _Recorded:
-    """Plays as another policy does, and keeps observations, masks and actions."""
+    """Plays as another policy does, and keeps observations, masks, actions and environment indices."""
 
     def __init__(self, policy: Policy) -> None:
         self._policy = policy
-        self.turns: list[tuple[ObservationArray, MaskArray | None, npt.NDArray[Any]]] = []
+        self.turns: list[dict[str, npt.NDArray[Any] | None]] = []
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
         actions = self._policy.act(observation, mask, step, members)
-        self.turns.append((observation.copy(), None if mask is None else mask != 0, np.array(actions)))
+        kind = np.float32 if mask is None else np.int64
+        allowed = None if mask is None else mask != 0
+        turn = {"observed": observation.copy(), "mask": allowed, "action": actions.astype(kind), "members": members}
+        self.turns.append(turn)
         return actions
 
 
 def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan]) -> None:
-    """Fit the networks to what open-loop policies play in training worlds."""
-    import torch
+    """Fit the networks to what open-loop policies play in training worlds, and to what that came to."""
+    from ..train.ppo import joined
 
-    turns: dict[str, list[tuple[Any, Any, Any]]] = {}
+    turns: dict[str, list[dict[str, npt.NDArray[Any] | None]]] = {}
     for context, plan in begin.items():
-        seeds = range(SEARCH_SEED, SEARCH_SEED + _DONORS)
-        trials = Trials(spec, context, seeds, 1)
-        policies = make_policies("scripted", trials.labs)
-        recorded = [_Recorded(policy) for policy in trials.team_policies([plan], policies)]
-        trials.play(recorded, 1)
+        trials = Trials(spec, context, range(SEARCH_SEED, SEARCH_SEED + _DONORS), 1)
+        recorded = [
+            _Recorded(policy) for policy in trials.team_policies([plan], make_policies("scripted", trials.labs))
+        ]
+        scores = trials.play(recorded, 1)[0].astype(np.float32)
         for agent, each in zip(trials.labs.agents, recorded, strict=True):
-            turns.setdefault(role_of(agent), []).extend(each.turns)
+            shown = [{**turn, "target": scores[turn["members"]]} for turn in each.turns]
+            turns.setdefault(role_of(agent), []).extend(shown)
     for role, own in turns.items():
-        learner = team.learners[role]
-        observed = torch.from_numpy(np.concatenate([seen for seen, _, _ in own])[:, learner.columns])
-        masks = None if own[0][1] is None else torch.from_numpy(np.concatenate([mask for _, mask, _ in own]))
-        actions = torch.from_numpy(np.concatenate([action for _, _, action in own]))
-        if masks is None:
-            actions = actions.float()
-        for _ in range(_EPOCHS):
-            for rows in torch.from_numpy(team.rng.permutation(len(actions))).split(1024):  # type: ignore[no-untyped-call]
-                distribution = learner.network.distribution(observed[rows], None if masks is None else masks[rows])
-                loss = -distribution.log_prob(actions[rows]).mean()
-                learner.optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
-                learner.optimizer.step()
+        learner, batch = team.learners[role], joined(own)
+        observed = batch["observed"]
+        assert observed is not None
+        batch["observed"] = batch["seen"] = observed[:, learner.columns]
+        learner.clone(batch, team.rng, _LEAST_STD)

@@ -40,7 +40,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
-__all__ = ["PPOTeam", "compact", "wide_columns"]
+__all__ = ["PPOTeam", "compact", "joined", "wide_columns"]
 
 _WIDE = 32
 """Channels of more numbers are left out of the manager's view."""
@@ -579,7 +579,7 @@ class PPOTeam:
         learned = 0
         for role in learning:
             parts = batches[role]
-            batch = _joined(parts)
+            batch = joined(parts)
             count = len(batch["advantage"])  # type: ignore[arg-type]
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
@@ -618,7 +618,7 @@ class PPOTeam:
             first = first or played
             for role, part in episodes.by_role().items():
                 found[role].append(part)
-                hit[role] = self.learners[role].clone(_joined(found[role]), self.rng, least_std)
+                hit[role] = self.learners[role].clone(joined(found[role]), self.rng, least_std)
         self._teachers, self._tried = {}, False
         self._restart()
         return hit
@@ -693,14 +693,14 @@ class _Shown:
         for agent, turns in self._turns.items():
             known, returns = self._returns(agent)
             if known.any():
-                whole: dict[str, Arrays | None] = {**_joined(turns), "target": returns}
+                whole: dict[str, Arrays | None] = {**joined(turns), "target": returns}
                 found.setdefault(role_of(agent), []).append(
                     {name: None if array is None else array[known] for name, array in whole.items()}
                 )
-        return {role: _joined(parts) for role, parts in found.items()}
+        return {role: joined(parts) for role, parts in found.items()}
 
 
-def _joined(parts: Sequence[Mapping[str, Arrays | None]]) -> dict[str, Arrays | None]:
+def joined(parts: Sequence[Mapping[str, Arrays | None]]) -> dict[str, Arrays | None]:
     """Several batches of turns as one."""
     return {
         name: None if parts[0][name] is None else np.concatenate([part[name] for part in parts]) for name in parts[0]

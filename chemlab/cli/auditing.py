@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..config.files import check_folder, write_text
+from ..config.files import check_folder
 from .options import (
     AddressOption,
     DefaultGroup,
@@ -24,6 +24,7 @@ from .options import (
     current_policy,
     out,
     readable_errors,
+    report_result,
 )
 from .screen import counting, plain, show_table
 
@@ -79,12 +80,7 @@ def measures(
         with counting() as progress, executor(address, processes) as jobs:
             task = progress.add_task("parts", total=job_count(spec, chosen))
             found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task), turns)
-    if as_json:
-        typer.echo(json.dumps(found))
-    else:
-        _show(found)
-    if output is not None:
-        write_text(output, json.dumps(found, indent=1) + "\n")
+    report_result(found, _show, as_json, output)
 
 
 def _show(found: dict[str, Any]) -> None:

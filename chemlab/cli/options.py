@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import re
 import traceback
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,7 +16,7 @@ from typer.core import TyperGroup
 
 from .. import __version__
 from ..config.datafile import DataError
-from ..config.files import check_apart, check_target
+from ..config.files import check_apart, check_target, write_text
 from ..config.parts import strangers_code
 from .screen import err, out, page, plain
 
@@ -44,6 +45,7 @@ __all__ = [
     "out",
     "prepare",
     "readable_errors",
+    "report_result",
 ]
 
 _shown = {"traceback": False}
@@ -286,3 +288,15 @@ def check_result(path: Path, *read: str | Path) -> None:
     """
     check_apart_from(path, *read)
     check_target(path)
+
+
+def report_result(
+    found: dict[str, Any], show: Callable[[dict[str, Any]], None], as_json: bool, output: Path | None
+) -> None:
+    """Print a result as tables or as JSON, and write it to a file where one is given."""
+    if as_json:
+        typer.echo(json.dumps(found))
+    else:
+        show(found)
+    if output is not None:
+        write_text(output, json.dumps(found, indent=1) + "\n")

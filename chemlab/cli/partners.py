@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from ..config.files import check_folder, write_text
+from ..config.files import check_folder
 from .options import (
     AddressOption,
     JsonOption,
@@ -19,6 +18,7 @@ from .options import (
     app,
     check_result,
     readable_errors,
+    report_result,
 )
 from .screen import counting, page, show_table
 
@@ -75,12 +75,7 @@ def crossplay(
         with counting() as progress, executor(address, processes) as jobs:
             task = progress.add_task("parts", total=crossplay_count(managers, crews, chosen, split))
             found = play(spec, managers, crews, budget, split, keep, jobs, lambda _: progress.advance(task))
-    if as_json:
-        typer.echo(json.dumps(found))
-    else:
-        _show(found)
-    if output is not None:
-        write_text(output, json.dumps(found, indent=1) + "\n")
+    report_result(found, _show, as_json, output)
 
 
 def _show(found: dict[str, Any]) -> None:
