@@ -927,7 +927,7 @@ SHIPPED = {
     "fictitious": "123b34a8dd336967",
     "recrystallization": "414e6c47dc38aa77",
     "relay": "0e15f9d25c0961de",
-    "runaway": "e6848996698b8cd5",
+    "runaway": "5821e1364f5ee309",
     "rush": "ab48c72cfda91fb1",
     "salt_from_oil": "feee34ab975676ab",
     "selectivity": "01e5e8236090a707",

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players, Policy
-from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.roles.bench import Bench
 from chemlab.roles.manager_actions import ManagerActions
@@ -334,15 +334,22 @@ class _Taped:
                 if actions:
                     self._actions[number, e] = [*actions, *[actions[-1]] * (longest - len(actions))]
 
+    def _experiment(self, members: IntArray) -> IntArray:
+        """Return [B] the row of the present experiment in a tape."""
+        return np.clip(self._manager.started[members, self._number] - 1, 0, self._actions.shape[1] - 1)
+
+    def reads(self, members: IntArray) -> BoolArray:
+        """See :class:`chemlab.envs.players.Policy`: where no tape is played."""
+        taped = self._which[members] >= 0
+        if taped.any():
+            taped &= self._played[self._which[members], self._experiment(members)]
+        return ~taped
+
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
-        _, most, longest = self._actions.shape[:3]
-        experiment = np.clip(self._manager.started[members, self._number] - 1, 0, most - 1)
-        taped = self._which[members] >= 0
-        if taped.any():
-            taped &= self._played[self._which[members], experiment]
+        longest, experiment, taped = self._actions.shape[2], self._experiment(members), ~self.reads(members)
         played = np.zeros((len(members), *self._actions.shape[3:]), dtype=self._actions.dtype)
         if not taped.all():
             allowed = None if mask is None else mask[~taped]

@@ -139,7 +139,8 @@ class Search:
         self.best: list[Tried] = []
         self.curve: list[tuple[int, float]] = []
         self._split, self._first_seed = split, seeds[0]
-        self._one, self._several = self._prepared(seeds[:1]), self._prepared(seeds)
+        self._several = self._prepared(seeds)
+        self._one = self._prepared(seeds[:1]) if len(seeds) > 1 else self._several
         taped = self._one[0].labs.benches if free else ()
         self._moves = Moves(self._actions, context, np.random.default_rng(seed), without, taped)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -82,7 +83,9 @@ class CampaignManager(ScriptedManager[_Belief]):
         drawn = has_unknown_rate(scenario)
         assert drawn is not None, "has_unknown_rate(scenario) holds"
         self._numbers = quantiles(scenario.world.draws[drawn], (np.arange(_GRID) + 0.5) / _GRID)
-        self._expected, self._worth = _foreseen(scenario, drawn, self._numbers, self._instrument, self._rxn)
+        self._expected, self._worth = _foreseen(
+            scenario, drawn, tuple(self._numbers.tolist()), self._instrument, self._rxn
+        )
         spec = scenario.instruments.get(str(self._instrument))
         self._noise = float(np.hypot(spec.noise, _MODEL_ERROR)) if spec is not None else 1.0
         self._price = max(spec.price, _LEAST_GAIN) if spec is not None else 0.0
@@ -175,17 +178,17 @@ class CampaignManager(ScriptedManager[_Belief]):
         return bool(after - self._prospect(belief.weights, runs, left) > self._price)
 
 
+@functools.lru_cache(maxsize=16)
 def _foreseen(
-    scenario: Scenario, drawn: str, numbers: FloatArray, instrument: str | None, agent: str | None
+    scenario: Scenario, drawn: str, numbers: tuple[float, ...], instrument: str | None, agent: str | None
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate a batch at each candidate rate in the public scenario.
 
     Returns:
         Readings [T, runs, size] without noise, and the batch's value [T, runs] in raw score less the cost of time.
     """
-    readings, worth, ticks = foreseen(
-        scenario, [{drawn: number} for number in numbers.tolist()], instrument, agent, _MOST_RUNS
-    )
+    worlds = [{drawn: number} for number in numbers]
+    readings, worth, ticks = foreseen(scenario, worlds, instrument, agent, _MOST_RUNS)
     return readings, worth - scenario.costs.tick * ticks
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -127,7 +128,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         self._draw = titre
         shares = (np.arange(_GRID) + 0.5) / _GRID
         self._titres = quantiles(titre, shares)
-        self._made = _foreseen(scenario, titre, self._titres, self._stages, margin_k)
+        self._made = _foreseen(scenario, tuple(self._titres.tolist()), margin_k)
         prices = [draw for draw in scenario.world.draws.values() if draw.what == "price"]
         base = scenario.demand.order[0].price
         self._prices = base * quantiles(prices[0], shares) if prices else np.full(_GRID, base)
@@ -394,14 +395,15 @@ def _best_grade(made: FloatArray) -> int:
     return int(made.mean(axis=(1, 2)).argmax())
 
 
-def _foreseen(
-    scenario: Scenario, titre: Draw, titres: FloatArray, stages: Sequence[str], margin_k: float
-) -> FloatArray:
+@functools.lru_cache(maxsize=16)
+def _foreseen(scenario: Scenario, titres: tuple[float, ...], margin_k: float) -> FloatArray:
     """Simulate the yields [stages, grades, L, T] in mol of each stage's goal from the first vessel.
 
     The public scenario is used at each titre, and at each of L rates that may be revealed to the stage's bench. The
     stages before have had the best time, and all other hidden parameters have their prior's median.
     """
+    titre, stages = _titre(scenario), list(scenario.benches)
+    assert titre is not None, "has_orders_to_schedule(scenario) holds"
     slot = next(name for name in titre.of if name.startswith("slot_"))
     own = titre.model_copy(update={"of": (slot,), "test": ()})
     others = {
@@ -424,7 +426,7 @@ def _foreseen(
         for member in labs.members:
             which, t = divmod(int(member), len(titres))
             drawn = typical | ({rate: float(told[which])} if rate else {})
-            labs.reset(labs.members[member : member + 1], world={"titre": {slot: float(titres[t])}, **drawn})
+            labs.reset(labs.members[member : member + 1], world={"titre": {slot: titres[t]}, **drawn})
         for before in range(stage):
             grade = grades[_best_grade(made[before])]
             run_once(labs, f"{stages[before]}_0", _goal(scenario, before), at, grade, margin_k)

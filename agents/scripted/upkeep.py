@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -123,22 +124,11 @@ class UpkeepManager(ScriptedManager[_Belief]):
 
     def _foresee(self) -> None:
         """Simulate the readings and the value of an undisturbed batch as functions of its age."""
-        spec, agent = self._scenario, self._actions.bench_agents[0]
-        slow = {key: bench.model_copy(update={"wear": WearSpec(gain=_SLOW)}) for key, bench in spec.benches.items()}
-        exact = {name: one.model_copy(update={"drift": None}) for name, one in spec.instruments.items()}
-        steady = spec.model_copy(
-            update={
-                "benches": slow,
-                "instruments": exact,
-                "world": spec.world.model_copy(update={"draws": {}}),
-                "limits": spec.limits.model_copy(update={"ticks": 1_000_000, "manager_actions": 100_000}),
-            }
-        )
-        readings, worth, _ = foreseen(steady, [None], self._instrument, agent, _COURSE)
+        readings, worth = _undisturbed(self._scenario, self._instrument, self._actions.bench_agents[0])
         self._ages = _SLOW * np.arange(_COURSE + 1)
         # If no age has a signal, readings carry no information.
-        self._shown = np.flatnonzero(np.ptp(readings[0], axis=0) > _MODEL_ERROR)
-        self._course, self._value_at = readings[0][:, self._shown], worth[0]
+        self._shown = np.flatnonzero(np.ptp(readings, axis=0) > _MODEL_ERROR)
+        self._course, self._value_at = readings[:, self._shown], worth
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
@@ -398,3 +388,20 @@ def _likelihood(readings: FloatArray, shown: FloatArray, variance: FloatArray) -
     found = apart(readings, shown, variance)
     likely = np.exp(-0.5 * (found - found.min(axis=-1, keepdims=True)))
     return np.asarray(likely / likely.sum(axis=-1, keepdims=True))
+
+
+@functools.lru_cache(maxsize=16)
+def _undisturbed(scenario: Scenario, instrument: str | None, agent: str) -> tuple[FloatArray, FloatArray]:
+    """Return the readings [_COURSE + 1, size] and the value [_COURSE + 1] of a batch that nothing disturbs."""
+    slow = {key: bench.model_copy(update={"wear": WearSpec(gain=_SLOW)}) for key, bench in scenario.benches.items()}
+    exact = {name: one.model_copy(update={"drift": None}) for name, one in scenario.instruments.items()}
+    steady = scenario.model_copy(
+        update={
+            "benches": slow,
+            "instruments": exact,
+            "world": scenario.world.model_copy(update={"draws": {}}),
+            "limits": scenario.limits.model_copy(update={"ticks": 1_000_000, "manager_actions": 100_000}),
+        }
+    )
+    readings, worth, _ = foreseen(steady, [None], instrument, agent, _COURSE)
+    return readings[0], worth[0]

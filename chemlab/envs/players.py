@@ -24,7 +24,8 @@ class Policy(Protocol):
 
     An optional ``seed(member, seed)`` restarts a member's random stream; environments call it for every episode, so
     that episodes are independent. Optional ``get_memory()`` and ``set_memory(memory)`` return and restore a copy of its
-    memory, so that an environment that it plays in can be restored.
+    memory, so that an environment that it plays in can be restored. An optional ``reads(members)`` returns [B] whether
+    it reads the observation of a laboratory; it is given zeros where it does not.
     """
 
     def act(
@@ -230,10 +231,19 @@ class Players:
         """
         labs, policy = self._labs, self._policies[number]
         assert policy is not None, "agents without a policy cannot decide"
-        seen, mask = labs.observe(number, members), labs.mask(number, members)
+        seen, mask = self._seen(number, members), labs.mask(number, members)
         with np.errstate(under="ignore"):  # tiny probabilities underflow to 0
             actions = policy.act(seen, mask, labs.turns_had(number)[members], members)
         return checked_actions(labs.agents[number], actions, len(members), labs.action_space(number))
+
+    def _seen(self, number: int, members: IntArray) -> ObservationArray:
+        """Return [B, size] the observations that an agent's policy reads; zeros elsewhere."""
+        labs, reads = self._labs, getattr(self._policies[number], "reads", None)
+        if reads is None:
+            return labs.observe(number, members)
+        rows = np.flatnonzero(reads(members))
+        seen = np.zeros((len(members), labs.observation_sizes[number]), dtype=np.float32)
+        return labs.observe(number, members[rows], seen, rows) if len(rows) else seen
 
     def play_pass(self, members: IntArray, after: Callable[[int, IntArray], None] = _nothing) -> None:
         """Let every agent play once, in order, in the laboratories in which it has the turn.

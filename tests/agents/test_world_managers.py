@@ -124,7 +124,7 @@ def test_batches_are_foreseen_as_two_first_order_steps_go() -> None:
     """A -> P -> W in closed form, step by step at the temperature that the oven has."""
     scenario = load_scenario("campaign")
     rates = np.array([0.3, 1.0, 3.0])
-    readings, worth = _foreseen(scenario, "rate", rates, "gas_chromatograph", "rxn_0")
+    readings, worth = _foreseen(scenario, "rate", tuple(rates), "gas_chromatograph", "rxn_0")
     labs = Laboratories(scenario)
     a_at, p_at = (labs.instruments.analytes[0].index(name) for name in ("1-chlorohexane", "2-chlorohexane"))
     tick = scenario.benches["rxn"].model_extra["tick"]  # type: ignore[index]
