@@ -73,7 +73,7 @@ class AuditBudget:
 
 
 BUDGETS = {
-    "small": AuditBudget(40, plans=2_000, fewer=400, donors=20, planned=240, worlds=96),
+    "small": AuditBudget(40, plans=800, fewer=200, donors=10, planned=100, worlds=64),
     "full": AuditBudget(200, plans=40_000, fewer=4_000, donors=20, planned=1_500, turns=1_000_000, worlds=512),
 }
 """``small``: no learners; 205 s of one core for a scenario of one order (``tests/agents/cold.toml``)."""
