@@ -98,6 +98,29 @@ def test_constant_actions_of_benches_are_searched() -> None:
     assert everybody.play(20, split="test").mean() > plan.play(20, split="test").mean() + 0.3
 
 
+@pytest.mark.slow
+def test_a_scenario_that_is_solved_without_looking_is_said_to_be_one() -> None:
+    """A whole audit of the small budget: the best constant team scores most of what can be scored."""
+    found = audit(COLD)
+    assert not found["criteria"]["open_loop"]
+    assert found["open_loop"]["ways"]["everybody"] > 0.5 * found["best"]["value"]
+    assert "an open-loop policy (" in verdict(found)
+
+
+@pytest.mark.slow
+def test_a_scenario_that_needs_memory_is_said_to_be_one() -> None:
+    """What the first batches of a campaign tell holds for the later ones, and every measurement has a price."""
+    found = audit("campaign", AuditBudget(episodes=40, plans=40, fewer=10, donors=2, planned=10))
+    assert found["value_of_memory"]["low"] > 0.0
+
+
+def test_a_scenario_that_needs_two_benches_is_said_to_be_one(unlabelled: tuple[dict[str, Any], Path]) -> None:
+    """Products are made in one and purified in the other: without either, next to nothing is left."""
+    found, _ = unlabelled
+    assert found["criteria"]["value_of_bench"]
+    assert min(own["low"] for own in found["value_of_bench"].values()) > 0.1
+
+
 def test_the_oracle_is_never_below_a_policy(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """Neither in the mean nor in an episode: the scale of the rows ends at 1."""
     found, keep = unlabelled
