@@ -24,6 +24,7 @@ from chemlab import __version__
 from chemlab.cli import PANELS, app
 from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import event_words, page, show_table
+from chemlab.cli.training import _curve
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import DataError, shipped_materials
@@ -620,6 +621,14 @@ def test_a_terminal_that_knows_no_umlauts(tmp_path: Path) -> None:
         assert (done.returncode, done.stderr) == (0, ""), done.stderr
     assert "S\\xe4ure" in done.stdout
     assert (tmp_path / "é.jsonl").exists()
+
+
+def test_the_curve_of_a_run_is_drawn_from_zero_or_its_lowest_to_its_highest_return() -> None:
+    levels = " .:#"
+    assert _curve({0: 0.0, 1: 0.5, 3: 1.0}, levels) == ".: #"
+    assert _curve({0: -1.0, 1: 0.0, 2: 1.0}, levels) == ".:#"
+    assert _curve({0: -2.0, 1: -1.0}, levels) == ".:"
+    assert _curve({0: 0.0}, levels) == "."
 
 
 def test_a_terminal_without_columns() -> None:

@@ -65,7 +65,7 @@ def learned_scores(
 
     spec = scenario.configured(rewards="cooperative")
     refund = 0.5 if begin is None else 0.0
-    settings = IPPO(envs=_ENVS, rollout=_ROLLOUT, practice=0.0, refund=refund, processed=0.0)
+    settings = IPPO(envs=_ENVS, rollout=_ROLLOUT, practice=0.0, refund=refund, processed=0.0, ent_coef=0.01)
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
     if begin is not None:
         _clone(team, spec, begin)

@@ -434,7 +434,7 @@ class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
 
     ``practice``, ``refund``, ``processed``, ``own_goals`` and ``balanced`` help to learn from nothing, in training
-    alone. A team that begins from policies or clones has none unless it is asked for.
+    alone. A team that begins from policies or clones has none unless it is asked for, and less entropy.
     """
 
     algo: Literal["ippo"] = "ippo"
@@ -451,12 +451,12 @@ class IPPO(Clipped, Arguments, Cloning):
     manager_gamma: Share = 1.0
     by_ticks: bool = False
     gae_lambda: Share = 0.95
-    ent_coef: Weight = 0.01
+    ent_coef: Weight = 0.03
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 3
     batch_size: Minibatch = 2048
     eval_episodes: Count = 50
     play: Play = "better"
-    practice: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.65
+    practice: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.5
     refund: Share = 0.5
     processed: Share = 0.3
     own_goals: bool = True
@@ -469,6 +469,7 @@ class IPPO(Clipped, Arguments, Cloning):
             return values
         return {
             **dict.fromkeys(("practice", "refund", "processed"), 0.0),
+            "ent_coef": 0.01,
             "own_goals": False,
             "balanced": False,
             **values,

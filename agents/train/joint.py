@@ -149,7 +149,7 @@ class Team(Trainee):
             for role, mean in means.items():
                 self.logger.record(f"practice/{role}", mean)
                 team.practices[role].scores = []
-            self.note = ", ".join(["practice", *(f"{role} {mean:.3f}" for role, mean in means.items())])
+            self.note = "practice: " + ", ".join(f"{role} {mean:.3f}" for role, mean in means.items())
         else:
             self.note = ""
             # The help in the laboratory fades from its own beginning.

@@ -32,8 +32,8 @@ __all__: list[str] = []
 # -- train ------------------------------------------------------------------------------------------------------------
 
 
-_CURVE, _BLOCKS = 24, " ▁▂▃▄▅▆▇█"
-"""Characters of the curve in the terminal, and its levels."""
+_CURVE = 24
+"""Characters of the curve in the terminal."""
 
 
 class _Account:
@@ -64,7 +64,9 @@ class _Account:
             return
         if mean is not None:
             self._curve[min(_CURVE * step // self._steps, _CURVE - 1)] = mean
-            note = f"return {mean:.3f} {_curve(self._curve)}"
+            ascii_only = self._progress.console.options.ascii_only
+            levels = " .:-=+*#@" if ascii_only else " ▁▂▃▄▅▆▇█"
+            note = f"return {mean:.3f} {_curve(self._curve, levels)}"
         self._progress.update(self._task, completed=step, mean=f"{step:,} steps, {note}")
 
     def evaluated(self, evaluation: Evaluation, best: bool) -> None:
@@ -82,12 +84,12 @@ class _Account:
             self._progress.update(self._task, mean="last evaluation")
 
 
-def _curve(means: dict[int, float]) -> str:
-    """Draw mean returns by position as blocks, from 0, or the lowest if that is below, to the highest."""
-    low, high = min(0.0, *means.values()), max(means.values())
-    top = len(_BLOCKS) - 1
-    levels = {at: 1 + round((top - 1) * (mean - low) / (high - low)) if high > low else 1 for at, mean in means.items()}
-    return "".join(_BLOCKS[levels.get(at, 0)] for at in range(max(means) + 1))
+def _curve(means: dict[int, float], levels: str) -> str:
+    """Draw mean returns by position between 0 (or the lowest below it) and the highest; the first level is none."""
+    low, high = min(0.0, *means.values()), max(0.0, *means.values())
+    scale = (len(levels) - 2) / (high - low) if high > low else 0.0
+    drawn = {at: levels[1 + round(scale * (mean - low))] for at, mean in means.items()}
+    return "".join(drawn.get(at, levels[0]) for at in range(max(means) + 1))
 
 
 def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunResult]) -> None:
