@@ -1,7 +1,8 @@
 """Write the table of the committed audits into docs/worlds.md: ``python docs/audits.py``.
 
-An audit is made by ``chemlab audit SCENARIO --out docs/results/audits/SCENARIO.json``, with ``--budget full`` for
-scenarios with hidden parameters. ``--all`` makes every audit that is missing or older than its scenario.
+``--make`` first makes the audits of the given scenarios, or of all whose audit is missing or older than the scenario, one
+after the other: ``python docs/audits.py --make runaway --budget small --keep parts``. With ``--keep``, the same command
+resumes an interrupted audit.
 """
 
 from __future__ import annotations
@@ -66,10 +67,17 @@ def stale() -> list[str]:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--all", action="store_true", help="first make audits that are missing or out of date")
-    for name in stale() if parser.parse_args().all else ():
+    parser.add_argument("--make", nargs="*", metavar="SCENARIO", help="make these audits first; none: all out of date")
+    parser.add_argument("--budget", help="small or full; default: full for scenarios with hidden parameters")
+    parser.add_argument("--keep", type=Path, help="folder of finished parts, with a folder for each scenario")
+    given = parser.parse_args()
+    for name in () if given.make is None else given.make or stale():
         print(f"audit of {name}", flush=True)
-        budget = "full" if load_scenario(name).world.draws else "small"
+        budget = given.budget or ("full" if load_scenario(name).world.draws else "small")
         command = ["chemlab", "audit", name, "--budget", budget, "--out", str(FOLDER / f"{name}.json")]
+        if given.keep is not None:
+            (given.keep / name).mkdir(parents=True, exist_ok=True)
+            command += ["--keep", str(given.keep / name)]
         subprocess.run([sys.executable, "-m", *command], check=True)
+        replace_between(PAGE, "audits", table())
     replace_between(PAGE, "audits", table())
