@@ -1,8 +1,8 @@
 """Write the table of the committed audits into docs/worlds.md: ``python docs/audits.py``.
 
-``--make`` first makes the audits of the given scenarios, or of all whose audit is missing or older than the scenario, one
-after the other: ``python docs/audits.py --make runaway --budget small --keep parts``. With ``--keep``, the same command
-resumes an interrupted audit.
+``--make`` first makes the audits of the given scenarios, or of all whose audit is missing or older than the scenario:
+``python docs/audits.py --make runaway --budget small --keep parts``. With ``--keep``, the same command resumes an
+interrupted audit.
 """
 
 from __future__ import annotations
