@@ -66,6 +66,7 @@ from .contention import CONTENDED
 from .informed import openings
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .scale import Scale, interval
+from .search import scripted_names
 
 __all__ = [
     "CRITERIA",
@@ -81,7 +82,6 @@ __all__ = [
 _CHOICE_SEED = 4_500_000
 """Of the first episode that policies are chosen on."""
 _CAREFUL = ("scripted", "scripted:unsafe")
-_SCRIPTED = (*_CAREFUL, "scripted:no-extraction")
 _TRAINED = ("pretrained", "trained")
 _REPLACED = {"random": "random", "unsafe": "scripted:unsafe", "other": "trained"}
 """Policies that replace a member of the team, by name of the row."""
@@ -132,7 +132,8 @@ def audit(
     chosen = budget_of(budget, turns)
     crew = Crew(spec, chosen, keep, executor, watch)
     found = crew.run(choosing_jobs(spec))
-    reference, best = _best(found, _SCRIPTED), _best(found, _SCRIPTED + _TRAINED)
+    scripted = scripted_names(spec)
+    reference, best = _best(found, scripted), _best(found, [*scripted, *_TRAINED])
     plans = open_loop_plans(found)
     found |= crew.run(measuring_jobs(spec, chosen, reference, plans, best))
     return {
@@ -166,7 +167,7 @@ def choosing_jobs(spec: Scenario) -> list[Job]:
     """Return the jobs that depend on no other: searches first, which take longest, then policies to choose from."""
     jobs = [Job("everybody", "everybody", {}), Job("plan", "plan", {})]
     jobs += [Job(f"plan-without-{key}", "plan", {"without": key}) for key in spec.benches]
-    for policy in _SCRIPTED + _TRAINED:
+    for policy in [*scripted_names(spec), *_TRAINED]:
         own = {"policy": policy, "split": "validation", "seed": _CHOICE_SEED}
         jobs.append(Job(f"choose-{policy}", "play", own))
     return jobs

@@ -39,7 +39,7 @@ from .plans import (
 )
 from .play import BATCH
 
-__all__ = ["PLAN_BUDGETS", "Search", "best_in_episode", "plan_budget", "search_plan"]
+__all__ = ["PLAN_BUDGETS", "Search", "best_in_episode", "plan_budget", "scripted_names", "search_plan"]
 
 PLAN_BUDGETS = {"small": 10_000, "full": 100_000}
 """Plans tried in all."""
@@ -49,10 +49,15 @@ NOISE = 0.02
 _POPULATION, _CHILDREN, _FIRST = 32, 128, 256
 _ISLANDS, _PATIENCE = 3, 6
 _SAME = 1e-9
-_SCRIPTED = ("scripted", "scripted:no-extraction", "scripted:unsafe")
 _BUNDLED = ("pretrained", "trained")
 _PROMISING, _FINALISTS = 4, 16
 _FEW_FINAL_SEEDS, _MOST_FINAL_SEEDS = 64, 1000
+
+
+def scripted_names(scenario: Scenario) -> list[str]:
+    """Return the scripted policies that differ in a scenario."""
+    extracts = any(bench.kind == "extraction" for bench in scenario.benches.values())
+    return ["scripted", "scripted:unsafe", *(["scripted:no-extraction"] if extracts else [])]
 
 
 class _Recording(Playback):
@@ -244,7 +249,7 @@ class Search:
         """
         beginning = list(known)
         if donors:
-            beginning += self._donors([*_SCRIPTED, *_BUNDLED])
+            beginning += self._donors([*scripted_names(self._scenario), *_BUNDLED])
             beginning += self._donors(["scripted"], _revealed(self._scenario))
         self._try(beginning)
         best = -np.inf
@@ -255,7 +260,7 @@ class Search:
 
     def run(self, known: Sequence[TeamPlan]) -> FoundPlan:
         """Search; ``known`` are plans to begin with."""
-        beginning = [*known, *self._donors(_SCRIPTED)]
+        beginning = [*known, *self._donors(scripted_names(self._scenario))]
         islands, best = (1 if known else _ISLANDS), -np.inf
         while self.tried < self._budget:
             for _ in range(islands):
