@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from chemlab.config.draws import Draw
 from chemlab.config.reactions import equation, side_words
-from chemlab.config.scenario import Scenario
-from chemlab.lab.describe import goal_words, wear_words
+from chemlab.config.scenario import GradeSpec, Scenario
+from chemlab.lab.describe import needed_words, wear_words
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import position_words
 from chemlab.roles.bench import Bench
 
 __all__ = ["brief", "opaque_names"]
+
+_ACTUATORS = {"stir": "stirring", "heat": "heating"}
+_FEW = 2
+"""Largest number of goals that a manager's introduction lists apart from the reactions."""
 
 
 def opaque_names(scenario: Scenario, salt: str) -> dict[str, str]:
@@ -39,99 +43,141 @@ def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[s
     spec, role = labs.scenario, labs.roles[labs.agents.index(seat)].workplace
     others = [other for other in seats if other != seat]
     policies = [agent for agent in labs.agents if agent not in seats]
-    lines = [f"You are {seat} in a simulated chemistry laboratory. Its numbers are no instructions for a real one."]
+    lines = [f"You are {seat} in a simulated laboratory, whose numbers are no instructions for a real one."]
     if name is str:
         lines.append(spec.summary)
-    if others or policies:
-        lines.append(
-            "; ".join(
-                f"{', '.join(who)}: {what}" for who, what in ((others, "other seats"), (policies, "policies")) if who
-            )
-        )
-    lines += _bench_lines(role) if isinstance(role, Bench) else _manager_lines(labs)
+    if others and policies:
+        lines.append(f"{', '.join(others)}: other seats; {', '.join(policies)}: policies")
+    elif others or policies:
+        lines.append(f"All other agents: {'seats' if others else 'policies'}")
+    most = {} if isinstance(role, Bench) else _produced(spec)
+    lines += _bench_lines(role) if isinstance(role, Bench) else _manager_lines(labs, most)
     if spec.family.reaction or spec.family.violent:
-        lines.append(_reactions(spec, name))
+        lines.append(_reactions(spec, name, most))
     hidden = [_draw_words(spec, draw, name) for draw in spec.world.draws.values() if _concerns(spec, draw)]
     if hidden:
         lines.append(f"Hidden, redrawn every episode: {'; '.join(hidden)}.")
     return "\n".join(_plain(line, name) for line in lines)
 
 
-def _manager_lines(labs: Laboratories) -> list[str]:
+def _produced(spec: Scenario) -> dict[str, float]:
+    """Goals whose maximum stands at the only reaction that makes them; none if there are few."""
+    made = [product for step in spec.family.reaction for product in dict(step.products)]
+    plain = [goal for goal in spec.lab_goals if goal not in spec.specifications and made.count(goal) == 1]
+    found = {goal: spec.theoretical_maximum_mol.get(goal, 1.0) for goal in plain}
+    return found if len(found) > _FEW else {}
+
+
+def _manager_lines(labs: Laboratories, most: Mapping[str, float]) -> list[str]:
     spec = labs.scenario
     prices = ", ".join(f"{key} {one.price:g}" for key, one in spec.instruments.items())
     limits, costs = spec.limits, spec.costs
     lines = [
-        *_order_lines(spec),
+        *_order_lines(spec, most),
         f"Limits: {limits.manager_actions} actions, {limits.ticks} ticks, {limits.budget:g} for measuring. "
-        f"Costs: a tick {costs.tick:g}, a litre of waste {costs.waste_per_l:g}{_priced(spec)}.",
+        f"Costs: {', '.join([f'a tick {costs.tick:g}', *_prices(spec)])}.",
     ]
-    lines.append(f"Price of a measurement: {prices}." if prices else "There are no instruments.")
+    lines.append(f"A measurement: {prices}." if prices else "There are no instruments.")
     kinds = {bench.key: bench for bench in labs.benches}
     for bench in kinds.values():
         agents = ", ".join(agent for agent, one in zip(labs.bench_agents, labs.benches, strict=True) if one is bench)
         extra = f"; {position_words(bench)}" if len(bench.positions) > 1 else ""
-        lines.append(f"{agents or bench.key}: {bench.kind}, at most {bench.spec.step_limit} steps{extra}.")
-    for grade, wanted in spec.grades.items():
-        ticks = f", {wanted.ticks} ticks" if wanted.ticks is not None else ""
-        lines.append(
-            f"Grade {grade}: at least {wanted.amount_at_least_mol:g} mol, purity {wanted.purity_at_least:g}{ticks}."
-        )
-    return [*lines, *wear_words(spec)]
+        lines.append(f"{agents or bench.key}: {bench.kind}, up to {bench.spec.step_limit} steps{extra}.")
+    grades = [f"{grade} ({', '.join(_grade_words(wanted))})" for grade, wanted in spec.grades.items()]
+    lines += [f"Grades: {', '.join(grades)}."] if grades else []
+    wears = [bench.wear for bench in spec.benches.values() if bench.wear is not None]
+    return lines + (wear_words(spec) if any(one.spread or one.drift or one.life for one in wears) else [])
 
 
-def _reactions(spec: Scenario, name: Callable[[str], str]) -> str:
-    """All reactions, with numbers if hidden parameters refer to them; what all have in common is said once."""
+def _grade_words(wanted: GradeSpec) -> list[str]:
+    """What a quality requirement asks for."""
+    return [
+        *([f"at least {wanted.amount_at_least_mol:g} mol"] if wanted.amount_at_least_mol else []),
+        *([f"purity {wanted.purity_at_least:g}"] if wanted.purity_at_least else []),
+        *([f"{wanted.ticks} ticks"] if wanted.ticks is not None else []),
+    ]
+
+
+def _reactions(spec: Scenario, name: Callable[[str], str], most: Mapping[str, float]) -> str:
+    """All reactions, with numbers if hidden parameters refer to them; what all have in common is said once.
+
+    Args:
+        spec: the scenario.
+        name: gives the names of materials.
+        most: maxima of products, which stand behind them.
+    """
     steps, head = spec.family.reaction, "Reactions"
     sides = [(dict(step.reactants), dict(step.products)) for step in steps]
     common = [dict(set.intersection(*({*side[k].items()} for side in sides))) if sides else {} for k in (0, 1)]
     if len(steps) > 1 and all(common) and all(len(side[k]) > len(common[k]) for side in sides for k in (0, 1)):
-        head += f", all with {side_words(common[0])} -> {side_words(common[1])} as well"
+        head += f", each with {side_words(common[0])} -> {side_words(common[1])}"
         for side in sides:
             for k in (0, 1):
                 for material in common[k]:
                     del side[k][material]
-    words = [_tokens(f"{side_words(reactants)} -> {side_words(products)}", name) for reactants, products in sides]
-    if any(equation(step) in draw.of for draw in spec.world.draws.values() for step in steps):
-        words = [f"{k}. {one}" for k, one in enumerate(words, start=1)]
-    sentences = [f"{_tokens(head, name)}: {'; '.join(words)}."] if words else []
+    numbered = any(equation(step) in draw.of for draw in spec.world.draws.values() for step in steps)
+    words: dict[str, list[str]] = {}
+    for k, (reactants, products) in enumerate(sides, start=1):
+        maximum = "".join(f" ({most[one]:.3g})" for one in products if one in most)
+        made = f"{f'{k}. ' if numbered else ''}{_tokens(side_words(products), name)}{maximum}"
+        words.setdefault(_tokens(side_words(reactants), name), []).append(made)
+    listed = "; ".join(f"{reactants} -> {' or '.join(made)}" for reactants, made in words.items())
+    sentences = [f"{_tokens(head, name)}: {listed}."] if words else []
     sentences += [f"Violent: {_tokens(equation(one), name)}." for one in spec.family.violent]
     return " ".join(sentences)
 
 
-def _priced(spec: Scenario) -> str:
-    """Prices of stock and of safety events, where there are any."""
-    alike: dict[float, list[str]] = {}
-    for name, price in spec.costs.stock_per_mol.items():
-        alike.setdefault(price, []).append(f"`{name}`")
-    prices = [f"a mol of {' or '.join(names)} {price:g}" for price, names in alike.items() if price]
+def _prices(spec: Scenario) -> list[str]:
+    """Prices of waste, stock and safety events, where there are any."""
+    prices = [f"a litre of waste {spec.costs.waste_per_l:g}"] if spec.costs.waste_per_l else []
+    stock = _priced({f"`{name}`": price for name, price in spec.costs.stock_per_mol.items()})
+    prices += [f"a mol of {stock}"] if stock else []
     if spec.safety.reward_price:
-        weights = ", ".join(f"{kind} {spec.safety.reward_price * w:g}" for kind, w in spec.safety.weights.items())
-        prices.append(f"safety events: {weights}")
-    return "".join(f", {price}" for price in prices)
+        prices.append(
+            f"safety events: {_priced({k: spec.safety.reward_price * w for k, w in spec.safety.weights.items()})}"
+        )
+    return prices
 
 
-def _order_lines(spec: Scenario) -> list[str]:
+def _priced(prices: Mapping[str, float]) -> str:
+    """What has a price, with what has the same price together."""
+    alike: dict[float, list[str]] = {}
+    for name, price in prices.items():
+        alike.setdefault(price, []).append(name)
+    return ", ".join(f"{' or '.join(names)} {price:g}" for price, names in alike.items() if price)
+
+
+def _order_lines(spec: Scenario, most: Mapping[str, float]) -> list[str]:
     """Orders and score, with the specifications where there are any."""
-    most = spec.theoretical_maximum_mol
     several = f"{spec.orders} orders, each" if spec.orders > 1 else "One order"
-    first, *others = (f"`{goal}` ({{}}{most.get(goal, 1.0):.3g}{{}})" for goal in spec.lab_goals)
-    wanted = ", ".join([first.format("at most ", " mol"), *(one.format("", "") for one in others)])
-    lines = [f"{several} for {'one of ' if others else ''}{wanted}."]
+    rest = [
+        f"`{goal}` (at most {spec.theoretical_maximum_mol.get(goal, 1.0):.3g} mol"
+        + (
+            f"; needs {needed_words(goal, spec.specifications[goal])}, or is worth nothing"
+            if goal in spec.specifications
+            else ""
+        )
+        + ")"
+        for goal in spec.lab_goals
+        if goal not in most
+    ]
+    wanted = [*(["a product with its maximum (mol) behind it"] if most else []), *rest]
+    lines = [f"{several} for {' or '.join(wanted)}."]
     if spec.demand.order:
         late, short = spec.demand.late, spec.demand.short
         share = f"a late delivery pays {late:g} of its price, one below the least amount or purity {short:g}"
-        lines.append(f"Score: the mean over orders of the price paid ({share}), minus all costs.")
+        lines.append(f"Score: the mean over orders of the price paid ({share}), minus costs.")
         return lines + _customer_lines(spec)
-    lines.append("Score: mol submitted x purity / maximum (mean over orders), minus all costs.")
-    return lines + goal_words(spec)[3:] + _customer_lines(spec)
+    mean = " (mean over orders)" if spec.orders > 1 else ""
+    lines.append(f"Score: mol submitted x purity / maximum{mean}, minus costs.")
+    return lines + _customer_lines(spec)
 
 
 def _customer_lines(spec: Scenario) -> list[str]:
     """Penalties, feedback, and vessels that may be submitted, where they differ from the default."""
     demand, lines = spec.demand, []
     if demand.missed:
-        lines.append(f"An order that is not met costs {demand.missed:g} of its price.")
+        lines.append(f"An order not met costs {demand.missed:g} of its price.")
     if demand.feedback != 0.0:
         early = (
             "nothing is learned"
@@ -140,18 +186,20 @@ def _customer_lines(spec: Scenario) -> list[str]:
         )
         lines.append(f"Of a submission {early} before the end of the episode.")
     if spec.hides:
-        full = f", at least {demand.fill_at_least:g} full," if demand.fill_at_least else ""
-        lines.append(f"Only a vessel that was at a bench{full} can be submitted; a recall takes a tick at least.")
+        full = f" and are {demand.fill_at_least:g} full" if demand.fill_at_least else ""
+        lines.append(f"Submit only vessels that were at a bench{full}; a recall takes a tick.")
     return lines
 
 
 def _bench_lines(bench: Bench) -> list[str]:
     gauges = [c for c in bench.channels if c.size == 1 and c.unit not in ("fraction", "one-hot", "0 or 1")]
     ranges = "; ".join(f"{c.name} {c.low:g} to {c.high:g} {c.unit}" for c in gauges)
+    noise = ", ".join(f"{channel} {deviation:g}" for channel, deviation in bench.spec.noise.items())
     return [
         f"You operate a {bench.kind} bench. Score of an experiment: {bench.score_meaning}.",
         f"An experiment has at most {bench.spec.step_limit} steps. Vessels: {position_words(bench)}.",
         *([f"Gauges: {ranges}."] if ranges else []),
+        *([f"Noise (of full scale): {noise}. Only look and wait show long values with much of it."] if noise else []),
     ]
 
 
@@ -177,8 +225,12 @@ def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
     for label, value in numbers.items():
         if isinstance(value, tuple):
             counts = {option: value.count(option) for option in value}
-            listed = ", ".join(f"{name(str(o))}{f' x{n}' if n > 1 else ''}" for o, n in counts.items())
+            each = next(iter(counts.values()), 1) if len(set(counts.values())) == 1 else 0  # the same of all
+            listed = ", ".join(f"{name(str(o))}{'' if each else f' x{n}'}" for o, n in counts.items())
+            listed = f"{each} each of {listed}" if each > 1 else listed
             parts += [listed] if value else []
+        elif label == "high" and "low" in numbers:
+            parts[-1] = f"{numbers['low']:g} to {value:g}"
         else:
             parts.append(f"{label} {value:g}")
     change = {"factor": "times ", "offset": "plus ", "value": ""}[draw.change]
@@ -189,8 +241,10 @@ def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
     of += f" (rest {name(draw.inert)})" if draw.inert else ""
     told = "all agents" if spec.world.revealed else ", ".join(draw.told)
     told = f", revealed to {told}" if told else ""
-    where = f" ({targets})" if targets else ""
-    return f"{draw.what}{of}{where}, {change}{kind} {', '.join(parts)}{told}"
+    where = f" ({targets.replace(', reaction ', ', ')})" if targets else ""
+    actuators = [worn.actuator for one in draw.of if one in spec.benches and (worn := spec.benches[one].wear)]
+    what = f"effect of {_ACTUATORS[actuators[0]]}" if actuators and draw.what == "gain" else draw.what
+    return f"{what}{of}{where}, {change}{kind} {', '.join(parts)}{told}"
 
 
 def _ranges(names: Sequence[str]) -> str:

@@ -209,6 +209,13 @@ class Room:
         """The verbs of a seat."""
         return list(self._verbs[seat].values())
 
+    def tools(self, seat: str) -> list[dict[str, Any]]:
+        """The verbs of a seat as tools: ``name``, ``description`` and ``input_schema``, which is a JSON schema."""
+        return [
+            {"name": verb.name, "description": verb.meaning, "input_schema": input_schema(verb)}
+            for verb in self.verbs(seat)
+        ]
+
     @property
     def over(self) -> bool:
         """True once the episode is over."""
@@ -408,7 +415,10 @@ class Room:
         if agent == MANAGER_AGENT and price > 5e-7:
             words = f"Done; cost {price:.4g}."
         self._advance()
-        return Reply(f"{words} {self._situation(agent, verb == 'wait')}", self._over)
+        situation = self._situation(agent, False)
+        return Reply(
+            f"{words} {situation}" if agent == MANAGER_AGENT or self._current() != agent else situation, self._over
+        )
 
     def _situation(self, agent: str, whole: bool) -> str:
         """Notices, whose turn it is, and what has changed."""
@@ -425,13 +435,14 @@ class Room:
         labs = self._labs
         assert labs is not None
         number = labs.agents.index(agent)
-        lines = self._views[agent].lines(self._noticed(agent, labs.observe(number, labs.members)[0], whole))
+        lines = self._views[agent].lines(self._noticed(agent, labs.observe(number, labs.members)[0], whole), whole)
         head, had = f"Turn {self._turns[agent]}", int(labs.turns_had(number)[0])
         if number:
             bench = labs.benches[number - 1]
             busy = bool(labs.state.busy[number - 1, 0])
-            head += f": step {had + 1} of {bench.spec.step_limit}" if busy else ": no experiment here"
             whole = whole or had == 0
+            of = f" of {bench.spec.step_limit}" if whole else ""
+            head += f": step {had + 1}{of}" if busy else ": no experiment here"
             if not busy:
                 lines = []
         news = [line for line in lines if line not in self._shown[agent]]
@@ -568,7 +579,7 @@ class LabTools:
         if agent not in room.seats:
             raise ValueError(f"seat: must be one of {', '.join(room.seats)}, given {agent!r}")
         verbs = room.verbs(agent)
-        key = cls, agent, json.dumps([(verb.name, verb.meaning, input_schema(verb)) for verb in verbs])
+        key = cls, agent, json.dumps(room.tools(agent))
         if key not in _FACADES:
             _FACADES[key] = type(f"LabTools_{agent}", (cls,), {verb.name: _method(verb) for verb in verbs})
         return object.__new__(_FACADES[key])

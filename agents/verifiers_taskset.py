@@ -1,23 +1,18 @@
 """Seats of a room as a taskset and an environment of verifiers: ``vf-eval chemlab-seats``."""
 
 import json
-from collections.abc import Iterable
 from contextlib import AsyncExitStack
 from typing import Any
 
+import verifiers.v1 as vf
+from anyio.to_thread import run_sync
 from pydantic import Field
 
-try:
-    import anyio.to_thread
-    import verifiers.v1 as vf
-except ImportError as error:
-    raise ImportError('verifiers is missing: pip install "chemlab-marl[verifiers]"') from error
-
-from chemlab.lab.engine import MANAGER_AGENT
-
-from .seats import Room, call_of, input_schema
+from .seats import Room, call_of
 
 __all__ = ["Laboratory", "Seats"]
+
+_EXAMPLE = '{"verb": "look", "arguments": {}}'
 
 
 class LaboratoryConfig(vf.TasksetConfig):
@@ -30,10 +25,10 @@ class LaboratoryConfig(vf.TasksetConfig):
 
 
 class Laboratory(vf.Taskset[vf.Task, LaboratoryConfig]):
-    """Episodes of one scenario as tasks."""
+    """Episodes of one scenario as tasks; one is like another, because every room draws its own world."""
 
-    def load(self) -> Iterable[vf.Task]:
-        """The tasks: one is like another, because every room draws its own world."""
+    def load(self) -> list[vf.Task]:
+        """The tasks."""
         return [vf.Task(vf.TaskData(name=f"{self.config.scenario} {k}")) for k in range(self.config.episodes)]
 
 
@@ -54,8 +49,11 @@ class Seats(vf.Env[SeatsConfig]):
         async with AsyncExitStack() as stack:
             talks = {}
             for seat in room.seats:
-                player = agents.manager if seat == MANAGER_AGENT else agents.bench
-                data = vf.TaskData(name=task.data.name, system_prompt=_instructions(room, seat))
+                player = agents.manager if seat == "manager_0" else agents.bench
+                prompt = (
+                    f"{room.brief(seat)}\nTools: {json.dumps(room.tools(seat))}\nEnd answers with a call: {_EXAMPLE}"
+                )
+                data = vf.TaskData(name=task.data.name, system_prompt=prompt)
                 talks[seat] = await stack.enter_async_context(player.interaction(vf.Task(data)))
             while (now := room.turn())[0]:
                 agent, view = now
@@ -64,18 +62,10 @@ class Seats(vf.Env[SeatsConfig]):
                     break
                 used = talks[agent].trace.calls[-1].usage
                 room.spent(agent, used.input_tokens + used.completion_tokens if used else 0)
-                text = (await anyio.to_thread.run_sync(room.call, agent, *call_of(segment.last_reply))).text
+                text = (await run_sync(room.call, agent, *call_of(segment.last_reply))).text
                 before = agent
             room.close()
             for seat, talk in talks.items():
                 talk.trace.record_reward("raw_score", room.score)
                 for name, count in room.report()["seats"][seat].items():
                     talk.trace.record_metric(name, float(count))
-
-
-def _instructions(room: Room, seat: str) -> str:
-    verbs = [f"{verb.name}: {verb.meaning} {json.dumps(input_schema(verb)['properties'])}" for verb in room.verbs(seat)]
-    example = '{"verb": "look", "arguments": {}}'
-    return "\n".join(
-        [room.brief(seat), "Verbs, with their arguments:", *verbs, f"End every answer with a call: {example}"]
-    )

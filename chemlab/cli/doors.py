@@ -51,11 +51,16 @@ def mcp(
     ] = None,
 ) -> None:
     """Serve seats of a laboratory to language agents by the Model Context Protocol (needs the extra `mcp`)."""
-    from ..agents import mcp_server
     from ..agents.evaluate.jobs import AUDIT_SEED
     from ..agents.seats import Room
     from ..config.loading import load_scenario
 
+    try:
+        import anyio
+
+        from ..agents import mcp_server
+    except ImportError as error:
+        raise ImportError(f'seats over MCP need mcp ({error}): pip install ".[mcp]"') from error
     spec = load_scenario(scenario)
     seats = chosen_agents(["manager_0", *spec.bench_agents()], seat or ["manager_0"], "--seat")
     if http is None and len(seats) > 1:
@@ -68,7 +73,7 @@ def mcp(
     room = Room(spec, seats, background, names, calls, say, 10.0, out_folder, "tools only", salt, seed)
     try:
         if http is None:
-            mcp_server.serve_stdio(room)
+            anyio.run(mcp_server.serve_stdio, room)
         else:
             port = http or _free_port(host)
             tokens = {one: token or secrets.token_urlsafe(24) for one in seats}

@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium
 
 from ..config.draws import Draw
-from ..config.scenario import InstrumentSpec, Scenario
+from ..config.scenario import InstrumentSpec, OrderSpec, Scenario
 from ..roles.bench import Channel
 from .engine import Laboratories
 
@@ -31,6 +31,7 @@ __all__ = [
     "instrument_table",
     "limit_words",
     "manager_action_table",
+    "needed_words",
     "reward_words",
     "safety_words",
     "space_words",
@@ -159,12 +160,18 @@ def goal_words(spec: Scenario) -> list[str]:
         f"Experiments may be run for {_codes(spec.goals)}.",
         f"Theoretical maximum: {amount_words(spec.theoretical_maximum_mol)}.",
         *(
-            f"`{goal}` must be {wanted.amount_at_least_mol:g} mol of a purity of {wanted.purity_at_least:g} at least"
-            + (f" among {_codes(wanted.purity_among)}" if wanted.purity_among else "")
-            + ", or is worth nothing."
+            f"`{goal}` needs {needed_words(goal, wanted)}, or is worth nothing."
             for goal, wanted in spec.specifications.items()
         ),
     ]
+
+
+def needed_words(goal: str, wanted: OrderSpec) -> str:
+    """Describe the amount and the purity that a goal needs in order to be worth anything."""
+    amount = f"{wanted.amount_at_least_mol:g} mol and " if wanted.amount_at_least_mol else ""
+    others = [one for one in wanted.purity_among if one != goal]
+    among = f" among {_codes(others)} and itself" if others else ""
+    return f"at least {amount}a purity of {wanted.purity_at_least:g}{among}"
 
 
 def vessel_table(spec: Scenario) -> FactTable:
@@ -247,12 +254,12 @@ def wear_words(spec: Scenario) -> list[str]:
         if bench.wear is not None:
             wear = bench.wear
             does = {"stir": "Stirring", "heat": "Heating"}[wear.actuator]
-            breaks = f", and breaks after {wear.life:g} ticks of work in the mean" if wear.life else ""
-            found.append(
-                f"{does} at `{key}` has {wear.gain:g} times its effect, give or take a factor of e^{wear.spread:g}; it "
-                f"drifts by a factor of e^{wear.drift:g} in a tick of work{breaks}. A repair costs "
-                f"{wear.repair_price:g} and takes {wear.repair_ticks} ticks."
-            )
+            parts = [f"{does} at `{key}` has {wear.gain:g} times its effect"]
+            parts += [f"give or take a factor of e^{wear.spread:g}"] if wear.spread else []
+            parts += [f"drifting by a factor of e^{wear.drift:g} in a tick of work"] if wear.drift else []
+            parts += [f"until it breaks after {wear.life:g} ticks of work in the mean"] if wear.life else []
+            repair = f" A repair costs {wear.repair_price:g} and takes {wear.repair_ticks} ticks."
+            found.append(f"{', '.join(parts)}.{repair if wear.repair_ticks else ''}")
     return found
 
 

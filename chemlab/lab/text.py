@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import Any
@@ -35,7 +36,9 @@ _CURVE_ERROR = 0.05
 """Maximum error of a curve in words, by linear interpolation between the printed points."""
 _LONG = 16
 """Channels with more values are described as curves."""
-_PURE = 3
+_NOISY = 0.05
+"""Standard deviation above which a long channel is printed value by value: its curve would have a point at each."""
+_PURE = 5
 """Minimum number of consecutive pixels of a separately listed layer; thinner ones are part of a mixed zone."""
 
 
@@ -82,19 +85,26 @@ def measured_words(
     """
     table = laboratories.instruments
     channel = table.channels[instrument]
+    values = _as_exact_as(laboratories.scenario.instruments[table.names[instrument]].noise, values)
     if channel.unit == "grey":
         return Shades(laboratories.scenario).words(values, name)
     if channel.size > _LONG:
         return curve_words(channel, values)
     analytes = table.analytes[instrument]
-    return table.kinds[instrument].words(values, channel, [name(one) for one in analytes] if name else analytes)
+    words = table.kinds[instrument].words(values, channel, [name(one) for one in analytes] if name else analytes)
+    return words.replace(".0%", "%")
+
+
+def _as_exact_as(noise: float, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Round values to the power of ten below their noise, a standard deviation on the same scale."""
+    return np.round(values, -math.floor(math.log10(noise))) if noise > 0.0 else np.asarray(values)
 
 
 def position_words(bench: Bench) -> str:
     """Describe the vessels at a bench."""
     first, *others = bench.positions
-    clean = f"; {', '.join(others)}: clean, empty vessels of {bench.auxiliary_capacity_l:g} L" if others else ""
-    return f"{first}: the vessel brought to the bench{clean}"
+    clean = f"; {', '.join(others)}: empty, {bench.auxiliary_capacity_l:g} L" if others else ""
+    return f"{first}: brought to the bench{clean}"
 
 
 # -- pictures and curves ----------------------------------------------------------------------------------------------
@@ -109,6 +119,11 @@ def curve_words(channel: Channel, values: npt.NDArray[Any]) -> str:
     x = WAVELENGTHS_NM if spectrum else np.arange(len(found))
     points = " ".join(f"{x[i]:.0f}:{100.0 * found[i]:.0f}" for i in _vertices(found))
     return f"{'nm:%' if spectrum else 'index:%'} {points}"
+
+
+def _digits(values: npt.NDArray[Any]) -> str:
+    """Values as two digits each, in hundredths."""
+    return "two digits a value " + "".join(f"{min(int(100.0 * value), 99):02d}" for value in values)
 
 
 def _vertices(values: npt.NDArray[np.float64]) -> list[int]:
@@ -198,12 +213,18 @@ class RoleText:
         laboratories: only the public scenario and the declared channels are used.
         agent: index of the agent.
         name: replaces the names of materials; default: their own.
+
+    Attributes:
+        noisy: names of long channels of which single values tell next to nothing.
     """
 
     def __init__(self, laboratories: Laboratories, agent: int, name: Callable[[str], str] | None = None) -> None:
         self._labs, self._manages = laboratories, agent == laboratories.manager.index
         self._role = laboratories.roles[agent].workplace
         self._slices = channel_slices(self._role.channels)
+        self._noise = self._role.spec.noise if isinstance(self._role, Bench) else {}
+        long = [channel.name for channel in self._role.channels if channel.size > _LONG]
+        self.noisy = [name for name in long if self._noise.get(name, 0.0) > _NOISY]
         self._shades = Shades(laboratories.scenario)
         self._name = name or str
         self._subjects = self._group()
@@ -269,17 +290,26 @@ class RoleText:
         scales["told"] = ([1.0] * len(named), [f"{name} quantile" for name in named], "")
         return scales
 
-    def lines(self, observation: ObservationArray) -> list[str]:
-        """Return the observation in lines. Slots or orders with equal lines share one."""
+    def lines(self, observation: ObservationArray, noisy: bool = True) -> list[str]:
+        """Return the observation in lines. Slots or orders with equal lines share one.
+
+        Args:
+            observation: of the role.
+            noisy: whether noisy channels are included.
+        """
         found: dict[str, list[str]] = {}
+        if self._manages:
+            self._tick = self._labs.scenario.limits.ticks * (1.0 - float(observation[self._slices["ticks"]][0]))
         for subject, channels in self._subjects.items():
             values = {channel.name: observation[self._slices[channel.name]] for _, channel in channels}
             if not subject:
-                found.update((line, [""]) for line in self._general(channels, values))
+                shown = [pair for pair in channels if noisy or pair[1].name not in self.noisy]
+                found.update((line, [""]) for line in self._general(shown, values))
                 continue
-            words = self._about(subject, channels, values)
-            self._seen[subject] = words
-            found.setdefault(words, []).append(subject)
+            parts = self._about(subject, channels, values)
+            self._seen[subject] = ", ".join(parts)
+            for words in parts:
+                found.setdefault(words, []).append(subject)
         return [f"{_together(subjects)}: {words}" if subjects[0] else words for words, subjects in found.items()]
 
     def text(self, observation: ObservationArray) -> str:
@@ -287,20 +317,23 @@ class RoleText:
         return "\n".join(self.lines(observation))
 
     def _general(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> list[str]:
-        """Return the channels of the role itself: long ones in a line each, the others together."""
-        short = [(label, one) for label, one in channels if one.size == 1 and one.unit != "one-hot"]
-        lines = [
-            f"{label}: {self._words(label, channel, values[channel.name], '')}"
-            for label, channel in channels
-            if (label, channel) not in short
-        ]
-        if short:
-            together = [self._words(label, channel, values[channel.name], label) for label, channel in short]
-            lines.append(("left: " if self._manages else "") + ", ".join(together))
+        """Return the channels of the role itself, a line each; amounts of several materials have a line each, too."""
+        lines, left = [], " left" if self._manages else ""
+        for label, channel in channels:
+            own = values[channel.name]
+            if channel.name in ("stock", "reagents"):
+                lines += [f"{one}{left}" for one in self._words(label, channel, own, "").split(", ")]
+            elif channel.size > 1 or channel.unit == "one-hot":
+                lines.append(f"{label}: {self._words(label, channel, own, '')}")
+            else:
+                now = f"tick {_number(self._tick)}, " if channel.name == "ticks" else ""
+                lines.append(f"{now}{self._words(label, channel, own, label)}{left}")
         return lines
 
-    def _about(self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> str:
-        """Return the observation of a slot, a bench, an order or an instrument."""
+    def _about(
+        self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]
+    ) -> list[str]:
+        """Return the observation of a slot, a bench, an order or an instrument, in parts that may be alike."""
         ages = {channel.name for label, channel in channels if label.endswith("age")}
         still = all((value >= 1.0).all() if name in ages else not value.any() for name, value in values.items())
         if subject.startswith("slot_"):
@@ -309,10 +342,10 @@ class RoleText:
                 return self._vessel(channels, values)
             if subject in self._away:
                 bench, before = self._away[subject]
-                return f"vessel at {bench}" + (f" (before: {before})" if before else "")
-            return "empty"
+                return [f"vessel at {bench}" + (f" (before: {before})" if before else "")]
+            return ["empty"]
         if subject.startswith("goal"):
-            return self._order(subject, channels, values, still)
+            return [self._order(subject, channels, values, still)]
         if not any(values[one.name].any() for label, one in channels if label.startswith("reported")):
             channels = [pair for pair in channels if not pair[0].startswith("reported")]
         words = [self._words(label, channel, values[channel.name], label) for label, channel in channels]
@@ -323,7 +356,7 @@ class RoleText:
                 words = ["idle", *rest]
             for slot in [slot for slot, (bench, _) in self._away.items() if bench == subject]:
                 del self._away[slot]
-        return ", ".join(filter(None, words))
+        return [", ".join(filter(None, words))]
 
     def _order(
         self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]], still: bool
@@ -331,15 +364,18 @@ class RoleText:
         if still:
             return "filled" if subject in self._filled or len(channels) == 1 else "not arrived yet"
         self._filled.discard(subject)
-        words = [
-            self._words(label, channel, values[channel.name], label)
-            for label, channel in channels
-            if values[channel.name].any() or not label.endswith("at least")
-        ]
+        words = []
+        for label, channel in channels:
+            own = values[channel.name]
+            if label == "ticks left":  # a time that stays, so that only news is repeated
+                left = channel.low + float(own[0]) * (channel.high - channel.low)
+                words.append(f"due at {_number(self._tick + left)}" if left > 0.0 else "overdue")
+            elif own.any() or not label.endswith("at least"):
+                words.append(self._words(label, channel, own, label))
         return ", ".join(filter(None, words))
 
-    def _vessel(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> str:
-        """Describe a vessel on the shelf: its visible properties and its readings."""
+    def _vessel(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> list[str]:
+        """Describe a vessel on the shelf: its visible properties, and each of its readings."""
         labels = dict(channels)
         value = {label: float(values[channel.name][0]) for label, channel in labels.items() if channel.size == 1}
         capacity = value["capacity"] * labels["capacity"].high
@@ -352,7 +388,7 @@ class RoleText:
         if origin not in ("", "none"):
             words.append(f"from {origin}")
         instruments = [name.replace("_", " ") for name in self._labs.instruments.names]
-        known = {"occupied", "fill", "temperature", "capacity", "last bench", "last position"}
+        known, readings = {"occupied", "fill", "temperature", "capacity", "last bench", "last position"}, []
         for i, instrument in enumerate(instruments):
             known |= {instrument, f"{instrument} age"}
             reading, age = labels.get(instrument), value[f"{instrument} age"]
@@ -360,11 +396,11 @@ class RoleText:
             # The age alone does not distinguish a reading as old as the longest episode from none: both are 1.
             if age >= 1.0 and (shown is None or not shown.any()):
                 continue
-            ago = f"{_number(age * labels[f'{instrument} age'].high)} ticks ago"
+            when = f"at tick {_number(self._tick - age * labels[f'{instrument} age'].high)}"
             measured = "" if shown is None else f": {measured_words(self._labs, i, shown, self._name)}"
-            words.append(f"{self._labs.instruments.names[i]} {ago}{measured}")
+            readings.append(f"{self._labs.instruments.names[i]} {when}{measured}")
         words += [self._words(label, one, values[one.name], label) for label, one in channels if label not in known]
-        return ", ".join(words)
+        return [", ".join(words), *readings]
 
     def _position(self, key: str, position: str) -> str:
         """Return a bench's own name of a position, which the channel encodes as an index."""
@@ -389,6 +425,8 @@ class RoleText:
             return (self._name(chosen) if own else chosen) or "none"
         if channel.unit == "0 or 1":
             return before if values[0] > 0.5 else f"not {before}" if label != "broken" else ""
+        if channel.name in self.noisy:
+            return _digits(values)
         if channel.unit == "grey":
             return self._shades.words(values, self._name)
         if channel.name in self._scales:
@@ -396,7 +434,11 @@ class RoleText:
             numbers = [_number(round(float(v) * f, 6)) for v, f in zip(values, factors, strict=True)]
             pairs = zip(names, numbers, strict=True)
             return ", ".join(f"{name} {number} {unit}".strip() for name, number in pairs)
-        scaled = [_number(channel.low + float(value) * (channel.high - channel.low)) for value in values]
+        if channel.unit.startswith("share"):
+            return f"{before} {100.0 * float(values[0]):.3g}%".strip()
+        span = channel.high - channel.low
+        exact = _as_exact_as(self._noise.get(channel.name, 0.0) * span, channel.low + values.astype(np.float64) * span)
+        scaled = [_number(value) for value in exact.tolist()]
         unit = "" if channel.unit in ("fraction", *label.split()) else f" {channel.unit}"
         if channel.size == 1:
             return f"{before} {scaled[0]}{unit}".strip()

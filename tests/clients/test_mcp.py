@@ -27,10 +27,11 @@ from mcp.client.streamable_http import streamable_http_client  # noqa: E402
 
 SERVER = """
 import sys
+import anyio
 from chemlab.agents.mcp_server import serve_stdio
 from chemlab.agents.seats import Room
 room = Room("unlabelled", ("manager_0",), folder=sys.argv[1], salt="{salt}", seed={seed})
-serve_stdio(room)
+anyio.run(serve_stdio, room)
 room.close()
 """
 
