@@ -90,7 +90,7 @@ def _manager_lines(labs: Laboratories, most: Mapping[str, float]) -> list[str]:
 
 
 def _grade_words(wanted: GradeSpec) -> list[str]:
-    """What a quality requirement asks for."""
+    """Describe a quality requirement."""
     return [
         *([f"at least {wanted.amount_at_least_mol:g} mol"] if wanted.amount_at_least_mol else []),
         *([f"purity {wanted.purity_at_least:g}"] if wanted.purity_at_least else []),
@@ -140,7 +140,7 @@ def _prices(spec: Scenario) -> list[str]:
 
 
 def _priced(prices: Mapping[str, float]) -> str:
-    """What has a price, with what has the same price together."""
+    """List names with their prices, names of the same price together."""
     alike: dict[float, list[str]] = {}
     for name, price in prices.items():
         alike.setdefault(price, []).append(name)

@@ -441,8 +441,8 @@ class Room:
             bench = labs.benches[number - 1]
             busy = bool(labs.state.busy[number - 1, 0])
             whole = whole or had == 0
-            of = f" of {bench.spec.step_limit}" if whole else ""
-            head += f": step {had + 1}{of}" if busy else ": no experiment here"
+            step = f": step {had + 1} of {bench.spec.step_limit}" if whole else ""
+            head += step if busy else ": no experiment here"
             if not busy:
                 lines = []
         news = [line for line in lines if line not in self._shown[agent]]

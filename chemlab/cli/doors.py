@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import secrets
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -31,13 +33,8 @@ def mcp(
     calls: Annotated[int | None, typer.Option(help="Calls of each seat; one more truncates the episode.")] = None,
     say: Annotated[int, typer.Option(help="Characters that a seat may say to other seats.")] = 0,
     episode: Annotated[
-        int | None, typer.Option(min=0, help="Number of an episode of the benchmark, which has its seed. Needs --salt.")
-    ] = None,
-    salt: Annotated[
-        str | None,
-        typer.Option(
-            envvar="CHEMLAB_SALT", help="Salt of the private split. Default: a fresh one, published at the end."
-        ),
+        int | None,
+        typer.Option(min=0, help="Number of an episode of the benchmark, which has its seed. Needs CHEMLAB_SALT."),
     ] = None,
     token: Annotated[
         str | None,
@@ -50,7 +47,11 @@ def mcp(
         typer.Option("--out", help="Folder of records, transcripts and the ledger. Records are written at the end."),
     ] = None,
 ) -> None:
-    """Serve seats of a laboratory to language agents by the Model Context Protocol (needs the extra `mcp`)."""
+    """Serve seats of a laboratory to language agents by the Model Context Protocol (needs the extra `mcp`).
+
+    The variable CHEMLAB_SALT is the salt of the private split. Default: a fresh one, published at the end.
+    """
+    salt = _taken_salt()
     from ..agents.evaluate.jobs import AUDIT_SEED
     from ..agents.seats import Room
     from ..config.loading import load_scenario
@@ -83,6 +84,26 @@ def mcp(
             mcp_server.http_server(room, tokens, host, port).run()
     finally:
         room.close()
+
+
+def _taken_salt() -> str | None:
+    """The salt that the variable CHEMLAB_SALT gives, or None.
+
+    Programs of the same user can read the environment that a process was started with. Therefore the process starts
+    anew without the variable, and reads the salt from a pipe.
+    """
+    given, pipe = os.environ.pop("CHEMLAB_SALT", None), os.environ.pop("CHEMLAB_SALT_PIPE", None)
+    if given is not None and os.name == "posix":
+        reading, writing = os.pipe()
+        os.write(writing, given.encode())
+        os.close(writing)
+        os.set_inheritable(reading, True)
+        os.environ["CHEMLAB_SALT_PIPE"] = str(reading)
+        os.execv(sys.executable, [sys.executable, "-m", "chemlab", *sys.argv[1:]])
+    if pipe is None:
+        return given
+    with open(int(pipe), encoding="utf-8") as file:
+        return file.read()
 
 
 def _free_port(host: str) -> int:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -44,3 +46,12 @@ def test_an_episode(seats: tuple[str, ...], tmp_path: Path) -> None:
     counts = ended["seats"].values()
     assert sum(one["tokens"] for one in counts) == 3 * (len(calls) + 2)
     assert 1 <= sum(one["wrong"] for one in counts) <= 2  # inspect itself refuses what its schema excludes
+
+
+def test_the_command_finds_the_task(tmp_path: Path) -> None:
+    """Under the same name in an editable install and in any other: it fails for its scenario, not for its name."""
+    command = [Path(sys.executable).with_name("inspect"), "eval", "chemlab/laboratory", "-T", "scenario=nowhere"]
+    command += ["-T", "seats=manager_0,dit_0", "-T", "episodes=1", "--model", "mockllm/model", "--display", "plain"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert "nowhere" in done.stdout + done.stderr
+    assert "unknown scenario" in " ".join((done.stdout + done.stderr).split())

@@ -113,10 +113,21 @@ def test_two_seats_over_http(tmp_path: Path) -> None:
     assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
 
 
-def test_the_command_keeps_its_secrets(tmp_path: Path) -> None:
-    """While it runs no file, argument or environment variable of the server tells the salt or the seed."""
+@pytest.mark.parametrize("given", [False, True])
+def test_the_command_keeps_its_secrets(given: bool, tmp_path: Path) -> None:
+    """While it runs no file, argument or environment variable of the server tells the salt or a drawn seed.
+
+    A given salt is that of several episodes: nor do the files of one that is over.
+    """
     command = [sys.executable, "-m", "chemlab", "mcp", "unlabelled", "--seat", "manager_0", "--out", str(tmp_path)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+    environment = {name: value for name, value in os.environ.items() if name != "CHEMLAB_SALT"}
+    if given:
+        Room("unlabelled", folder=tmp_path, salt=SALT, seed=SEED).close()
+        command += ["--episode", "3"]
+        environment["CHEMLAB_SALT"] = SALT
+    process = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+    )
     assert process.stdin is not None
     assert process.stdout is not None
     hello = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"}}
@@ -136,6 +147,7 @@ def test_the_command_keeps_its_secrets(tmp_path: Path) -> None:
     ended = read_ledger(tmp_path / "ledger.jsonl")[-1]
     assert ended["status"] == "given up"
     assert ended["condition"] == "tools only"
-    assert [path.name for path in during] == ["ledger.jsonl"]
-    for secret in (ended["split"].partition(":")[2], str(ended["seed"])):
+    own = {path.name for path in during} - {"episode-0000.jsonl.part", "episode-0000.transcript.jsonl"}
+    assert own == {"ledger.jsonl"}
+    for secret in (SALT,) if given else (ended["split"].partition(":")[2], str(ended["seed"])):
         assert secret not in seen + "".join(during.values())
