@@ -45,7 +45,7 @@ def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[s
     policies = [agent for agent in labs.agents if agent not in seats]
     lines = [f"You are {seat} in a simulated laboratory, whose numbers are no instructions for a real one."]
     if name is str:
-        lines.append(spec.summary)
+        lines.append(spec.summary.partition(". ")[0].rstrip(".") + ".")
     if others and policies:
         lines.append(f"{', '.join(others)}: other seats; {', '.join(policies)}: policies")
     elif others or policies:
