@@ -1,0 +1,108 @@
+"""Managers and teams that learned from nothing, beside untrained managers over scripted benches.
+
+``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
+(``studies/baselines/from_nothing.toml``) and, on the same episodes, the scripted, the random and the idle manager and
+the best of ``--plans`` open-loop plans. It adds the scores to ``results/from_nothing.json``. Without RESULTS nothing is
+played: the table of docs/training.md is written from that file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from chemlab.agents.episodes import play_laboratory
+from chemlab.agents.evaluate.plans import search_plan
+from chemlab.agents.policies import Policy, as_policy, make_policies
+from chemlab.agents.runs import RESULT_SEED, Run, find_runs
+from chemlab.config.files import replace_between, write_text
+from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.openchem.difficulty import waiting
+
+SCORES = Path(__file__).parent / "results" / "from_nothing.json"
+PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
+SPLIT, EPISODES = "validation", 100
+MANAGERS = ("nothing", "random", "plan", "scripted")
+
+
+def means(spec: Scenario, policy: str) -> list[float]:
+    """Return the mean score of a policy for each goal."""
+    labs = Laboratories(spec, EPISODES, split=SPLIT)
+    policies: dict[str, Policy]
+    if policy == "nothing":
+        policies = {**make_policies("scripted", labs), MANAGER_AGENT: as_policy(waiting(labs))}
+    else:
+        policies = make_policies(policy, labs, RESULT_SEED)
+    return [float(play_laboratory(labs, policies, goal, RESULT_SEED).returns.mean()) for goal in spec.lab_goals]
+
+
+def untrained(name: str, plans: int) -> dict[str, float]:
+    """Return the score of each untrained manager."""
+    spec = load_scenario(name)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "plan.json"
+        search_plan(spec, budget=plans).as_file("from_nothing.py", 2).save(file)
+        names = {"random": "scripted,manager=random", "plan": f"scripted,manager=plan:{file}"}
+        return {one: statistics.mean(means(spec, names.get(one, one))) for one in MANAGERS}
+
+
+def learned(run: Run) -> dict[str, Any]:
+    """Return what a finished run has reached."""
+    config, result = run.config(), run.result()
+    assert config is not None
+    assert result is not None
+    scenario = config["scenario"]
+    own = {"scenario": scenario, "roles": config["bench"], "seed": result.seed, "steps": result.steps}
+    score = statistics.mean(means(load_scenario(scenario), str(run.path)))
+    return {**own, "best_step": result.best_step, "best": score, "last": result.last_mean, "sampled": result.sampled}
+
+
+def table(scores: dict[str, Any]) -> list[str]:
+    """Return the lines of the table: medians over the seeds of training, and the worst where there are several."""
+    lines = [
+        f"| scenario | learners | {' | '.join(MANAGERS)} | learned | last | steps of the best, of all | seeds |",
+        f"| --- | --- |{' --: |' * (len(MANAGERS) + 4)}",
+    ]
+    keys = sorted({(run["scenario"], len(run["roles"]), run["roles"]) for run in scores["runs"]})
+    for scenario, _, roles in keys:
+        runs = [run for run in scores["runs"] if (run["scenario"], run["roles"]) == (scenario, roles)]
+        cells = [f"{scores['untrained'][scenario][one]:.3f}" for one in MANAGERS]
+        for name in ("best", "last"):
+            values = [run[name] for run in runs]
+            worst = f" ({min(values):.3f})" if len(runs) > 1 else ""
+            cells.append(f"{statistics.median(values):.3f}{worst}")
+        best, steps = (statistics.median(run[name] for run in runs) for name in ("best_step", "steps"))
+        words = "manager" if roles == "manager" else "all roles"
+        lines.append(f"| `{scenario}` | {words} | {' | '.join(cells)} | {best:,.0f} of {steps:,.0f} | {len(runs)} |")
+    return lines
+
+
+def main() -> None:
+    """Play, if asked, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("results", nargs="?", type=Path, help="runs to play")
+    parser.add_argument("--plans", type=int, default=1000, help="open-loop plans tried (default: %(default)s)")
+    asked = parser.parse_args()
+    scores = json.loads(SCORES.read_text(encoding="utf-8")) if SCORES.exists() else {"untrained": {}, "runs": []}
+    for run in [] if asked.results is None else find_runs(asked.results):
+        if run.result() is None:
+            continue
+        new = learned(run)
+        if new["scenario"] not in scores["untrained"]:
+            scores["untrained"][new["scenario"]] = untrained(new["scenario"], asked.plans)
+        same = {(new["scenario"], new["roles"], new["seed"])}
+        scores["runs"] = [old for old in scores["runs"] if (old["scenario"], old["roles"], old["seed"]) not in same]
+        scores["runs"].append(new)
+        print(json.dumps(new), json.dumps(scores["untrained"][new["scenario"]]), flush=True)
+        write_text(SCORES, json.dumps(scores, indent=1) + "\n")
+    replace_between(PAGE, "from nothing", table(scores))
+
+
+if __name__ == "__main__":
+    main()
