@@ -168,7 +168,10 @@ class Team(Trainee):
         return turns, scores
 
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`: scores of the laboratory."""
+        """See :class:`~chemlab.agents.train.loop.Trainee`: scores of the laboratory.
+
+        Benches over which the manager learns are greedy, as in training.
+        """
         learned = self._taken or {role: self._policy(role, 0, None) for role in self.learning}
         return self._played(learned, episodes, seed, SAMPLED if sampled else GREEDY)
 
@@ -188,7 +191,8 @@ class Team(Trainee):
             for number, (agent, own) in enumerate(zip(labs.agents, seeds, strict=True)):
                 mine = learned.get(role_of(agent))
                 other = self._background
-                policies[agent] = agent_policy(other, labs, number, own) if mine is None else mine.as_played(way, own)
+                how = GREEDY if role_of(agent) in self.team.fixed else way
+                policies[agent] = agent_policy(other, labs, number, own) if mine is None else mine.as_played(how, own)
             found[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())
         return found
 
@@ -220,6 +224,6 @@ class Team(Trainee):
             output="argmax" if self.team.learners[role].network.discrete else "clip",
             evaluation=reached(self.arguments, evaluation),
             background=self._background,
-            sampled=evaluation is not None and evaluation.sampled,
+            sampled=evaluation is not None and evaluation.sampled and role not in self.team.fixed,
         )
         return PretrainedPolicy(card, self.team.weights(role))

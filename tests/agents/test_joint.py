@@ -15,7 +15,7 @@ import torch
 
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.pretrained import load_pretrained
-from chemlab.agents.runs import Run
+from chemlab.agents.runs import Evaluation, Run
 from chemlab.agents.train import joint
 from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
@@ -151,6 +151,15 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     for role, message in ((None, "give one of its roles: dit, rxn; given None"), ("ext", "dit, rxn; given 'ext'")):
         with pytest.raises(ValueError, match=message):
             export_run(tmp_path / "run", tmp_path / "other", role)
+
+
+def test_benches_that_have_practised_are_greedy_under_a_sampled_manager() -> None:
+    run = joint.Team(IPPO(scenario="wurtz_dodecane_direct", roles=("all",), envs=4, rollout=16))
+    run.make()
+    run.team.fixed = {"rxn", "dit"}
+    evaluation = Evaluation(1, 0.5, {"dodecane": 0.5}, None, None, True, 0.4)
+    sampled = {role: run._policy(role, 1, evaluation).card.sampled for role in run.learning}
+    assert sampled == {"manager": True, "rxn": False, "dit": False}
 
 
 def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: Path) -> None:
