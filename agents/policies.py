@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 _MARGINS_K = {"scripted:hot": -8.0, "scripted:cool": 10.0}
-"""Kelvin below the highest temperature that a reaction bench thinks right."""
+"""Habits by name: kelvin below the highest temperature that a reaction bench thinks right."""
 
 _SCRIPTS: dict[str, dict[str, type[Any]]] = {
     "paper": {
@@ -149,7 +149,8 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
               (the manager forgets its findings at the end of a batch, or at the next measurement), ``scripted:fifo``
               (the manager takes one order at a time, in the order of arrival); with other habits: ``scripted:hot`` and
               ``scripted:cool`` (reaction benches to which the highest useful temperature is revealed work above or
-              below it, and the manager counts on that; others play as ``scripted``)
+              below it, extraction benches to which polarities are revealed wash with more or less, and the manager
+              counts on that; others play as ``scripted``)
             * ``random``
             * ``pretrained``: bundled benches and the scripted manager; ``pretrained-isolated``: the same with benches
               trained on single benches; ``trained``: a bundled manager as well, with the benches of its training
@@ -301,7 +302,7 @@ def scripted_bench(
     kind = bench.spec.kind
     if is_scripted(bench):
         script = _SCRIPTS[bench.scenario.physics][kind]
-        habits = {"margin_k": margin_k} if script is ScriptedReaction else {}
+        habits = {"margin_k": margin_k} if script in (ScriptedReaction, ScriptedExtraction) else {}
         policy: Policy = script(bench, careful, **habits)
         return NearestPolicy(policy, bench) if isinstance(bench, Discretised) else policy
     if kind not in _UNSCRIPTED:
@@ -340,7 +341,7 @@ def scripted_manager(
     setting = Setting(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip, margin_k)
     reports = any(bench.report is not None for bench in labs.scenario.benches.values())
     if has_orders_to_schedule(labs.scenario) and (remember or reports):
-        return SchedulingManager(setting, schedule, remember)
+        return SchedulingManager(setting, schedule, remember, script=scripted_bench)
     if not schedule:
         raise ValueError(f"scripted:fifo: the scripted manager of {labs.scenario.name} has no orders to choose from")
     if has_unknown_rate(labs.scenario) is not None:

@@ -921,17 +921,18 @@ def tiny(folder: Path) -> Path:
 # -- records -----------------------------------------------------------------------------------------------------------
 
 SHIPPED = {
-    "campaign": "8e45651f6415aae0",
+    "campaign": "3f1881811a8655b9",
     "crude": "ae06af031d560162",
     "failing": "e4e1ce5646579825",
     "fictitious": "123b34a8dd336967",
     "recrystallization": "414e6c47dc38aa77",
+    "refine": "3353940c98156102",
     "relay": "0e15f9d25c0961de",
     "runaway": "5821e1364f5ee309",
     "rush": "ab48c72cfda91fb1",
     "salt_from_oil": "feee34ab975676ab",
     "selectivity": "01e5e8236090a707",
-    "unlabelled": "d936fe543dbe1220",
+    "unlabelled": "9bf02f4f91fb3d9e",
     "wurtz_any": "f423b6d9860f5d2f",
     "wurtz_dodecane": "eba80ccee7c23250",
     "wurtz_dodecane_direct": "5191221eee3bff26",

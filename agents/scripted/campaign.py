@@ -239,22 +239,13 @@ def foreseen(
     return readings, worth, ticks
 
 
-def run_once(
-    labs: Laboratories, agent: str, goal: str, slot: int = 0, grade: str | None = None, margin_k: float = 0.0
-) -> int:
-    """Run one experiment of the scripted bench on a slot of every laboratory; return its duration in ticks.
-
-    Args:
-        labs, agent, goal, slot: the experiment.
-        grade: its quality requirement; default: the last one of the scenario, if there are any.
-        margin_k: see :class:`.reaction.ScriptedReaction`.
-    """
+def run_once(labs: Laboratories, agent: str, goal: str) -> int:
+    """Run one experiment of the scripted bench on the first vessel of every laboratory; return its ticks."""
     number, members, ticks = labs.agents.index(agent), labs.members, 0
     bench = labs.roles[number].workplace
     assert isinstance(bench, ReactionBench), "the manager starts reactions only"
-    policy = ScriptedReaction(bench, margin_k=margin_k)
-    grades = [grade] if grade is not None else list(labs.scenario.grades)[-1:]
-    for action in (labs.actions.encode("start", agent, slot, goal, *grades), labs.actions.encode("wait")):
+    policy, grades = ScriptedReaction(bench), list(labs.scenario.grades)[-1:]
+    for action in (labs.actions.encode("start", agent, 0, goal, *grades), labs.actions.encode("wait")):
         labs.act(labs.manager.index, members, np.full(len(members), action))
     while labs.busy[labs.bench_agents.index(agent), 0]:
         seen, step = labs.observe(number, members), labs.turns_had(number)[members]

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.roles.bench import CAMERA_PIXELS
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from chemlab.lab.sampling import quantiles
+from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 from chemlab.roles.extraction_bench import ExtractionBench
 
 from .script import count_pixels
@@ -17,6 +18,10 @@ from .script import count_pixels
 __all__ = ["ScriptedExtraction"]
 
 _WASHES = 4
+_TAKEN = 0.6
+"""Share of an impurity that one wash is to take, where its polarity is revealed to the bench."""
+_MARGIN_K = 8.0
+"""Margin at which that share's odds are half as large."""
 
 DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
 
@@ -28,15 +33,19 @@ class ScriptedExtraction:
     solvent, mixes, settles and drains the lower layer into B1 several times. Several small washes extract more than a
     large one.
 
+    A bench to which the polarity of impurities is revealed chooses the volume of a wash by it, and washes as long as it
+    may.
+
     Args:
         bench: the bench.
         careful: False washes in any case.
+        margin_k: habit of the team, see :class:`.reaction.ScriptedReaction`: washes are the smaller, the larger it is.
     """
 
     wash_l = 0.05
     """Volume of one wash in litres."""
 
-    def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
+    def __init__(self, bench: ExtractionBench, careful: bool = True, margin_k: float = 0.0) -> None:
         materials = bench.scenario.materials
         violent = {name for step in bench.scenario.family.violent for name in step.reactants}
         self._metals = [m.shade for name, m in materials.items() if m.role == "solid" and name in violent and careful]
@@ -56,7 +65,13 @@ class ScriptedExtraction:
         self._drains = sorted(
             ((m, int(starts[drain]) + i) for i, m in enumerate(processes[drain].magnitudes)), reverse=True
         )
-        self._add = int(starts[add]) + int(np.argmin([abs(m - self.wash_l) for m in processes[add].magnitudes]))
+        sizes, first = np.array(processes[add].magnitudes), int(starts[add])
+        self._add = first + int(np.argmin(np.abs(sizes - self.wash_l)))
+        self._told = channel_slices(bench.channels).get("told")
+        taken = _TAKEN / (1.0 - _TAKEN) * 0.5 ** (margin_k / _MARGIN_K)
+        volumes = _wash_volumes(bench, str(processes[add].material)) if self._told else np.zeros(0)
+        self._adds = [first + int(np.argmin(np.abs(sizes - taken * volume))) for volume in volumes]
+        self._most = bench.spec.step_limit if self._adds else _WASHES
         self._mix = int(starts[mix]) + int(np.argmax(processes[mix].magnitudes))
         self._settle = int(starts[settle]) + int(np.argmax(processes[settle].magnitudes))
         self._end = bench.end_action
@@ -69,7 +84,11 @@ class ScriptedExtraction:
         """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the extraction bench has discrete actions"
         rows = zip(observation[:, :CAMERA_PIXELS], mask, step.tolist(), members.tolist(), strict=True)
-        return np.array([self._decide(*row) for row in rows], dtype=np.int64)
+        actions = np.array([self._decide(*row) for row in rows], dtype=np.int64)
+        if self._adds:
+            told = np.rint(observation[:, self._told][:, 0] * (len(self._adds) - 1)).astype(np.int64)
+            actions = np.where(actions == self._add, np.array(self._adds)[told], actions)
+        return actions
 
     def get_memory(self) -> Any:
         """See :class:`chemlab.envs.players.Policy`."""
@@ -95,7 +114,7 @@ class ScriptedExtraction:
             # A remainder below one pixel may be invisible; draining one more pixel of liquid removes it.
             self._phase[member] = DONE
             return self._drains[-1][1]
-        if phase == ADD and (self._washes[member] >= _WASHES or not mask[self._add]):
+        if phase == ADD and (self._washes[member] >= self._most or not mask[self._add]):
             phase = DONE
         if phase == ADD:
             self._phase[member] = MIX
@@ -114,3 +133,14 @@ class ScriptedExtraction:
             self._washes[member] += 1
             return self._decide(picture, mask, step, member)
         return self._end
+
+
+def _wash_volumes(bench: ExtractionBench, wash: str) -> FloatArray:
+    """Return litres of a wash that take half of an impurity, at 101 quantiles of its polarity that is revealed."""
+    scenario, materials = bench.scenario, bench.scenario.materials
+    draw = scenario.world.draws[bench.told[0]]
+    own = next(name for name in bench.spec.start.contents if materials[name].role == "solvent")
+    litres = bench.spec.start.contents[own] * materials[own].molar_mass_g_mol / materials[own].density_kg_l / 1000.0
+    polarity = quantiles(draw, np.linspace(0.0, 1.0, 101))
+    there, here = (np.abs(polarity - float(materials[name].polarity or 0.0)) for name in (wash, own))
+    return np.asarray(litres * there / here)

@@ -49,8 +49,8 @@ _UNWORKED = -1.0
 _SEED = 7_000_000
 """Seed of the simulated worlds."""
 
-Step = tuple[str, str]
-"""An experiment: the bench's agent, and the goal."""
+Step = tuple[str, ...]
+"""An experiment: the bench's agent, the goal, and its quality requirement if the scenario has any."""
 
 
 def run_experiment(
@@ -61,12 +61,12 @@ def run_experiment(
     Args:
         laboratories: the laboratories.
         policies: policies of all agents in order; None for the manager.
-        step: the bench's agent, and the goal.
+        step: the experiment.
         members: [B] environment indices in which the experiment may be started.
         slot: the vessel's slot.
     """
     actions = laboratories.actions
-    for action in (actions.encode("start", step[0], slot, step[1]), actions.encode("wait")):
+    for action in (actions.encode("start", step[0], slot, *step[1:]), actions.encode("wait")):
         laboratories.act(laboratories.manager.index, members, np.full(len(members), action))
     Players(laboratories, policies).play_on(members)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,14 +13,15 @@ from scipy.special import ndtr
 
 from chemlab.config.draws import ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw
 from chemlab.config.scenario import DemandSpec, Scenario
+from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import FloatArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.sampling import quantiles
+from chemlab.roles.grades import REPORT
 from chemlab.roles.manager_actions import MEASURE
 from chemlab.roles.manager_view import terms_channels
 
-from .campaign import run_once
-from .reaction import told_rate
+from .foresee import run_experiment
 from .script import ScriptedManager, Setting, cheapest
 
 __all__ = ["SchedulingManager", "has_orders_to_schedule"]
@@ -35,17 +36,18 @@ _MOST_TICKS = 1_000_000
 _SPREAD = 0.04
 """Relative standard deviation of a vessel's yield besides the uncertainty of its reading."""
 _RATES = 7
-"""Number of candidates of a rate that is revealed only to a bench: midpoints of equally likely parts of its prior."""
+"""Number of candidates of a number that is revealed only to a bench: midpoints of equally likely parts of its prior."""
 
 
 def has_orders_to_schedule(scenario: Scenario) -> bool:
     """Return True if :class:`SchedulingManager` can play a scenario.
 
-    Orders have to arrive over time and to be made by reacting vessels of unknown titre on one kind of bench after
-    another.
+    Orders have to arrive over time and to be made from vessels of unknown titre on one kind of bench after another:
+    reactions first, then perhaps extractions.
     """
-    reacting = {bench.kind for bench in scenario.benches.values()} == {"reaction"}
-    return bool(scenario.demand.order) and reacting and _titre(scenario) is not None
+    first, *others = (bench.kind for bench in scenario.benches.values())
+    known = first == "reaction" and {"reaction", "extraction"}.issuperset(others)
+    return bool(scenario.demand.order) and known and _titre(scenario) is not None
 
 
 def _titre(scenario: Scenario) -> Draw | None:
@@ -74,9 +76,9 @@ class _Shop:
         stage: by slot, the number of benches that the vessel has been at.
         serves: by slot, the order for which the vessel was started.
         running: by bench agent, the slot of its vessel.
-        grade: by slot, the number of the quality requirement of its last run.
-        reported: by slot, the amount that the bench reported for its last run.
-        rates: by stage, [L] the probability of each rate that may be revealed to the stage's bench.
+        grades: by slot, the numbers of the quality requirements of its runs.
+        reported: by slot, the amount and the purity that the bench reported for its last run.
+        rates: by stage, [L] the probability of each number that may be revealed to the stage's bench.
         seen: orders in the order of their arrival.
         asked: the slot that is being measured.
     """
@@ -86,8 +88,8 @@ class _Shop:
     stage: dict[int, int] = field(default_factory=dict)
     serves: dict[int, int] = field(default_factory=dict)
     running: dict[str, int] = field(default_factory=dict)
-    grade: dict[int, int] = field(default_factory=dict)
-    reported: dict[int, float] = field(default_factory=dict)
+    grades: dict[int, list[int]] = field(default_factory=dict)
+    reported: dict[int, tuple[float, float]] = field(default_factory=dict)
     seen: list[int] = field(default_factory=list)
     asked: int | None = None
 
@@ -98,23 +100,26 @@ class SchedulingManager(ScriptedManager[_Shop]):
     An order is accepted if its price is among the highest ones for which there is reagent, counting known orders and
     those expected under the prior. It is made from the vessel with the highest probability of a sufficient yield, given
     its readings. A measurement is paid for if its value exceeds its price. Finished vessels fill the best paying orders
-    first. A rate that is revealed only to a bench is inferred from what the bench reports (Bayes), and decides which
+    first. A number that is revealed only to a bench is inferred from what the bench reports (Bayes), and decides which
     quality requirement the bench is given.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures. Its margin is that of the benches.
+        script: makes the bench policies that the manager counts on, with a margin.
         schedule: False processes one order at a time in order of arrival and drops only orders that cannot be met any
             more.
         remember: False infers nothing from reports.
     """
 
-    def __init__(self, setting: Setting, schedule: bool = True, remember: bool = True) -> None:
+    def __init__(
+        self, setting: Setting, schedule: bool = True, remember: bool = True, *, script: Callable[..., Policy]
+    ) -> None:
         super().__init__(setting)
         scenario, channels, _, instruments, _, careful, skip, margin_k = setting
         self._schedule, self._remember = schedule, remember
         self._high = {channel.name: channel.high for channel in channels}
         self._stages = list(scenario.benches)
-        self._outcomes: dict[Any, tuple[FloatArray, FloatArray]] = {}  # of the present decision
+        self._outcomes: dict[Any, tuple[FloatArray, FloatArray, FloatArray]] = {}  # of the present decision
         self._idle = bool(set(self._stages) & set(skip))
         self._agents = {key: [f"{key}_{i}" for i in range(scenario.benches[key].count)] for key in self._stages}
         # Quality requirements of every stage, the fastest first; without any, the step limits.
@@ -128,7 +133,9 @@ class SchedulingManager(ScriptedManager[_Shop]):
         self._draw = titre
         shares = (np.arange(_GRID) + 0.5) / _GRID
         self._titres = quantiles(titre, shares)
-        self._made = _foreseen(scenario, tuple(self._titres.tolist()), margin_k)
+        self._fresh = len(scenario.shelf.vessel)
+        self._pure = _asks_for_purity(scenario)
+        self._made = _foreseen(scenario, tuple(self._titres.tolist()), script, margin_k)
         prices = [draw for draw in scenario.world.draws.values() if draw.what == "price"]
         base = scenario.demand.order[0].price
         self._prices = base * quantiles(prices[0], shares) if prices else np.full(_GRID, base)
@@ -167,43 +174,55 @@ class SchedulingManager(ScriptedManager[_Shop]):
         for agent, slot in list(shop.running.items()):
             if self._value(observation, f"{agent}_busy") < 0.5:
                 del shop.running[agent]
-                stage, report = shop.stage.get(slot, 0), f"{agent}_reported_amount"
-                if report in self._slices:
-                    said = self._value(observation, report)
+                stage, reports = shop.stage.get(slot, 0), [f"{agent}_reported_{what}" for what in REPORT[:2]]
+                if reports[0] in self._slices:
+                    said, pure = (self._value(observation, report) for report in reports)
                     if self._remember and stage < len(self._stages):
-                        self._infer(shop, slot, stage, said)
-                    shop.reported[slot] = said
+                        self._infer(shop, slot, stage, said, pure)
+                    shop.reported[slot] = said, pure
                 shop.stage[slot] = stage + 1
 
-    def _infer(self, shop: _Shop, slot: int, stage: int, said: float) -> None:
-        """Update the probabilities of the rate that is revealed to a stage's bench, from its report."""
-        key = self._stages[stage]
-        error = (self._scenario.benches[key].report or 0.0) * self._high[f"{self._agents[key][0]}_reported_amount"]
-        expected = self._after(shop, slot, stage, shop.grade.get(slot, -1))
-        noise = np.hypot(_SPREAD * expected, error)
-        likely = np.exp(-0.5 * ((said - expected) / noise) ** 2) / noise
+    def _infer(self, shop: _Shop, slot: int, stage: int, said: float, pure: float) -> None:
+        """Update the probabilities of the number that is revealed to a stage's bench, from its report."""
+        key, runs = self._stages[stage], shop.grades.get(slot, [-1])
+        share = self._scenario.benches[key].report or 0.0
+        expected, purity = self._after(shop, slot, stage, runs[-2:])
+        noise = np.hypot(_SPREAD * expected, share * self._high[f"{self._agents[key][0]}_reported_amount"])
+        off = ((said - expected) / noise) ** 2
+        if self._pure:
+            off += ((pure - purity) / np.hypot(_SPREAD, share)) ** 2
+        likely = np.exp(-0.5 * off) / noise
         weights = shop.rates[stage] * likely.mean(axis=0) + 1e-9
         shop.rates[stage] = weights / weights.sum()
 
-    def _after(self, shop: _Shop, slot: int, stage: int, grade: int, before: FloatArray | None = None) -> FloatArray:
-        """Return [..., L] mol after the run of a stage, at each rate that may be revealed to its bench.
+    def _after(
+        self, shop: _Shop, slot: int, stage: int, grades: Sequence[int], before: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return [..., L] mol and [..., L] purity after the run of a stage, at each number that may be revealed to its
+        bench.
 
         Args:
             shop, slot: the vessel.
-            stage, grade: the run.
+            stage: the stage.
+            grades: the quality requirements of the run before and of the run.
             before: [...] mol after the stage before; default: as reported, or the titre's candidates [T].
         """
-        made = self._made[stage, grade]
+        earlier = grades[0] if self._pure else 0
         if stage == 0:
             given, at = (np.array([shop.titre[slot]]) if slot in shop.titre else self._titres), self._titres
         else:
-            given = np.array([shop.reported[slot]]) if before is None else before
-            at = self._typical(stage - 1)
-        return np.stack([np.interp(given, at, own) for own in made], axis=-1)
+            given = np.array([shop.reported[slot][0]]) if before is None else before
+            at = self._typical(stage - 1, earlier if self._pure else None)
+        mol, pure = (
+            np.stack([np.interp(given, at, own) for own in made], axis=-1)
+            for made in self._made[:, stage, earlier, grades[-1]]
+        )
+        return mol, pure
 
-    def _typical(self, stage: int) -> FloatArray:
-        """Return [T] mol from which the next stage has been simulated."""
-        return np.asarray(self._made[stage, _best_grade(self._made[stage]), self._made.shape[2] // 2])
+    def _typical(self, stage: int, grade: int | None = None) -> FloatArray:
+        """Return [T] mol from which the next stage has been simulated, by default with the best quality requirement."""
+        made = self._made[0, stage, 0]
+        return np.asarray(made[_best_grade(made) if grade is None else grade, made.shape[1] // 2])
 
     def _chance(self, shop: _Shop, slot: int, order: _Order) -> float:
         """Return the probability that a vessel meets an order's amount and time."""
@@ -217,39 +236,44 @@ class SchedulingManager(ScriptedManager[_Shop]):
         for grades in itertools.product(range(len(self._names)), repeat=len(steps)):
             ticks = sum(own[grade] for own, grade in zip(steps, grades, strict=True))
             if ticks <= order.left:
-                chance = self._met(shop, slot, order.amount, grades)
+                chance = self._met(shop, slot, order, grades)
                 if (round(20.0 * chance), -ticks) > best:
                     best, chosen = (round(20.0 * chance), -ticks), (chance, grades[0] if grades else 0)
         return chosen
 
-    def _met(self, shop: _Shop, slot: int, amount: float, grades: Sequence[int]) -> float:
-        """Return the probability that a vessel has an amount after runs of the remaining stages."""
+    def _met(self, shop: _Shop, slot: int, order: _Order, grades: Sequence[int]) -> float:
+        """Return the probability that a vessel has an order's amount and purity after runs of the remaining stages."""
         known = shop.reported.get(slot, shop.titre.get(slot))
-        key = (slot in shop.reported, known, shop.stage.get(slot, 0), shop.grade.get(slot), *grades)
+        key = (slot in shop.reported, known, shop.stage.get(slot, 0), *shop.grades.get(slot, ()), None, *grades)
         if key not in self._outcomes:
             self._outcomes[key] = self._outcome(shop, slot, grades)
-        amounts, weights = self._outcomes[key]
+        amounts, purities, weights = self._outcomes[key]
+        if order.purity > 0.0:
+            weights = weights * ndtr((purities - order.purity) / _SPREAD)
         if known is None:
-            return float(weights @ (amounts >= amount))
-        spread = np.hypot(_SPREAD * amounts, self._noise * self._made[-1].max()) + 1e-9
-        return float(weights @ ndtr((amounts - amount) / spread))
+            return float(weights @ (amounts >= order.amount))
+        spread = np.hypot(_SPREAD * amounts, self._noise * self._made[0, -1].max()) + 1e-9
+        return float(weights @ ndtr((amounts - order.amount) / spread))
 
-    def _outcome(self, shop: _Shop, slot: int, grades: Sequence[int]) -> tuple[FloatArray, FloatArray]:
-        """Return [K] mol after runs of the remaining stages, and [K] their probabilities: from the last report, or from
-        the titre."""
-        stage = min(shop.stage.get(slot, 0), len(self._stages))
+    def _outcome(self, shop: _Shop, slot: int, grades: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return [K] mol and [K] purities after runs of the remaining stages, and [K] their probabilities: from the
+        last report, or from the titre."""
+        stage, done = min(shop.stage.get(slot, 0), len(self._stages)), shop.grades.get(slot, [])
         begun = stage if slot in shop.reported else 0
-        amounts, weights = np.array([shop.reported.get(slot, 0.0)]), np.ones(1)
-        for number, grade in enumerate([*[shop.grade.get(slot, 0)] * (stage - begun), *grades], begun):
-            amounts = self._after(shop, slot, number, grade, None if number == begun else amounts)
+        amounts, purities = (np.array([said]) for said in shop.reported.get(slot, (0.0, 1.0)))
+        weights, runs = np.ones(1), [*([0] * stage + done)[len(done) :], *grades]
+        for number in range(begun, len(runs)):
+            own = runs[max(number - 1, 0) : number + 1]
+            amounts, purities = self._after(shop, slot, number, own, None if number == begun else amounts)
             weights = np.multiply.outer(weights if number > begun else np.ones(len(amounts)), shop.rates[number])
-        return amounts.ravel(), (weights / weights.sum()).ravel()
+        return amounts.ravel(), purities.ravel(), (weights / weights.sum()).ravel()
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
     def _see(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
-            self._kept[member] = _Shop([np.full(self._made.shape[2], 1.0 / self._made.shape[2]) for _ in self._stages])
+            count = self._made.shape[4]
+            self._kept[member] = _Shop([np.full(count, 1.0 / count) for _ in self._stages])
         shop = self._kept[member]
         self._outcomes.clear()
         self._learn(shop, observation)
@@ -261,7 +285,8 @@ class SchedulingManager(ScriptedManager[_Shop]):
         if kind == "start":
             agent = more[0]
             shop.running[agent] = slot
-            shop.grade[slot] = self._names.index(more[2]) if self._scenario.grades else 0
+            grade = self._names.index(more[2]) if self._scenario.grades else 0
+            shop.grades[slot] = [*shop.grades.get(slot, ()), grade]
             served = set(shop.serves.values())
             waiting = [order for order in self._known(observation) if order.number not in served]
             if agent in self._agents[self._stages[0]] and slot not in shop.serves and waiting:
@@ -272,7 +297,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
             shop.asked = slot
 
     def _part_with(self, shop: _Shop, slot: int) -> None:
-        for memory in (shop.stage, shop.serves, shop.titre, shop.reported, shop.grade):
+        for memory in (shop.stage, shop.serves, shop.titre, shop.reported, shop.grades):
             memory.pop(slot, None)
         shop.stage[slot] = len(self._stages) + 1  # the vessel was removed
 
@@ -318,7 +343,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
             if agent not in shop.running:
                 action = self._actions.encode("start", agent, slot, _goal(self._scenario, stage), *names)
                 if mask[action]:
-                    shop.running[agent], shop.grade[slot] = slot, grade
+                    shop.running[agent], shop.grades[slot] = slot, [*shop.grades.get(slot, ()), grade]
                     return action
         return None
 
@@ -327,7 +352,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         left = observation[self._slices["stock"]] if "stock" in self._slices else np.ones(0)
         stock, runs = dict(zip(self._scenario.stock, left.tolist(), strict=True)), [len(self._orders)]
         for key in self._stages:
-            reagents: dict[str, float] = (self._scenario.benches[key].model_extra or {})["reagents"]
+            reagents: dict[str, float] = (self._scenario.benches[key].model_extra or {}).get("reagents", {})
             for name, mol in reagents.items():
                 if name in stock:  # a level is read to half of the gauge's resolution
                     most = self._scenario.stock[name] / mol
@@ -351,7 +376,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
             at_work = bool(shop.running) or any(0 < stage <= len(self._stages) for stage in shop.stage.values())
             waiting = [] if at_work else sorted(waiting, key=lambda o: shop.seen.index(o.number))[:1]
         known = {s for s, stage in shop.stage.items() if stage != 0} | set(shop.running.values())
-        fresh = [s for s in self._occupied(observation) if s not in known]
+        fresh = [s for s in self._occupied(observation) if s not in known and s < self._fresh]
         for order in waiting:
             ranked = sorted(fresh, key=lambda s: (-round(self._chance(shop, s, order), 1), shop.titre.get(s, 1.0)))
             if not ranked:
@@ -395,14 +420,22 @@ def _best_grade(made: FloatArray) -> int:
     return int(made.mean(axis=(1, 2)).argmax())
 
 
-@functools.lru_cache(maxsize=16)
-def _foreseen(scenario: Scenario, titres: tuple[float, ...], margin_k: float) -> FloatArray:
-    """Simulate the yields [stages, grades, L, T] in mol of each stage's goal from the first vessel.
+def _asks_for_purity(scenario: Scenario) -> bool:
+    drawn = any(draw.what == "purity_at_least" for draw in scenario.world.draws.values())
+    return drawn or any(order.purity_at_least > 0.0 for order in scenario.demand.order)
 
-    The public scenario is used at each titre, and at each of L rates that may be revealed to the stage's bench. The
-    stages before have had the best time, and all other hidden parameters have their prior's median.
+
+@functools.lru_cache(maxsize=16)
+def _foreseen(
+    scenario: Scenario, titres: tuple[float, ...], script: Callable[..., Policy], margin_k: float
+) -> FloatArray:
+    """Simulate [2, stages, grades before, grades, L, T] mol and purity of each stage's goal from the first vessel.
+
+    The public scenario is used at each titre, and at each of L numbers that may be revealed to the stage's bench. The
+    stage before has had each quality requirement, or the best one if no order asks for a purity; stages before it have
+    had the best one, and all other hidden parameters have their prior's median.
     """
-    titre, stages = _titre(scenario), list(scenario.benches)
+    titre, stages, every = _titre(scenario), list(scenario.benches), _asks_for_purity(scenario)
     assert titre is not None, "has_orders_to_schedule(scenario) holds"
     slot = next(name for name in titre.of if name.startswith("slot_"))
     own = titre.model_copy(update={"of": (slot,), "test": ()})
@@ -414,27 +447,40 @@ def _foreseen(scenario: Scenario, titres: tuple[float, ...], margin_k: float) ->
     typical = {name: float(quantiles(draw, np.array([0.5]))[0]) for name, draw in others.items()}
     world = scenario.world.model_copy(update={"draws": {"titre": own, **others}})
     known = scenario.model_copy(update={"world": world, "demand": DemandSpec()})
-    rates = [told_rate(scenario, key) for key in stages]
-    count = _RATES if any(rates) else 1
+    private = [next((name for name, draw in others.items() if key in draw.told), None) for key in stages]
+    count = _RATES if any(private) else 1
     grades: list[str | None] = [*scenario.grades] or [None]
     grades.sort(key=lambda name: (scenario.grades[name].ticks or _MOST_TICKS) if name else 0)
     labs, at = Laboratories(known, count * len(titres)), int(slot[5:])
-    made = np.zeros((len(stages), len(grades), count, len(titres)))
-    for stage, rate in enumerate(rates):
+    policies = [None, *(script(bench, margin_k=margin_k) for bench in labs.benches)]
+    earlier = range(len(grades)) if every else range(1)
+    found = np.zeros((2, len(stages), len(earlier), len(grades), count, len(titres)))
+
+    def run(stage: int, grade: int) -> None:
+        asked = [name for name in (grades[grade],) if name is not None]
+        run_experiment(labs, policies, (f"{stages[stage]}_0", _goal(scenario, stage), *asked), labs.members, at)
+
+    for stage, number in enumerate(private):
         shares = (np.arange(count) + 0.5) / count
-        told = quantiles(others[rate], shares) if rate else np.zeros(count)
+        told = quantiles(others[number], shares) if number else np.zeros(count)
         for member in labs.members:
             which, t = divmod(int(member), len(titres))
-            drawn = typical | ({rate: float(told[which])} if rate else {})
+            drawn = typical | ({number: float(told[which])} if number else {})
             labs.reset(labs.members[member : member + 1], world={"titre": {slot: titres[t]}, **drawn})
-        for before in range(stage):
-            grade = grades[_best_grade(made[before])]
-            run_once(labs, f"{stages[before]}_0", _goal(scenario, before), at, grade, margin_k)
+        for before in range(stage - 1):
+            run(before, _best_grade(found[0, before, 0]))
         ready = labs.snapshot()
-        goal = _goal(scenario, stage)
-        part = labs.rules.arrays.parts[scenario.goals.index(goal), 0]
-        for g, grade in enumerate(grades):
+        goal, rules = scenario.goals.index(_goal(scenario, stage)), labs.rules.arrays
+        for b in earlier:
             labs.restore(ready)
-            run_once(labs, f"{stages[stage]}_0", goal, at, grade, margin_k)
-            made[stage, g] = labs.shelf.amounts[:, at, part].reshape(count, -1)
-    return made
+            if stage:
+                run(stage - 1, b if every else _best_grade(found[0, stage - 1, 0]))
+            begun = labs.snapshot()
+            for g in range(len(grades)):
+                labs.restore(begun)
+                run(stage, g)
+                amounts = labs.shelf.amounts[:, at]
+                made = amounts[:, rules.parts[goal, 0]]
+                found[0, stage, b, g] = made.reshape(count, -1)
+                found[1, stage, b, g] = (made / np.maximum(amounts @ rules.counts[goal], 1e-9)).reshape(count, -1)
+    return found

@@ -106,7 +106,7 @@ class Setting(NamedTuple):
         positions: number of vessel positions of each bench.
         careful: False omits steps that serve only safety and measurement.
         skip: benches that are not used.
-        margin_k: margin of the reaction benches that it counts on, see :class:`.reaction.ScriptedReaction`.
+        margin_k: habit of the benches that it counts on, see :class:`.reaction.ScriptedReaction`.
     """
 
     scenario: Scenario

@@ -210,7 +210,7 @@ class BenchSpec(BaseModel):
     """Physics of your own in place of the bench's, ``my_parts.py:NAME`` (:mod:`chemlab.roles.models`)."""
     wear: WearSpec | None = None
     """Degradation, drift and breakdown of its apparatus; None: nominal operation. The manager may have it repaired."""
-    noise: dict[Key, Annotated[float, Field(ge=0.0, le=1.0)]] = Field(default={}, max_length=32)
+    noise: dict[Key, Annotated[float, Field(ge=0.0, le=100.0)]] = Field(default={}, max_length=32)
     """Standard deviation of the noise on every value that the bench's agent observes, by channel, on the scale from 0
     to 1.
 

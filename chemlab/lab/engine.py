@@ -214,8 +214,6 @@ class Laboratories:
         capacities = [vessel.capacity_l for vessel in spec.shelf.vessel]
         capacities += [bench.auxiliary_capacity_l for bench in self.benches]
         table, wanted = self.instruments.rules.arrays, spec.specifications
-        among = [wanted.get(goal, OrderSpec()).purity_among or layout.materials for goal in spec.goals]
-        counted = np.array([[name in own for name in layout.materials] for own in among], dtype=np.float64)
         return Rules(
             table=self.actions.table,
             manager=self.agents.index(MANAGER_AGENT),
@@ -228,7 +226,7 @@ class Laboratories:
             kinds=len(keys),
             limit=np.array([bench.spec.step_limit for bench in self.benches], dtype=np.int64),
             parts=goals.parts,
-            counts=goals.absolute_counts * counted,
+            counts=goals.order_counts,
             maximum=np.array([spec.theoretical_maximum_mol.get(goal, 1.0) for goal in spec.goals]),
             share=spec.rewards.manager_local + spec.rewards.manager_team,
             first_stock=self._first_stock,

@@ -16,7 +16,7 @@ from pydantic import BaseModel
 
 from ..config.materials import COLDEST_K, HOTTEST_K, DataError, validated
 from ..config.parts import Part, PartError, blamed, checked_numbers, load_part
-from ..config.scenario import BenchSpec, Scenario, WearSpec
+from ..config.scenario import BenchSpec, OrderSpec, Scenario, WearSpec
 from ..kernels.arrays import (
     BoolArray,
     Field,
@@ -158,12 +158,14 @@ class Goals:
             an ion 1 and undissolved salt as its two ions, but for a salt as goal a pair of ions counts as one.
         absolute_counts: [G, M] weight in the absolute purity: all materials 1, an ion 1/2 (a pair is one formula unit
             of salt, dissolved or not, so that precipitation does not change a purity).
+        order_counts: [G, M] the same for orders, requirements and reports: 0 for what ``purity_among`` leaves out.
     """
 
     names: tuple[str, ...]
     parts: IntArray
     solute_counts: FloatArray
     absolute_counts: FloatArray
+    order_counts: FloatArray
 
     @classmethod
     def of(cls, scenario: Scenario) -> Goals:
@@ -184,7 +186,9 @@ class Goals:
                     counted = role != "solvent" or name == goal
                     absolute[g, i] = 0.5 if role == "ion" else 1.0
                     solute[g, i] = ion if role == "ion" else 2.0 * ion if name in salts else float(counted)
-        return cls(tuple(scenario.goals), parts, solute, absolute)
+        among = [scenario.specifications.get(goal, OrderSpec()).purity_among or names for goal in scenario.goals]
+        weighed = np.array([[name in own for name in names] for own in among], dtype=np.float64)
+        return cls(tuple(scenario.goals), parts, solute, absolute, absolute * weighed)
 
 
 class ExperimentState(NamedTuple):
@@ -633,9 +637,9 @@ class Bench(ABC):
         return score
 
     def best(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
-        """Return [B, 2] mol of the goal and its purity (all materials count) in the vessel with the most of it."""
+        """Return [B, 2] mol of the goal and its purity, as orders count it, in the vessel with the most of it."""
         rows, goal = shelf.rows[experiments.places[members]], experiments.goal[members]
-        return best_vessel(rows, self.goals.parts[goal], self.goals.absolute_counts[goal])
+        return best_vessel(rows, self.goals.parts[goal], self.goals.order_counts[goal])
 
     def reported(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> FloatArray:
         """Return [B, 3] the self-reported outcomes of ending experiments from 0 to 1: see :data:`.grades.REPORT`."""

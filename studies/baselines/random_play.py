@@ -14,7 +14,7 @@ from chemlab.envs.players import Players
 from chemlab.kernels.arrays import IntArray
 from chemlab.lab.engine import Laboratories
 
-SCENARIOS = ("campaign", "crude", "failing", "relay", "runaway", "rush", "selectivity", "unlabelled")
+SCENARIOS = ("campaign", "crude", "failing", "refine", "relay", "runaway", "rush", "selectivity", "unlabelled")
 SEED = 6_000_000
 
 

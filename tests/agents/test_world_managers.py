@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
 from typing import Any
 
@@ -12,6 +14,7 @@ from helpers import mapping
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies, scripted_manager
 from chemlab.agents.scripted.campaign import CampaignManager, _foreseen, has_unknown_rate
+from chemlab.agents.scripted.extraction import ScriptedExtraction
 from chemlab.agents.scripted.foresee import foresees
 from chemlab.agents.scripted.identify import IdentifyingManager, has_unlabelled_vessels
 from chemlab.agents.scripted.reaction import ScriptedReaction
@@ -58,7 +61,7 @@ def test_managers_are_chosen_by_what_is_hidden() -> None:
         assert isinstance(manager, IdentifyingManager) == has_unlabelled_vessels(scenario) == (name == "unlabelled")
         assert isinstance(manager, CampaignManager) == (has_unknown_rate(scenario) is not None) == (name == "campaign")
         assert isinstance(manager, UpkeepManager) == has_wearing_lines(scenario) == (name == "failing")
-        scheduled = name in ("rush", "relay")
+        scheduled = name in ("rush", "relay", "refine")
         assert isinstance(manager, SchedulingManager) == has_orders_to_schedule(scenario) == scheduled
 
 
@@ -171,7 +174,7 @@ def test_earlier_looks_are_worth_remembering() -> None:
 
 def test_memories_are_put_back() -> None:
     """An episode that is taken up again half way goes on as it did."""
-    for name in ("campaign", "unlabelled", "failing", "rush", "relay"):
+    for name in ("campaign", "unlabelled", "failing", "rush", "relay", "refine"):
         labs = Laboratories(name, 2, split="test")
         players = Players(labs, list(make_policies("scripted", labs, 0).values()))
         for member in range(2):
@@ -337,29 +340,54 @@ def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_l
         assert hottest == pytest.approx(min(limit, 348.15), abs=0.2)
 
 
-def team_scores(policy: str, episodes: int = 100) -> FloatArray:
-    labs = Laboratories("relay", episodes, split="validation")
+@functools.cache
+def team_scores(scenario: str, policy: str, episodes: int = 100) -> FloatArray:
+    labs = Laboratories(scenario, episodes, split="validation")
     return play_laboratory(labs, make_policies(policy, labs, 0), None, 0).returns
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("role", ["rxn", "fin"])
-def test_relay_needs_each_member(role: str) -> None:
+@pytest.mark.parametrize(
+    ("scenario", "role"),
+    [("relay", "rxn"), ("relay", "fin"), ("refine", "rxn"), ("refine", "ext"), ("refine", "manager")],
+)
+def test_a_cooperative_scenario_needs_each_member(scenario: str, role: str) -> None:
     """With one member random, at least 0.3 of what the team gains over random play is lost."""
-    team, random = team_scores("scripted").mean(), team_scores("random").mean()
-    assert team_scores(f"scripted,{role}=random").mean() <= team - 0.3 * (team - random)
+    team, random = team_scores(scenario, "scripted").mean(), team_scores(scenario, "random").mean()
+    assert team_scores(scenario, f"scripted,{role}=random").mean() <= team - 0.3 * (team - random)
+
+
+STYLES = {"relay": ("scripted", "scripted:hot")}
 
 
 @pytest.mark.slow
-def test_the_best_manager_of_relay_depends_on_the_partners() -> None:
-    """Ovens that are run too hot need another manager than ovens that are run as they should be."""
-    for partners, right, wrong in (
-        ("scripted", "scripted", "scripted:hot"),
-        ("scripted:hot", "scripted:hot", "scripted"),
-    ):
-        better, worse = (team_scores(f"{partners},manager={manager}") for manager in (right, wrong))
-        gain = better - worse
-        assert gain.mean() > 2.0 * gain.std() / np.sqrt(len(gain))
+@pytest.mark.parametrize(
+    ("scenario", "partners", "wrong"),
+    [(name, own, other) for name, styles in STYLES.items() for own, other in itertools.permutations(styles, 2)],
+)
+def test_the_best_manager_of_a_cooperative_scenario_depends_on_the_partners(
+    scenario: str, partners: str, wrong: str
+) -> None:
+    """The manager that counts on its partners' habits scores more than one that counts on others'."""
+    gain = team_scores(scenario, partners) - team_scores(scenario, f"{partners},manager={wrong}")
+    assert gain.mean() > 2.0 * gain.std() / np.sqrt(len(gain))
+
+
+def test_a_funnel_that_is_told_takes_more_water_where_water_takes_less() -> None:
+    """At equal shares of an impurity in a wash, by the law of partition: volume times polarity's distance."""
+    labs = Laboratories("refine")
+    sizes = np.array([0.05, 0.1, 0.2, 0.3, 0.4])
+    for polarity in (0.35, 0.5, 0.8):
+        labs.seed(0, np.random.SeedSequence(0))
+        labs.reset(labs.members, world={"washing": polarity})
+        for action in (labs.actions.encode("start", "ext_0", 0, "F", "slow"), labs.actions.encode("wait")):
+            labs.act(0, labs.members, np.array([action]))
+        seen, mask = labs.observe(2, labs.members), labs.mask(2, labs.members)
+        action = int(ScriptedExtraction(labs.benches[1]).act(seen, mask, np.zeros(1, np.int64), labs.members)[0])  # type: ignore[arg-type]
+        litres = 3.0 * 0.09213842 / 0.8622  # of toluene
+        wanted = litres * 0.6 / 0.4 * (1.0 - polarity) / (polarity - 0.099)
+        meaning = labs.benches[1].action_meanings[action]
+        assert meaning == f"add water to EV, {sizes[np.abs(sizes - wanted).argmin()]:g} L"
 
 
 def test_reports_decide_what_a_manager_takes_a_rate_for() -> None:

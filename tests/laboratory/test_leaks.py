@@ -14,7 +14,7 @@ from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices
 from tests.helpers import laboratory, manager, mapping
 
-HIDDEN = ("campaign", "crude", "failing", "relay", "runaway", "rush", "selectivity", "unlabelled")
+HIDDEN = ("campaign", "crude", "failing", "refine", "relay", "runaway", "rush", "selectivity", "unlabelled")
 """The shipped scenarios with hidden parameters."""
 
 
