@@ -386,11 +386,11 @@ def scale(name: str) -> tuple[FloatArray, float]:
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "attack", "team", "holes"), ATTACKS, ids=lambda value: str(value).replace(" ", "-"))
 def test_a_team_gains_nothing_by_a_hole(name: str, attack: str, team: Any, holes: tuple[str, ...]) -> None:
-    """It gains at most 0.05; where the hole is open again, ten times as much (three times, by feedback alone)."""
+    """It gains at most 0.05; where the hole is open again, ten times as much."""
     base, bound = scale(name)
     assert (scores(mapping(name), team, EPISODES[name]) - base).mean() <= bound
     opened = scores(reopened(name, *holes), team, EPISODES[name]) - base
-    assert opened.mean() >= (3.0 if attack == "submission feedback" else 10.0) * bound
+    assert opened.mean() >= 10.0 * bound
 
 
 def test_a_submission_ends_the_episode_of_one_order() -> None:
