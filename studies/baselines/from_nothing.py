@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.evaluate.plans import search_plan
+from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.policies import Policy, as_policy, make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
 from chemlab.config.files import replace_between, write_text
