@@ -76,7 +76,7 @@ BUDGETS = {
     "small": AuditBudget(40, plans=800, fewer=200, donors=10, planned=100, worlds=64),
     "full": AuditBudget(200, plans=40_000, fewer=4_000, donors=20, planned=1_500, turns=1_000_000, worlds=512),
 }
-"""``small``: no learners; 205 s of one core for a scenario of one order (``tests/agents/cold.toml``)."""
+"""``small``: no learners; 117 s of one core for a scenario of one order (``tests/agents/cold.toml``)."""
 
 
 def budget_of(budget: str | AuditBudget, turns: int | None = None) -> AuditBudget:
