@@ -333,7 +333,7 @@ def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None
         expected = play_laboratory(labs, make_policies("scripted", labs), None, seed).returns
         context = tuple(scenario.goals[goal] for goal in labs.state.goal[0])
         trials, policies = module.Trials(scenario, context, [seed], 1), make_policies("scripted", labs)
-        manager, *benches = [tapes[0] for tapes in module._record(trials, policies)]
+        manager, *benches = [tapes[0] for tapes in module.recorded_tapes(trials, policies)]
         team = module.TeamPlan(tuple(manager[0]), tuple(map(module.tape_of, benches)))
         again = trials.play_teams([team], policies)
         assert module.TeamPlan.of(json.loads(json.dumps(team.as_list()))) == team
