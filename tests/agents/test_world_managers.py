@@ -357,7 +357,7 @@ def test_a_cooperative_scenario_needs_each_member(scenario: str, role: str) -> N
     assert team_scores(scenario, f"scripted,{role}=random").mean() <= team - 0.3 * (team - random)
 
 
-STYLES = {"relay": ("scripted", "scripted:hot")}
+STYLES = {"relay": ("scripted", "scripted:hot"), "refine": ("scripted", "scripted:hot")}
 
 
 @pytest.mark.slow
