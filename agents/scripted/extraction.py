@@ -67,9 +67,8 @@ class ScriptedExtraction:
         )
         sizes, first = np.array(processes[add].magnitudes), int(starts[add])
         self._add = first + int(np.argmin(np.abs(sizes - self.wash_l)))
-        self._told = channel_slices(bench.channels).get("told")
         taken = _TAKEN / (1.0 - _TAKEN) * 0.5 ** (margin_k / _MARGIN_K)
-        volumes = _wash_volumes(bench, str(processes[add].material)) if self._told else np.zeros(0)
+        self._told, volumes = _wash_volumes(bench, str(processes[add].material))
         self._adds = [first + int(np.argmin(np.abs(sizes - taken * volume))) for volume in volumes]
         self._most = bench.spec.step_limit if self._adds else _WASHES
         self._mix = int(starts[mix]) + int(np.argmax(processes[mix].magnitudes))
@@ -86,7 +85,7 @@ class ScriptedExtraction:
         rows = zip(observation[:, :CAMERA_PIXELS], mask, step.tolist(), members.tolist(), strict=True)
         actions = np.array([self._decide(*row) for row in rows], dtype=np.int64)
         if self._adds:
-            told = np.rint(observation[:, self._told][:, 0] * (len(self._adds) - 1)).astype(np.int64)
+            told = np.rint(observation[:, self._told] * (len(self._adds) - 1)).astype(np.int64)
             actions = np.where(actions == self._add, np.array(self._adds)[told], actions)
         return actions
 
@@ -135,12 +134,18 @@ class ScriptedExtraction:
         return self._end
 
 
-def _wash_volumes(bench: ExtractionBench, wash: str) -> FloatArray:
-    """Return litres of a wash that take half of an impurity, at 101 quantiles of its polarity that is revealed."""
-    scenario, materials = bench.scenario, bench.scenario.materials
-    draw = scenario.world.draws[bench.told[0]]
+def _wash_volumes(bench: ExtractionBench, wash: str) -> tuple[int, FloatArray]:
+    """Return the index in an observation of a polarity that is revealed, and the litres of a wash that take half of the
+    impurity at 101 quantiles of it; no volumes if none is revealed.
+    """
+    world, materials = bench.scenario.world, bench.scenario.materials
+    name = next((name for name in bench.told if world.draws[name].what == "polarity"), None)
+    if name is None:
+        return 0, np.zeros(0)
+    column = channel_slices(bench.channels)["told"].start + world.numbers(bench.told[: bench.told.index(name)])
+    draw = world.draws[name]
     own = next(name for name in bench.spec.start.contents if materials[name].role == "solvent")
     litres = bench.spec.start.contents[own] * materials[own].molar_mass_g_mol / materials[own].density_kg_l / 1000.0
     polarity = quantiles(draw, np.linspace(0.0, 1.0, 101))
     there, here = (np.abs(polarity - float(materials[name].polarity or 0.0)) for name in (wash, own))
-    return np.asarray(litres * there / here)
+    return column, litres * there / here
