@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -411,12 +412,13 @@ class _Painter:
         scene, canvas, right = self.scene, self.canvas, plan.header.right - _MARGIN
         laboratory = scene.kind == "laboratory"
         meters = right - 390.0
-        parts = []
-        for order in scene.orders:
+        states = Counter(order.state(scene.ticks) for order in scene.orders)
+        words = "Orders: " + (", ".join(f"{count} {state}" for state, count in states.items()) or "none yet")
+        if len(scene.orders) == 1 and scene.orders[0].due is None:
+            order = scene.orders[0]
             filled = f" (filled: {_number(order.submitted_mol)} mol, {100.0 * order.purity:.0f} % pure)"
-            parts.append(order.goal + (filled if order.filled else ""))
-        word = "Orders" if len(parts) > 1 else "Order" if laboratory else "Goal"
-        canvas.text(_MARGIN, 39.0, f"{word}: {', '.join(parts)}", 12.0, BLUE, room=meters - _MARGIN - 12.0)
+            words = f"{'Order' if laboratory else 'Goal'}: {order.goal}{filled if order.filled else ''}"
+        canvas.text(_MARGIN, 39.0, words, 12.0, BLUE, room=meters - _MARGIN - 12.0)
         counts = [("ticks" if laboratory else "steps", scene.ticks, scene.tick_limit)]
         if laboratory:
             counts.insert(0, ("manager actions", scene.manager_actions, scene.manager_action_limit))
@@ -463,6 +465,31 @@ class _Painter:
             canvas.text(left, y, word, 10.0, ORANGE)
             canvas.text(right, y, amount, 10.0, ORANGE, "right")
             y += _LINE
+        if len(scene.orders) > 1 or any(order.due is not None for order in scene.orders):
+            self._orders(left, right, y, plan.sidebar.bottom - _KEY)
+
+    def _orders(self, left: float, right: float, y: float, bottom: float) -> None:
+        """List the orders that can still be met, the most urgent first, as many as fit."""
+        scene = self.scene
+        states = ("open", "overdue", "to come")
+        waiting = [order for order in scene.orders if order.state(scene.ticks) in states]
+        waiting.sort(key=lambda order: (states.index(order.state(scene.ticks)), order.due or 0, order.arrives))
+        room = int((bottom - y - 8.0) / _LINE) - 1
+        if room < 1 or not waiting:
+            return
+        y = self._section(left, right, y - 4.0, "Orders", "price")
+        shown = waiting if len(waiting) <= room else waiting[: room - 1]
+        for order in shown:
+            state = order.state(scene.ticks)
+            when = f"from tick {order.arrives}" if state == "to come" else "overdue" if state == "overdue" else ""
+            if state == "open" and order.due is not None:
+                when = f"by tick {order.due}"
+            color = ORANGE if state == "overdue" else INK if state == "open" else FAINT
+            taken = self.canvas.text(right, y, _number(order.price), 10.0, color, "right")
+            self.canvas.text(left, y, f"{order.goal} {when}".strip(), 10.0, color, room=right - left - taken - 8.0)
+            y += _LINE
+        if len(shown) < len(waiting):
+            self.canvas.text(left, y, f"+{len(waiting) - len(shown)} more", 10.0, SOFT)
 
     def _section(self, left: float, right: float, y: float, title: str, value: str) -> float:
         """Draw a heading under a rule and return the baseline of the next line."""
@@ -688,7 +715,8 @@ class _Painter:
             if rect.bottom - y > 0.3 * rect.height:
                 break
             value = gauge.low + gauge.values[0] * (gauge.high - gauge.low)
-            taken = canvas.text(rect.right, y, f"{value:.3g} {gauge.unit}", 10.0, INK, "right", room=rect.width)
+            words = f"{100.0 * value:.3g} %" if gauge.unit == "fraction" else f"{value:.3g} {gauge.unit}"
+            taken = canvas.text(rect.right, y, words, 10.0, INK, "right", room=rect.width)
             canvas.text(rect.left, y, gauge.name, 10.0, SOFT, room=rect.width - taken - 4.0)
             y -= 13.0
         if spectrum:

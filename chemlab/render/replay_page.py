@@ -11,6 +11,7 @@ import base64
 import hashlib
 import html
 import json
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -26,7 +27,7 @@ from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_ITEMS
 from .scene import laboratory_scene
 
-__all__ = ["replay_data", "replay_page"]
+__all__ = ["MOST_TURNS", "Film", "filled_page", "replay_data", "replay_page"]
 
 _DIGITS = 4
 _LONG = 30
@@ -34,7 +35,7 @@ _LONG = 30
 _STATIC = ("kind", "scenario", "title", "materials", "largest_capacity_l", "temperature_range_k", "costs", "result")
 """Keys that frames omit: constant in all frames, or stored as columns of numbers."""
 _INLINE = 14
-_MOST_TURNS = 20_000
+MOST_TURNS = 20_000
 """Maximum number of turns of a page; browsers cannot show longer ones."""
 _EVENT_WORDS = {
     "spill_l": "{:.3g} L spilled",
@@ -104,7 +105,7 @@ def _frame(labs: Laboratories) -> tuple[dict[str, Any], dict[str, Any]]:
     return _compact(frame), scene
 
 
-def _outcome(labs: Laboratories, turn: dict[str, Any], plays: list[Play]) -> str:
+def _outcome(labs: Laboratories, turn: dict[str, Any], plays: Sequence[Play]) -> str:
     """Describe the outcome of a turn in words."""
     words = ["invalid action: it had no effect"] if turn.get("lost") else []
     for agent, events in turn.get("events", {}).items():
@@ -122,7 +123,7 @@ def _outcome(labs: Laboratories, turn: dict[str, Any], plays: list[Play]) -> str
     return "; ".join(words)
 
 
-def _managed(labs: Laboratories, plays: list[Play]) -> str:
+def _managed(labs: Laboratories, plays: Sequence[Play]) -> str:
     """Kind of the manager's action; nothing where benches have acted."""
     return str(labs.actions.decode(int(plays[0].action))[0]) if plays[0].agent == labs.manager.index else ""
 
@@ -168,6 +169,104 @@ def _calls(record: Record) -> list[list[Any]]:
         raise RecordError(f"{path}: is no transcript; move it away, or restore it") from error
 
 
+class Film:
+    """The scenes of an episode as a page shows them: the beginning, and one after every turn.
+
+    Args:
+        laboratories: one laboratory after its reset; it is not changed.
+    """
+
+    def __init__(self, laboratories: Laboratories) -> None:
+        self._labs, self._pool = laboratories, _Pool()
+        frame, scene = _frame(laboratories)
+        self._first = scene
+        self._frames = [self._pool.pack(frame)]
+        self._costs, self._results = [self._spent()], [scene["result"]]
+        self._turns: list[dict[str, Any]] = []
+        self._experiments: list[dict[str, Any]] = []
+        self._running: dict[str, dict[str, Any]] = {}
+
+    def _spent(self) -> list[float]:
+        return [float(f"{cost:.4g}") for cost in self._labs.costs().values()]
+
+    def add(self, tick: int, plays: Sequence[Play]) -> None:
+        """Add the scene after a turn.
+
+        Args:
+            tick: when the turn began.
+            plays: what was played in it, in the agents' order.
+        """
+        labs, number, turn = self._labs, len(self._turns) + 1, _turn(self._labs, plays)
+        shown = [[play.agent, action_words(labs, play.agent, play.action)] for play in plays]
+        kind, outcome = _managed(labs, plays), _outcome(labs, turn, plays)
+        self._turns.append({"tick": tick, "plays": shown, "kind": kind, "outcome": outcome, **turn})
+        frame, scene = _frame(labs)
+        self._frames.append(self._pool.pack(frame))
+        self._costs.append(self._spent())
+        self._results.append(scene["result"])
+        for agent, score in turn.get("scores", {}).items():
+            if agent in self._running:
+                self._running.pop(agent).update(end=number, score=score)
+        for bench in scene["benches"]:
+            agent = bench["agent"]
+            if bench["busy"] and agent not in self._running:
+                began = {"agent": agent, "start": number, "end": None, "goal": bench["goal"], "score": None}
+                self._running[agent] = began
+                self._experiments.append(began)
+
+    def still(self) -> dict[str, Any]:
+        """What does not change in the episode."""
+        labs, scene, table = self._labs, self._first, self._labs.instruments
+        scenario = labs.scenario
+        return {
+            "title": scenario.title,
+            "scenario": scenario.name,
+            "summary": scenario.summary,
+            "agents": labs.agents,
+            "limits": {"ticks": scenario.limits.ticks, "manager_actions": scenario.limits.manager_actions},
+            "materials": _materials(labs, scene),
+            "largest_capacity_l": scene["largest_capacity_l"],
+            "wavelengths_nm": [float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), len(WAVELENGTHS_NM)],
+            "analytes": {
+                name: [*analytes, kind.rest]
+                for name, analytes, kind in zip(table.names, table.analytes, table.kinds, strict=True)
+                if kind.picture == "bars"
+            },
+            "reagents": {
+                agent: list(getattr(bench, "reagent_names", ()))
+                for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)
+            },
+            "positions": [
+                *(f"slot_{s}" for s in range(scenario.shelf.slots)),
+                *(f"{role.name}.{place}" for role in labs.bench_roles for place in role.workplace.positions),
+            ],
+            "cost_items": list(COST_ITEMS),
+            "hidden": _hidden(labs.worlds.values(0)) if labs.worlds.active else [],
+        }
+
+    def since(self, turns: int = -1, shapes: int = 0, pool: int = 0) -> dict[str, Any]:
+        """What was added after so many turns, shapes and entries of the pool (all experiments); by default, all."""
+        return {
+            "turns": self._turns[max(turns, 0) :],
+            "frames": self._frames[turns + 1 :],
+            "costs": self._costs[turns + 1 :],
+            "results": self._results[turns + 1 :],
+            "experiments": self._experiments,
+            "shapes": self._pool.shapes[shapes:],
+            "pool": self._pool.entries[pool:],
+        }
+
+
+def _hidden(values: dict[str, Any]) -> list[list[str]]:
+    """Hidden parameters as rows of name and value."""
+    return [
+        [name if len(own) == 1 else f"{name}, {target}", f"{value:.4g}" if isinstance(value, float) else str(value)]
+        for name, one in values.items()
+        for own in [one if isinstance(one, dict) else {"": one}]
+        for target, value in own.items()
+    ]
+
+
 def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
     """Return the data of the replay page as JSON data; ``replay.html`` reads it.
 
@@ -179,83 +278,29 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
         RecordError: the record cannot be replayed here, or the file beside it is no transcript.
     """
     replay = Replay(record, trust)
-    labs, pool = replay.laboratories, _Pool()
-    first, scene = _frame(labs)
-    frames, costs, results = [pool.pack(first)], [list(labs.costs().values())], [scene["result"]]
-    turns: list[dict[str, Any]] = []
-    experiments: list[dict[str, Any]] = []
-    running: dict[str, dict[str, Any]] = {}
-    stopped = ""
+    film, stopped = Film(replay.laboratories), ""
     for recorded in record.turns:
-        tick = int(labs.state.ticks[0])
+        tick = int(replay.laboratories.state.ticks[0])
         try:
             plays = replay.play(recorded)
         except (ValueError, TypeError) as error:
             stopped = str(error)
             break
-        # Taken from the replayed turn, not from the file.
-        number = len(turns) + 1
-        turn = _turn(labs, plays)
-        shown = [[play.agent, action_words(labs, play.agent, play.action)] for play in plays]
-        turns.append(
-            {
-                "tick": tick,
-                "plays": shown,
-                "kind": _managed(labs, plays),
-                "outcome": _outcome(labs, turn, plays),
-                **turn,
-            }
-        )
-        frame, scene = _frame(labs)
-        frames.append(pool.pack(frame))
-        costs.append(list(labs.costs().values()))
-        results.append(scene["result"])
-        for agent, score in turn.get("scores", {}).items():
-            if agent in running:
-                running.pop(agent).update(end=number, score=score)
-        for bench in scene["benches"]:
-            if bench["busy"] and bench["agent"] not in running:
-                agent = bench["agent"]
-                running[agent] = {"agent": agent, "start": number, "end": None, "goal": bench["goal"], "score": None}
-                experiments.append(running[agent])
-    verified, table = verify_record(record, trust=trust), labs.instruments
+        film.add(tick, plays)  # from the replayed turn, not from the file
+    verified = verify_record(record, trust=trust)
     return {
-        "title": labs.scenario.title,
-        "scenario": labs.scenario.name,
-        "summary": labs.scenario.summary,
+        **film.still(),
         "seed": record.header.get("seed"),
         "version": record.header.get("chemlab"),
         "policies": record.header.get("policies"),
         "verified": {"status": verified.status, "message": verified.message},
         "stopped": stopped,
-        "agents": labs.agents,
-        "limits": {"ticks": labs.scenario.limits.ticks, "manager_actions": labs.scenario.limits.manager_actions},
-        "materials": _materials(labs, scene),
-        "largest_capacity_l": scene["largest_capacity_l"],
-        "wavelengths_nm": [float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), len(WAVELENGTHS_NM)],
-        "analytes": {
-            name: [*analytes, kind.rest]
-            for name, analytes, kind in zip(table.names, table.analytes, table.kinds, strict=True)
-            if kind.picture == "bars"
-        },
-        "reagents": {
-            agent: list(getattr(bench, "reagent_names", ()))
-            for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)
-        },
-        "positions": record.header["positions"],
-        "cost_items": list(COST_ITEMS),
-        "costs": [[float(f"{x:.4g}") for x in row] for row in costs],
-        "results": results,
-        "turns": turns,
         "calls": _calls(record),
-        "experiments": experiments,
-        "shapes": pool.shapes,
-        "pool": pool.entries,
-        "frames": frames,
+        **film.since(),
     }
 
 
-def _turn(labs: Laboratories, plays: list[Play]) -> dict[str, Any]:
+def _turn(labs: Laboratories, plays: Sequence[Play]) -> dict[str, Any]:
     """Return the non-empty rewards, costs, events and scores of the turn just played."""
     found: dict[str, Any] = {}
     for key, values in (("rewards", labs.rewards[0]), ("cost", labs.cost[0]), ("scores", labs.scores[0])):
@@ -286,12 +331,22 @@ def replay_page(record: Record, trust: bool = False) -> str:
 
     Arguments and errors are those of :func:`replay_data`. Records with too many turns raise :class:`RecordError`.
     """
-    if len(record.turns) > _MOST_TURNS:
-        raise RecordError(f"{record.path}: has {len(record.turns)} turns; a page may have {_MOST_TURNS}")
-    data = replay_data(record, trust)
+    if len(record.turns) > MOST_TURNS:
+        raise RecordError(f"{record.path}: has {len(record.turns)} turns; a page may have {MOST_TURNS}")
+    return filled_page("replay.html", replay_data(record, trust))
+
+
+def filled_page(name: str, data: Mapping[str, Any], connect: str = "'none'") -> str:
+    """A page of this folder with its data.
+
+    Args:
+        name: file name of the page.
+        data: JSON data, of which ``title`` and ``seed`` are shown as the title.
+        connect: what the page's script may connect to, as a source of a content security policy.
+    """
     # Only "</" and "<!--" are special in a script element; JSON can escape "<".
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
-    page = files("chemlab.render").joinpath("replay.html").read_text(encoding="utf-8")
+    page = files("chemlab.render").joinpath(name).read_text(encoding="utf-8").replace("__CONNECT__", connect)
     # The content security policy restricts the browser to this page's script, whatever the data contain.
     for mark, element in (("__SCRIPT_HASH__", "script"), ("__STYLE_HASH__", "style")):
         page = page.replace(mark, _content_hash(page, element))

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -176,12 +177,27 @@ class BenchPicture:
 
 @dataclass(frozen=True)
 class OrderPicture:
-    """One order of the laboratory."""
+    """One order of the laboratory; without terms, it is there from the beginning and has no deadline."""
 
     goal: str
     filled: bool
     submitted_mol: float
     purity: float
+    arrives: int = 0
+    """tick at which agents learn of it"""
+    due: int | None = None
+    """last tick at which it is paid in full"""
+    price: float = 1.0
+    amount_at_least_mol: float = 0.0
+    purity_at_least: float = 0.0
+
+    def state(self, ticks: int) -> str:
+        """``to come``, ``open``, ``overdue`` or ``filled``."""
+        if self.filled:
+            return "filled"
+        if ticks < self.arrives:
+            return "to come"
+        return "open" if self.due is None or ticks <= self.due else "overdue"
 
 
 @dataclass(frozen=True)
@@ -469,7 +485,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
     running = status == RUNNING
     slots = scenario.shelf.slots
     costs = labs.costs(member)
-    result, told = float(labs.result(np.array([member]))[0]), labs.feedback(member)
+    result = float(labs.result(np.array([member]))[0])
     if running and scenario.demand.feedback != 0.0:  # what the submissions are worth is not known yet
         result = -sum(costs.values())
     largest, temperatures = _ranges(scenario, labs.benches, labs.shelf, member)
@@ -483,15 +499,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
         manager_action_limit=scenario.limits.manager_actions,
         ticks=int(state.ticks[member]),
         tick_limit=scenario.limits.ticks,
-        orders=tuple(
-            OrderPicture(
-                scenario.goals[goal],
-                bool(state.filled[member, o]),
-                float(told[o, 0]),
-                float(told[o, 1]),
-            )
-            for o, goal in enumerate(state.goal[member])
-        ),
+        orders=_orders(labs, member),
         result=result,
         costs=tuple((item, float(costs[item])) for item in COST_ITEMS),
         budget=scenario.limits.budget,
@@ -514,6 +522,27 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
         largest_capacity_l=largest,
         temperature_range_k=temperatures,
     )
+
+
+def _orders(labs: Laboratories, member: int) -> tuple[OrderPicture, ...]:
+    state, told = labs.state, labs.feedback(member)
+    pictures = []
+    for o, goal in enumerate(state.goal[member]):
+        picture = OrderPicture(
+            labs.scenario.goals[goal], bool(state.filled[member, o]), float(told[o, 0]), float(told[o, 1])
+        )
+        if state.terms.shape[1]:
+            arrives, within, price, amount, purity = state.terms[member, o].tolist()
+            picture = dataclasses.replace(
+                picture,
+                arrives=math.ceil(arrives),
+                due=math.floor(arrives + within),
+                price=price,
+                amount_at_least_mol=amount,
+                purity_at_least=purity,
+            )
+        pictures.append(picture)
+    return tuple(pictures)
 
 
 def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPicture:
@@ -544,8 +573,8 @@ def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPictu
 
 
 def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
-    """A scene without what only a measurement would tell: materials of layers, solutes, temperatures on the shelf, and
-    fill levels beyond their resolution. Where the scenario has no hidden parameters, the scene as it is.
+    """A scene without what only a measurement would tell: materials of layers, solutes, temperatures on the shelf,
+    fill levels beyond their resolution, and orders that have not arrived. Where the scenario has no hidden parameters, the scene as it is.
 
     Args:
         scene: with the true contents.
@@ -557,7 +586,9 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
         slot if slot.vessel is None else dataclasses.replace(slot, vessel=_closed(slot.vessel, scenario.shelf.gauge))
         for slot in scene.shelf
     )
-    return dataclasses.replace(scene, shelf=shelf, benches=tuple(_visible_bench(bench) for bench in scene.benches))
+    benches = tuple(_visible_bench(bench) for bench in scene.benches)
+    orders = tuple(order for order in scene.orders if order.arrives <= scene.ticks)
+    return dataclasses.replace(scene, orders=orders, shelf=shelf, benches=benches)
 
 
 def _closed(vessel: VesselPicture, resolution: float) -> VesselPicture:
