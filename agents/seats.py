@@ -77,6 +77,8 @@ class Room:
         salt: of the private split, which stays with the caller; default: a fresh one for every episode, which the
             ledger has at the episode's end.
         seed: of the episode; default: a fresh one.
+        split: of hidden parameters; default: the private one of the salt.
+        watch: called after every turn with the tick when it began and what was played.
 
     Raises:
         DataError: the scenario is wrong or unknown.
@@ -96,8 +98,11 @@ class Room:
         condition: str = "tools and simulator",
         salt: str | None = None,
         seed: int | None = None,
+        split: str | None = None,
+        watch: Callable[[int, Play], None] | None = None,
     ) -> None:
         self.scenario = load_scenario(scenario)
+        self._split, self._watch = split, watch
         agents = [MANAGER_AGENT, *self.scenario.bench_agents()]
         unknown = [seat for seat in seats if seat not in agents]
         if unknown or not seats or len(set(seats)) != len(seats):
@@ -129,7 +134,7 @@ class Room:
             salt, seed = self._given
             self._salt = secrets.token_hex(16) if salt is None else salt
             self._seed = secrets.randbits(63) if seed is None else seed
-            self._labs = labs = Laboratories(self.scenario, 1, split=f"private:{self._salt}")
+            self._labs = labs = Laboratories(self.scenario, 1, split=self._split or f"private:{self._salt}")
             self._players = Players(
                 labs,
                 [
@@ -217,6 +222,12 @@ class Room:
         ]
 
     @property
+    def laboratories(self) -> Laboratories:
+        """The laboratory of the episode, which holds what seats must not see."""
+        assert self._labs is not None
+        return self._labs
+
+    @property
     def over(self) -> bool:
         """True once the episode is over."""
         return self._over
@@ -235,7 +246,12 @@ class Room:
         """
         if not self._over:
             raise ValueError("published: the episode is not over; its salt and seed are secret until then")
-        return {"split": f"private:{self._salt}", "seed": self._seed}
+        return {"split": self._split or f"private:{self._salt}", "seed": self._seed}
+
+    @property
+    def record(self) -> Path:
+        """The record of an episode that has ended by itself; written only where there is a folder."""
+        return Path(f"{self._stem}.jsonl")
 
     def report(self) -> dict[str, Any]:
         """Score, and what stands beside it: calls, refused calls, characters of replies, tokens that a door counted."""
@@ -305,18 +321,38 @@ class Room:
         """One turn of an agent, with its line in the record, and notices for seats whose experiment it ended."""
         labs = self._labs
         assert labs is not None
+        tick = int(labs.state.ticks[0])
         checked = labs.checked(number, action)
         seen, mask = labs.observe(number, labs.members)[0], labs.mask(number, labs.members)
         labs.act(number, labs.members, checked)
         self._played += 1
+        played = Play(number, seen, None if mask is None else mask[0], checked[0])
         if self._recorder is not None:
-            self._recorder.turn([Play(number, seen, None if mask is None else mask[0], checked[0])])
+            self._recorder.turn([played])
+        if self._watch is not None:
+            self._watch(tick, played)
         for agent, score in zip(labs.agents, labs.scores[0].tolist(), strict=True):
             if score == score and agent in self.seats and agent != MANAGER_AGENT:
                 self._notices[agent].append(f"Experiment over: score {score:+.3f}.")
         for agent in self.seats:
             events = labs.events(labs.agents.index(agent)) if labs.agents.index(agent) == number else {}
             self._notices[agent] += [f"Safety event: {kind} {amount:.3g}." for kind, amount in events.items()]
+
+    def play(self, agent: str, action: Any) -> None:
+        """Play a turn of a seat that has the turn, for instance by a policy that stands in for it.
+
+        Raises:
+            ToolError: the action is not possible now; nothing has changed.
+        """
+        with self._changed:
+            self._act(agent, "wait", action)
+            if self._over:
+                self._close_books()
+
+    def display(self, agent: str) -> str:
+        """Everything that a seat observes, as ``look`` shows it; no call is counted."""
+        with self._changed:
+            return self._end_words() if self._over else self._display(agent, True)
 
     # -- calls --------------------------------------------------------------------------------------------------------
 

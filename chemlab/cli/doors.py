@@ -1,16 +1,17 @@
-"""Commands that open a laboratory to other programs: mcp."""
+"""Commands that open a laboratory to other programs and to browsers: mcp, serve."""
 
 from __future__ import annotations
 
 import os
 import secrets
 import sys
+import tempfile
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .options import ScenarioArgument, app, chosen_agents
+from .options import ScenarioArgument, SeedOption, SplitOption, app, chosen_agents, prepare
 from .screen import out, plain
 
 __all__: list[str] = []
@@ -104,6 +105,53 @@ def _taken_salt() -> str | None:
         return given
     with open(int(pipe), encoding="utf-8") as file:
         return file.read()
+
+
+@app.command()
+def serve(
+    scenario: ScenarioArgument,
+    policy: Annotated[
+        list[str] | None,
+        typer.Option(help="Policy of all agents whose seat is free. Given twice: two laboratories side by side."),
+    ] = None,
+    seed: SeedOption = 0,
+    split: SplitOption = "train",
+    speed: Annotated[int, typer.Option(help="Turns a second: 1, 2, 6, 15, 40 or 60.")] = 6,
+    paused: Annotated[bool, typer.Option("--paused", help="Wait for a command in the page.")] = False,
+    host: Annotated[
+        str, typer.Option(help="Address to listen on. Not on this machine alone: with tokens.")
+    ] = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="Port; 0: a free one.")] = 8765,
+    out_folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder of the records. Default: a temporary one.")
+    ] = None,
+) -> None:
+    """Watch and play a laboratory in a browser (needs the extra `live`).
+
+    The first address is that of the spectators, who see the truth. A seat shows what its agent observes.
+    """
+    from ..agents.live import SPEEDS, Live, live_app, live_server
+
+    spec, _ = prepare(scenario, quiet=False, split=split)
+    policies = policy or ["scripted"]
+    if len(policies) > 2:
+        raise ValueError(f"--policy: at most two, side by side, given {len(policies)}")
+    if speed not in SPEEDS:
+        raise ValueError(f"--speed: must be one of {', '.join(map(str, SPEEDS))}, given {speed}")
+    local = host in ("127.0.0.1", "localhost", "::1")
+    port = port or _free_port(host)
+    agents = ["manager_0", *spec.bench_agents()]
+    tokens = None if local else {one: secrets.token_urlsafe(24) for one in ("watch", *agents)}
+    with tempfile.TemporaryDirectory() as folder:
+        lives = [
+            Live(spec, name, seed, split, (out_folder or Path(folder)) / str(i)) for i, name in enumerate(policies)
+        ]
+        hosts = ["127.0.0.1", "localhost", "[::1]"] if local else ["*"]
+        pages = {"watch": ""} | ({} if tokens is None else {agent: f"lab/0/seat/{agent}" for agent in agents})
+        for name, page_path in pages.items():
+            query = "" if tokens is None else f"?token={tokens[name]}"
+            out.print(plain(f"{name}: http://{host}:{port}/{page_path}{query}"), soft_wrap=True)
+        live_server(live_app(lives, policies, tokens, hosts, paused, speed), host, port).run()
 
 
 def _free_port(host: str) -> int:

@@ -203,7 +203,6 @@ class Film:
         frame, scene = _frame(labs)
         self._frames.append(self._pool.pack(frame))
         self._costs.append(self._spent())
-        self._results.append(scene["result"])
         for agent, score in turn.get("scores", {}).items():
             if agent in self._running:
                 self._running.pop(agent).update(end=number, score=score)
@@ -213,6 +212,12 @@ class Film:
                 began = {"agent": agent, "start": number, "end": None, "goal": bench["goal"], "score": None}
                 self._running[agent] = began
                 self._experiments.append(began)
+        self._results.append(scene["result"])
+
+    @property
+    def turns(self) -> int:
+        """Number of turns so far."""
+        return len(self._results) - 1
 
     def still(self) -> dict[str, Any]:
         """What does not change in the episode."""
@@ -245,13 +250,17 @@ class Film:
         }
 
     def since(self, turns: int = -1, shapes: int = 0, pool: int = 0) -> dict[str, Any]:
-        """What was added after so many turns, shapes and entries of the pool (all experiments); by default, all."""
+        """What was added after so many turns, shapes and entries of the pool (all experiments); by default, all.
+
+        It may be called while another thread adds a turn, of which nothing is shown before it is complete.
+        """
+        whole = self.turns
         return {
-            "turns": self._turns[max(turns, 0) :],
-            "frames": self._frames[turns + 1 :],
-            "costs": self._costs[turns + 1 :],
-            "results": self._results[turns + 1 :],
-            "experiments": self._experiments,
+            "turns": self._turns[max(turns, 0) : whole],
+            "frames": self._frames[turns + 1 : whole + 1],
+            "costs": self._costs[turns + 1 : whole + 1],
+            "results": self._results[turns + 1 : whole + 1],
+            "experiments": [dict(one) for one in self._experiments],
             "shapes": self._pool.shapes[shapes:],
             "pool": self._pool.entries[pool:],
         }

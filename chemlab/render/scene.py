@@ -574,7 +574,8 @@ def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPictu
 
 def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
     """A scene without what only a measurement would tell: materials of layers, solutes, temperatures on the shelf,
-    fill levels beyond their resolution, and orders that have not arrived. Where the scenario has no hidden parameters, the scene as it is.
+    fill levels beyond their resolution, and orders that have not arrived. Where the scenario has no hidden parameters,
+    the scene as it is.
 
     Args:
         scene: with the true contents.

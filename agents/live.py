@@ -1,0 +1,533 @@
+"""Laboratories that are watched and played in a browser: a page for spectators, and one for each seat."""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import html
+import itertools
+import json
+import threading
+from collections.abc import AsyncIterator, Callable, Mapping, Sequence
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+try:
+    import anyio.to_thread
+    import uvicorn
+    from starlette.applications import Starlette
+    from starlette.exceptions import HTTPException
+    from starlette.middleware import Middleware
+    from starlette.middleware.trustedhost import TrustedHostMiddleware
+    from starlette.requests import Request
+    from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response, StreamingResponse
+    from starlette.routing import Route
+except ImportError as error:
+    raise ImportError('starlette or uvicorn is missing: pip install "chemlab-marl[live]"') from error
+
+from chemlab import __version__
+from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Players
+from chemlab.record import Play, verify_record
+from chemlab.render.replay_page import MOST_TURNS, Film, filled_page
+
+from .policies import agent_policy
+from .seats import Reply, Room, ToolError
+from .verbs import Verb
+
+__all__ = ["SPEEDS", "Live", "live_app", "live_server"]
+
+SPEEDS = (1, 2, 6, 15, 40, 60)
+"""Turns a second."""
+_LARGEST_MESSAGE = 10_000
+"""Bytes of a message to the server."""
+_HEADERS = {
+    "Content-Security-Policy": "frame-ancestors 'self'",
+    "Cache-Control": "no-store",
+    "Referrer-Policy": "same-origin",
+}
+_FRAMED = {
+    **_HEADERS,
+    "Content-Security-Policy": "default-src 'none'; frame-src 'self'; style-src 'unsafe-inline';frame-ancestors 'self'",
+}
+_CURVE = 16
+"""Channels with at least so many values are drawn."""
+
+
+class Live:
+    """One laboratory at a pace: policies play, and people may take seats and give them back.
+
+    Args:
+        scenario: of the laboratory.
+        policy: of the agents whose seat is free, by name.
+        seed: of the episode.
+        split: of hidden parameters.
+        folder: for the records.
+    """
+
+    def __init__(self, scenario: Scenario, policy: str, seed: int, split: str, folder: Path) -> None:
+        self._scenario, self._policy, self._split, self._folder = scenario, policy, split, folder
+        self._lock = threading.RLock()
+        self.taken: set[str] = set()
+        self.episode = 0
+        self.room: Room
+        self.begin(seed)
+
+    def begin(self, seed: int) -> None:
+        """Begin an episode; the record of one that is running ends there."""
+        with self._lock:
+            self._begin(seed)
+
+    def _begin(self, seed: int) -> None:
+        if self.episode:
+            self.room.close()
+        self.seed, self.episode, self.verdict = seed, self.episode + 1, ("", "")
+        agents = ["manager_0", *self._scenario.bench_agents()]
+        self.room = Room(self._scenario, agents, folder=self._folder, seed=seed, split=self._split, watch=self._watched)
+        labs = self.room.laboratories
+        self._players = Players(labs, [agent_policy(self._policy, labs, i) for i in range(len(labs.agents))])
+        self._players.seed(0, seed)
+        self.film = Film(labs)
+
+    def _watched(self, tick: int, played: Play) -> None:
+        self.film.add(tick, [played])
+
+    @property
+    def turn(self) -> str:
+        """The agent that has the turn; '' when the episode is over."""
+        labs = self.room.laboratories
+        return "" if self.room.over else labs.agents[labs.turn()]
+
+    @property
+    def waits(self) -> bool:
+        """True while a policy cannot play: a person has the turn, the episode is over, or is too long for a page."""
+        return self.room.over or self.turn in self.taken or self.film.turns >= MOST_TURNS
+
+    def step(self) -> None:
+        """Let the policy of the agent that has the turn play; nothing happens where :attr:`waits`."""
+        with self._lock:
+            if self.waits:
+                return
+            labs = self.room.laboratories
+            number = labs.turn()
+            self.room.play(labs.agents[number], self._players.decide(number, labs.members)[0])
+
+    def call(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
+        """A turn of the person at a seat."""
+        with self._lock:
+            return self.room.call(agent, verb, arguments)
+
+    def page(self, number: int) -> str:
+        """The spectators' page."""
+        data = {
+            **self.film.still(),
+            "seed": self.seed,
+            "version": __version__,
+            "policies": {},
+            "verified": {"status": "live", "message": ""},
+            "stopped": "",
+            "calls": [],
+            "live": f"/lab/{number}",
+            "episode": self.episode,
+            **self.film.since(),
+        }
+        return filled_page("replay.html", data, "'self'")
+
+    def words(self) -> tuple[str, str]:
+        """A line about the episode, and whether it is good news."""
+        if not self.room.over:
+            at = self.turn
+            return (
+                (f"waiting for the person at {at}", "warn")
+                if at in self.taken
+                else ("spectators see the truth", "soft")
+            )
+        status, message = self.verdict
+        if not status:
+            return f"over: score {self.room.score:.3f}; the record is being checked", "soft"
+        checked = "record checked: right" if status == "ok" else f"record {status}: {message}"
+        return f"over: score {self.room.score:.3f}; {checked}", "good" if status == "ok" else "warn"
+
+    @property
+    def record(self) -> Path:
+        """The record of an episode that is over."""
+        return self.room.record
+
+    def check(self) -> None:
+        """Replay the record of an episode that is over."""
+        found = verify_record(self.record)
+        self.verdict = (found.status, found.message)
+
+    # -- seats --------------------------------------------------------------------------------------------------------
+
+    def seat(self, agent: str) -> dict[str, Any]:
+        """What a seat's page shows: what its agent observes, in words and curves, and which arguments are possible."""
+        with self._lock:
+            return self._shown(agent)
+
+    def _shown(self, agent: str) -> dict[str, Any]:
+        labs = self.room.laboratories
+        number, turn = labs.agents.index(agent), self.turn
+        curves, at = [], 0
+        seen = labs.observe(number, labs.members)[0]
+        for channel in labs.roles[number].channels:
+            values = seen[at : at + channel.size]
+            at += channel.size
+            if channel.size >= _CURVE and channel.unit in ("absorption", "grey") and values.any():
+                curves.append(
+                    {"name": channel.name, "unit": channel.unit, "values": [round(float(v), 3) for v in values]}
+                )
+        return {
+            "turn": turn,
+            "over": self.room.over,
+            "taken": agent in self.taken,
+            "text": self.room.display(agent),
+            "curves": curves,
+            "choices": self._choices(agent) if turn == agent else {},
+        }
+
+    def acts(self, agent: str) -> list[Verb]:
+        """The verbs of a seat that are actions of the laboratory."""
+        return [verb for verb in self.room.verbs(agent) if verb.action is not None]
+
+    def _choices(self, agent: str) -> dict[str, dict[str, list[Any]]]:
+        """Of each possible verb, the values of each argument that occur in a possible action."""
+        labs = self.room.laboratories
+        mask = labs.mask(labs.agents.index(agent), labs.members)
+        found: dict[str, dict[str, list[Any]]] = {}
+        for verb in self.acts(agent):
+            assert verb.action is not None
+            finite = mask is not None and all(argument.options for argument in verb.arguments)
+            ways = itertools.product(*(argument.options for argument in verb.arguments)) if finite else iter([()])
+            for way in ways:
+                given = {argument.name: value for argument, value in zip(verb.arguments, way, strict=False)}
+                if finite and mask is not None:
+                    try:
+                        action = int(verb.action(given))
+                    except ToolError:
+                        continue
+                    if not mask[0, action]:
+                        continue
+                own = found.setdefault(verb.name, {})
+                for name, value in given.items():
+                    if value not in own.setdefault(name, []):
+                        own[name].append(value)
+        return found
+
+
+class _Show:
+    """Laboratories under one control, and the news for everybody who watches."""
+
+    def __init__(self, lives: Sequence[Live], policies: Sequence[str], paused: bool, speed: int) -> None:
+        self.lives, self.policies = lives, policies
+        self.playing, self.speed, self.due = not paused, speed, dict.fromkeys(lives, 0)
+        self.changed, self.news = asyncio.Condition(), 0
+        self.server: uvicorn.Server | None = None
+
+    async def tell(self) -> None:
+        """Wake everybody up."""
+        async with self.changed:
+            self.news += 1
+            self.changed.notify_all()
+
+    async def wait(self, heard: int) -> int | None:
+        """Wait until there is more news than was heard; return how much there is, or None when the server stops."""
+        while self.server is None or not self.server.should_exit:
+            with suppress(asyncio.TimeoutError):
+                async with self.changed:
+                    await asyncio.wait_for(self.changed.wait_for(lambda: self.news > heard), 0.5)
+                return self.news
+        return None
+
+    async def run(self, live: Live) -> None:
+        """Play a laboratory for ever, while it is allowed to."""
+        while True:
+            async with self.changed:
+                await self.changed.wait_for(lambda: not live.waits and (self.playing or self.due[live] > 0))
+            self.due[live] = max(self.due[live] - 1, 0)
+            began = asyncio.get_running_loop().time()
+            await anyio.to_thread.run_sync(live.step)
+            await self.after(live)
+            if self.playing:
+                taken = asyncio.get_running_loop().time() - began
+                await asyncio.sleep(max(1.0 / self.speed - taken, 0.0))
+
+    async def after(self, live: Live) -> None:
+        """What follows a turn: the news, and at the end the check of the record."""
+        await self.tell()
+        if live.room.over and not live.verdict[0]:
+            await anyio.to_thread.run_sync(live.check)
+            await self.tell()
+
+    async def order(self, given: Mapping[str, Any]) -> None:
+        """Obey a control.
+
+        Raises:
+            ValueError: it is none.
+        """
+        what, value = given.get("do"), given.get("value")
+        if what in ("play", "pause"):
+            self.playing = what == "play"
+        elif what == "step":
+            self.playing, self.due = False, {live: count + 1 for live, count in self.due.items()}
+        elif what == "speed" and value in SPEEDS:
+            self.speed = int(value)
+        elif what == "new":
+            seed = max(live.seed for live in self.lives) + 1
+            for live in self.lives:
+                await anyio.to_thread.run_sync(live.begin, seed)
+        else:
+            speeds = ", ".join(map(str, SPEEDS))
+            raise ValueError(f"do: must be play, pause, step, new, or speed with a value of {speeds}")
+        await self.tell()
+
+    def status(self, live: Live) -> dict[str, Any]:
+        """What the page shows beside the film."""
+        words, kind = live.words()
+        return {
+            "playing": self.playing,
+            "speed": self.speed,
+            "over": live.room.over,
+            "turn": live.turn,
+            "policy": self.policies[self.lives.index(live)],
+            "seats": {agent: agent in live.taken for agent in live.room.seats},
+            "words": words,
+            "kind": kind,
+        }
+
+
+def _event(name: str, data: Any) -> str:
+    return f"event: {name}\ndata: {json.dumps(data, separators=(',', ':'))}\n\n"
+
+
+async def _film(show: _Show, live: Live, mark: list[int], episode: int) -> AsyncIterator[str]:
+    """The news of a laboratory for one spectator."""
+    told: Any = None
+    heard: int | None = show.news
+    while heard is not None:
+        if live.episode != episode:
+            yield _event("episode", live.episode)
+            return
+        part = live.film.since(*mark)
+        if part["turns"]:
+            mark = [mark[0] + len(part["turns"]), mark[1] + len(part["shapes"]), mark[2] + len(part["pool"])]
+            yield _event("film", part)
+        if told != (now := show.status(live)):
+            told = now
+            yield _event("status", now)
+        heard = await show.wait(heard)
+
+
+async def _seat(show: _Show, live: Live, agent: str) -> AsyncIterator[str]:
+    """The news of a seat."""
+    told: Any = None
+    heard: int | None = show.news
+    while heard is not None:
+        now = await anyio.to_thread.run_sync(live.seat, agent)
+        if now != told:
+            told = now
+            yield _event("seat", now)
+        heard = await show.wait(heard)
+
+
+def _side_by_side(policies: Sequence[str], query: str) -> str:
+    """A page of two laboratories; its addresses have the query of its own."""
+    frames = "".join(
+        f'<iframe src="/lab/{number}?{html.escape(query)}" title="{html.escape(policy)}"></iframe>'
+        for number, policy in enumerate(policies)
+    )
+    style = "body{margin:0;display:flex;height:100vh}iframe{flex:1;min-width:0;border:0;border-left:1px solid #888}"
+    head = f'<meta charset="utf-8"><title>{html.escape(" and ".join(policies))}</title><style>{style}</style>'
+    return f'<!DOCTYPE html><html lang="en"><head>{head}</head><body>{frames}</body></html>'
+
+
+def _stream(events: AsyncIterator[str]) -> Response:
+    return StreamingResponse(events, media_type="text/event-stream", headers={"Cache-Control": "no-store"})
+
+
+async def _message(request: Request) -> dict[str, Any]:
+    """The JSON object of a request.
+
+    Raises:
+        HTTPException: there is none.
+    """
+    if request.headers.get("content-type", "").partition(";")[0] != "application/json":
+        raise HTTPException(415, "the content type must be application/json")
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > _LARGEST_MESSAGE:
+            raise HTTPException(413, f"a message has at most {_LARGEST_MESSAGE} bytes")
+    try:
+        given = json.loads(body)
+    except (ValueError, RecursionError):
+        given = None
+    if not isinstance(given, dict):
+        raise HTTPException(400, 'a message is a JSON object, for instance {"do": "pause"}')
+    return given
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    return JSONResponse({"error": error.detail}, error.status_code)
+
+
+def live_app(
+    lives: Sequence[Live],
+    policies: Sequence[str],
+    tokens: Mapping[str, str] | None = None,
+    hosts: Sequence[str] = ("127.0.0.1", "localhost", "[::1]", "testserver"),
+    paused: bool = False,
+    speed: int = 6,
+) -> Starlette:
+    """The pages of one or two laboratories.
+
+    Args:
+        lives: the laboratories, which are controlled together.
+        policies: name of the policies of each, as shown.
+        tokens: of the spectators (``watch``) and of each seat, given as ``?token=``; a spectator may take any seat.
+            None: everybody who can reach the server may watch and play.
+        hosts: names under which the server may be addressed; ``*`` for any.
+        paused: whether the laboratories wait for a command at the beginning.
+        speed: turns a second.
+    """
+    show = _Show(lives, policies, paused, speed)
+
+    def allowed(request: Request, agent: str | None = None) -> None:
+        if tokens is None:
+            return
+        given = request.query_params.get("token", "").encode()
+        known = [tokens["watch"]] + ([tokens[agent]] if agent else [])
+        if not any(hmac.compare_digest(given, token.encode()) for token in known):
+            raise HTTPException(401, "wrong or missing token; open the address that the server has printed")
+
+    def lab(request: Request) -> tuple[int, Live]:
+        number = int(request.path_params["lab"])
+        if number >= len(lives):
+            raise HTTPException(404, f"there are laboratories 0 to {len(lives) - 1}")
+        return number, lives[number]
+
+    def seat(request: Request) -> tuple[Live, str]:
+        live, agent = lab(request)[1], request.path_params["agent"]
+        if agent not in live.room.seats:
+            raise HTTPException(404, f"seats: {', '.join(live.room.seats)}")
+        allowed(request, agent)
+        return live, agent
+
+    async def home(request: Request) -> Response:
+        allowed(request)
+        if len(lives) == 1:
+            return HTMLResponse(lives[0].page(0), headers=_HEADERS)
+        return HTMLResponse(_side_by_side(policies, request.url.query), headers=_FRAMED)
+
+    async def page(request: Request) -> Response:
+        number, live = lab(request)
+        allowed(request)
+        return HTMLResponse(live.page(number), headers=_HEADERS)
+
+    async def events(request: Request) -> Response:
+        live = lab(request)[1]
+        allowed(request)
+        try:
+            mark = [int(request.query_params.get(key, 0)) for key in ("turns", "shapes", "pool")]
+            episode = int(request.query_params.get("episode", live.episode))
+        except ValueError:
+            raise HTTPException(400, "turns, shapes, pool and episode must be whole numbers") from None
+        return _stream(_film(show, live, [max(n, 0) for n in mark], episode))
+
+    async def control(request: Request) -> Response:
+        allowed(request)
+        try:
+            await show.order(await _message(request))
+        except ValueError as error:
+            raise HTTPException(400, str(error)) from None
+        return JSONResponse({})
+
+    async def record(request: Request) -> Response:
+        live = lab(request)[1]
+        allowed(request)
+        if not live.room.over:
+            raise HTTPException(409, "the episode is not over; its record has the true contents")
+        return FileResponse(live.record, filename=f"{live.room.scenario.name}-{live.seed}.jsonl")
+
+    async def seat_page(request: Request) -> Response:
+        live, agent = seat(request)
+        verbs = [
+            {
+                "name": verb.name,
+                "meaning": verb.meaning,
+                "arguments": [vars(argument) for argument in verb.arguments],
+            }
+            for verb in live.acts(agent)
+        ]
+        data = {
+            "title": f"{agent}: {live.room.scenario.title}",
+            "seed": live.seed,
+            "agent": agent,
+            "brief": live.room.brief(agent),
+            "verbs": verbs,
+            "seat": request.url.path,
+        }
+        return HTMLResponse(filled_page("seat.html", data, "'self'"), headers=_HEADERS)
+
+    async def seat_events(request: Request) -> Response:
+        return _stream(_seat(show, *seat(request)))
+
+    async def seat_post(request: Request) -> Response:
+        live, agent = seat(request)
+        given = await _message(request)
+        answer: dict[str, Any] = {}
+        if given.get("do") == "take":
+            live.taken.add(agent)
+        elif given.get("do") == "leave":
+            live.taken.discard(agent)
+        elif given.get("do") == "act":
+            if agent not in live.taken:
+                raise HTTPException(409, f"a policy plays {agent}; take the seat first")
+            verb, arguments = given.get("verb"), given.get("arguments")
+            known = arguments if isinstance(arguments, dict) else {}
+            reply = await anyio.to_thread.run_sync(live.call, agent, str(verb), known)
+            if reply.error:
+                raise HTTPException(422, reply.text)
+            answer = {"text": reply.text}
+            await show.after(live)
+        else:
+            raise HTTPException(400, "do: must be take, leave or act")
+        await show.tell()
+        return JSONResponse(answer)
+
+    @asynccontextmanager
+    async def lifespan(app: Starlette) -> AsyncIterator[None]:
+        tasks = [asyncio.create_task(show.run(live)) for live in lives]
+        yield
+        for task in tasks:
+            task.cancel()
+        for live in lives:
+            live.room.close()
+
+    routes: list[tuple[str, Callable[[Request], Any], str]] = [
+        ("/", home, "GET"),
+        ("/control", control, "POST"),
+        ("/lab/{lab:int}", page, "GET"),
+        ("/lab/{lab:int}/events", events, "GET"),
+        ("/lab/{lab:int}/record", record, "GET"),
+        ("/lab/{lab:int}/seat/{agent}", seat_page, "GET"),
+        ("/lab/{lab:int}/seat/{agent}", seat_post, "POST"),
+        ("/lab/{lab:int}/seat/{agent}/events", seat_events, "GET"),
+    ]
+    app = Starlette(
+        routes=[Route(path, answer, methods=[method]) for path, answer, method in routes],
+        middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))],
+        exception_handlers={HTTPException: _refused},
+        lifespan=lifespan,
+    )
+    app.state.show = show
+    return app
+
+
+def live_server(app: Starlette, host: str, port: int) -> uvicorn.Server:
+    """A server of the pages of :func:`live_app`."""
+    config = uvicorn.Config(app, host=host, port=port, log_level="warning", timeout_graceful_shutdown=3)
+    server = app.state.show.server = uvicorn.Server(config)
+    return server

@@ -1,0 +1,314 @@
+"""The live pages: watched to the end, played by clicks and by keys, by several visitors, and attacked."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from chemlab.cli.doors import _free_port
+from chemlab.config.loading import load_scenario
+from chemlab.record import read_record, verify_record
+
+live = pytest.importorskip("chemlab.agents.live", reason="needs starlette and uvicorn (extra live)")
+
+NAME = "wurtz_dodecane_direct"
+
+
+class Served:
+    """A server in a thread of its own, and its laboratories."""
+
+    def __init__(self, folder: Path, policies: list[str], tokens: dict[str, str] | None, **options: Any) -> None:
+        self.lives = [
+            live.Live(load_scenario(NAME), policy, 0, "train", folder / str(i)) for i, policy in enumerate(policies)
+        ]
+        self.port = _free_port("127.0.0.1")
+        self.url = f"http://127.0.0.1:{self.port}"
+        app = live.live_app(self.lives, policies, tokens, **options)
+        self.server = live.live_server(app, "127.0.0.1", self.port)
+        self.thread = threading.Thread(target=self.server.run, daemon=True)
+
+    def ask(self, method: str, path: str, body: bytes = b"", **headers: str) -> tuple[int, bytes]:
+        """(status, body) of a request; a stream is read up to its first event."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=60)
+        try:
+            connection.request(method, path, body, headers)
+            answer = connection.getresponse()
+            events = answer.getheader("content-type", "").startswith("text/event-stream")
+            return answer.status, answer.read(6) if events else answer.read()
+        finally:
+            connection.close()
+
+    def order(self, path: str = "/control", **message: Any) -> tuple[int, Any]:
+        """(status, JSON) of a message."""
+        status, body = self.ask("POST", path, json.dumps(message).encode(), **{"Content-Type": "application/json"})
+        return status, json.loads(body)
+
+
+@contextmanager
+def served(
+    folder: Path, policies: tuple[str, ...] = ("scripted",), tokens: dict[str, str] | None = None, **options: Any
+) -> Iterator[Served]:
+    found = Served(folder, list(policies), tokens, **options)
+    found.thread.start()
+    try:
+        until(lambda: found.server.started)
+        yield found
+    finally:
+        found.server.should_exit = True
+        found.thread.join(20)
+        assert not found.thread.is_alive()
+
+
+def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
+    """Wait until something is true."""
+    late = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < late
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def visitor(browser: Any) -> Iterator[Callable[[str], Any]]:
+    """Opens pages that must neither complain nor ask another host."""
+    pages, complaints, asked = [], [], set()
+
+    def visit(url: str) -> Any:
+        page = browser.new_page()
+        page.set_default_timeout(60_000)
+        page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: asked.add(request.url.split("/")[2] if "//" in request.url else "data"))
+        page.goto(url)
+        pages.append(page)
+        return page
+
+    yield visit
+    for page in pages:
+        page.close()
+    assert complaints == []
+    assert all(host.startswith("127.0.0.1:") or host == "data" for host in asked)
+
+
+# -- in the browser ---------------------------------------------------------------------------------------------------
+
+
+def test_an_episode_is_watched_to_its_end(tmp_path: Path, visitor: Any) -> None:
+    """Two visitors see the same; one pauses, and it stands still for both; then the record is right."""
+    with served(tmp_path, paused=True, speed=60) as lab:
+        one, other = visitor(lab.url), visitor(lab.url)
+        one.get_by_role("button", name="Run").click()
+        one.get_by_role("button", name="Pause").click()
+        one.wait_for_function("!live.playing")
+        before = lab.lives[0].film.turns
+        one.locator("#forward").click()
+        other.wait_for_function(f"count === {before + 1}")
+        other.keyboard.press(" ")
+        for page in (one, other):
+            page.get_by_text("record checked: right").wait_for()
+            assert page.evaluate("count") == lab.lives[0].film.turns
+        with one.expect_download() as download:
+            one.get_by_role("button", name="Download record").click()
+        copy = tmp_path / "copy.jsonl"
+        download.value.save_as(copy)
+        assert verify_record(copy).status == "ok"
+        one.keyboard.press("n")
+        for page in (one, other):
+            page.get_by_text("seed 1").wait_for()
+
+
+PLAYED = (("start", "rxn_0"), ("wait", ""), ("start", "dit_0"), ("wait", ""), ("submit", ""))
+
+
+def _other_roles_wait(lab: Served) -> None:
+    """Wait until the manager has the turn, or the episode is over."""
+    until(lambda: lab.lives[0].turn in ("", "manager_0"))
+
+
+def test_an_episode_is_played_by_clicks(tmp_path: Path, visitor: Any) -> None:
+    with served(tmp_path, speed=60) as lab:
+        lab.order("/lab/0/seat/manager_0", do="take")
+        lab.order(do="new")
+        seat = visitor(f"{lab.url}/lab/0/seat/manager_0")
+        slot = "0"
+        for verb, bench in PLAYED:
+            seat.get_by_text("It is your turn.").wait_for()
+            form = seat.locator(f"form[data-verb={verb}]")
+            if verb == "start":
+                form.locator("select[name=bench]").select_option(bench)
+            if verb != "wait":
+                form.locator("select[name=slot]").select_option(slot)
+            turns = lab.lives[0].film.turns
+            form.get_by_role("button").click()
+            until(lambda turns=turns: lab.lives[0].film.turns > turns)
+            _other_roles_wait(lab)
+            slot = str(_fullest(lab)) if bench == "dit_0" else slot
+        seat.get_by_text("The episode is over.").first.wait_for()
+        until(lambda: lab.lives[0].verdict[0] != "")
+        assert lab.lives[0].verdict[0] == "ok"
+        assert read_record(lab.lives[0].record).end is not None
+        assert lab.lives[0].room.report()["seats"]["manager_0"]["wrong"] == 0
+
+
+def _fullest(lab: Served) -> int:
+    """The slot with most of the product."""
+    shelf = lab.lives[0].room.laboratories.shelf
+    slots = lab.lives[0].room.scenario.shelf.slots
+    return max(range(slots), key=lambda slot: shelf.vessel(0, slot).amounts(0.0).get("dodecane", 0.0))
+
+
+def test_an_episode_is_played_by_keys(tmp_path: Path, visitor: Any) -> None:
+    """From taking the seat to the end, no pointer is used."""
+    with served(tmp_path, paused=True, speed=60) as lab:
+        seat = visitor(f"{lab.url}/lab/0/seat/manager_0")
+
+        def press(name: str) -> None:
+            """Go to a button by the tabulator, and press it."""
+            for _ in range(60):
+                if seat.evaluate("document.activeElement.textContent") == name:
+                    break
+                seat.keyboard.press("Tab")
+            else:
+                raise AssertionError(f"the keyboard does not reach {name}")
+            seat.keyboard.press("Enter")
+
+        press("Take this seat")
+        until(lambda: "manager_0" in lab.lives[0].taken)
+        lab.order(do="play")
+        for verb, moves in (("start", 0), ("wait", 0), ("start", 1), ("wait", 0), ("submit", _fullest)):
+            seat.get_by_text("It is your turn.").wait_for()
+            turns = lab.lives[0].film.turns
+            if verb != "wait":
+                field = "bench" if verb == "start" else "slot"
+                for _ in range(60):
+                    if seat.evaluate(f"document.activeElement === document.forms[{_form(seat, verb)}].{field}"):
+                        break
+                    seat.keyboard.press("Tab")
+                for _ in range(moves if isinstance(moves, int) else moves(lab)):
+                    seat.keyboard.press("ArrowDown")
+            press(verb)
+            until(lambda turns=turns: lab.lives[0].film.turns > turns)
+            _other_roles_wait(lab)
+        seat.get_by_text("The episode is over.").first.wait_for()
+
+
+def _form(seat: Any, verb: str) -> int:
+    found: int = seat.evaluate(f"[...document.forms].findIndex(form => form.dataset.verb === '{verb}')")
+    return found
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_nothing_is_cut_or_overlaps(tmp_path: Path, visitor: Any, width: int) -> None:
+    with served(tmp_path, paused=True) as lab:
+        lab.order("/lab/0/seat/rxn_0", do="take")
+        for address in ("/", "/lab/0/seat/manager_0", "/lab/0/seat/rxn_0"):
+            page = visitor(lab.url + address)
+            page.set_viewport_size({"width": width, "height": 800})
+            assert page.evaluate("document.documentElement.scrollWidth <= innerWidth + 1"), address
+            cut = page.evaluate(
+                """[...document.querySelectorAll("button, label, select, td, th, h1, h2")].filter(e => {
+                const box = e.getBoundingClientRect();
+                const narrow = e.tagName === "BUTTON" && e.scrollWidth > e.clientWidth + 2;
+                return box.width && (box.right > innerWidth + 1 || narrow);
+                }).map(e => e.textContent.slice(0, 40))"""
+            )
+            assert cut == [], address
+
+
+def test_two_laboratories_stand_side_by_side(tmp_path: Path, visitor: Any) -> None:
+    """The same seed, controlled together."""
+    with served(tmp_path, ("scripted", "random"), paused=True, speed=60) as lab:
+        page = visitor(lab.url)
+        assert page.locator("iframe").count() == 2
+        for number in range(2):
+            page.frame_locator("iframe").nth(number).get_by_role("button", name="Run").wait_for()
+        page.frame_locator("iframe").nth(0).locator("#forward").click()
+        until(lambda: [one.film.turns for one in lab.lives] == [1, 1])
+        assert [one.seed for one in lab.lives] == [0, 0]
+
+
+# -- without one ------------------------------------------------------------------------------------------------------
+
+
+def test_a_seat_is_sent_what_its_agent_observes(tmp_path: Path) -> None:
+    """Neither contents nor hidden parameters, although the spectators' page has both."""
+    room = live.Live(load_scenario("unlabelled"), "scripted", 0, "train", tmp_path)
+    room.step()
+    for agent in room.room.seats:
+        shown = json.dumps(room.seat(agent))
+        assert "contents" not in shown
+        assert room.seat(agent)["text"] == room.room.display(agent)
+    assert '"hidden":[["' in room.page(0)
+    assert '"contents"' in room.page(0)
+    room.room.close()
+
+
+def test_a_policy_plays_unless_a_person_has_the_seat(tmp_path: Path) -> None:
+    """A person who takes the seat in mid-episode goes on, and gives it back; refused actions change nothing."""
+    lab = live.Live(load_scenario(NAME), "scripted", 0, "train", tmp_path)
+    for _ in range(3):
+        lab.step()
+    lab.taken.add(lab.turn)
+    turn, turns = lab.turn, lab.film.turns
+    lab.step()
+    assert (lab.turn, lab.film.turns) == (turn, turns)
+    assert lab.call(turn, "nonsense", {}).error
+    assert lab.film.turns == turns
+    lab.taken.clear()
+    while not lab.room.over:
+        lab.step()
+    lab.check()
+    assert lab.verdict[0] == "ok"
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "content", "status"),
+    [
+        ("/control", b"{", "application/json", 400),
+        ("/control", b"[" * 5000, "application/json", 400),
+        ("/control", b"[1]", "application/json", 400),
+        ("/control", b'{"do": "explode"}', "application/json", 400),
+        ("/control", b'{"do": "speed", "value": "fast"}', "application/json", 400),
+        ("/control", b'{"do": "pause"}', "text/plain", 415),
+        ("/control", b"{" + b" " * 20_000 + b"}", "application/json", 413),
+        ("/lab/7/seat/rxn_0", b'{"do": "take"}', "application/json", 404),
+        ("/lab/0/seat/nobody", b'{"do": "take"}', "application/json", 404),
+        ("/lab/0/seat/rxn_0", b'{"do": "act", "verb": "step"}', "application/json", 409),
+        ("/nowhere", b"{}", "application/json", 404),
+    ],
+)
+def test_malformed_messages_change_nothing(shared: Served, path: str, body: bytes, content: str, status: int) -> None:
+    before = shared.lives[0].film.turns, set(shared.lives[0].taken)
+    found, answer = shared.ask("POST", path, body, **{"Content-Type": content})
+    assert found == status
+    assert b"Traceback" not in answer
+    assert before == (shared.lives[0].film.turns, shared.lives[0].taken)
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
+    with served(tmp_path_factory.mktemp("shared"), paused=True) as lab:
+        yield lab
+
+
+def test_tokens_and_hosts(tmp_path: Path) -> None:
+    """A seat's token opens its seat alone; a page of another name does not reach the server; it survives all that."""
+    tokens = {"watch": "w" * 20, "manager_0": "m" * 20, "rxn_0": "r" * 20, "dit_0": "d" * 20}
+    with served(tmp_path, tokens=tokens, paused=True) as lab:
+        for token, expected in (("", 401), ("x", 401), ("é", 401), (tokens["rxn_0"], 401), (tokens["watch"], 200)):
+            query = f"?token={token}".encode().decode("latin-1") if token.isascii() else "?token=%C3%A9"
+            for path in ("/", "/lab/0", "/lab/0/events"):
+                assert lab.ask("GET", path + query)[0] == expected, path
+        for agent in ("manager_0", "rxn_0", "dit_0"):
+            found = lab.ask("GET", f"/lab/0/seat/{agent}?token={tokens['rxn_0']}")[0]
+            assert found == (200 if agent == "rxn_0" else 401)
+        assert lab.ask("GET", f"/lab/0?token={tokens['watch']}", Host="evil.example")[0] == 400
+        assert lab.ask("GET", f"/lab/0/record?token={tokens['watch']}")[0] == 409
+        assert lab.ask("GET", f"/lab/0/events?token={tokens['watch']}&turns=many")[0] == 400
