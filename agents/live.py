@@ -162,7 +162,7 @@ class Live:
     # -- seats --------------------------------------------------------------------------------------------------------
 
     def seat(self, agent: str) -> dict[str, Any]:
-        """What a seat's page shows: what its agent observes, in words and curves, and which arguments are possible."""
+        """Data of a seat's page: the observation of its agent in words and curves, and the possible arguments."""
         with self._lock:
             return self._shown(agent)
 
@@ -254,7 +254,7 @@ class _Show:
                 await asyncio.sleep(max(1.0 / self.speed - taken, 0.0))
 
     async def after(self, live: Live) -> None:
-        """What follows a turn: the news, and at the end the check of the record."""
+        """Tell the news of a turn; at the end of the episode, check the record."""
         await self.tell()
         if live.room.over and not live.verdict[0]:
             await anyio.to_thread.run_sync(live.check)
@@ -283,7 +283,7 @@ class _Show:
         await self.tell()
 
     def status(self, live: Live) -> dict[str, Any]:
-        """What the page shows beside the film."""
+        """Data that the page shows beside the film."""
         words, kind = live.words()
         return {
             "playing": self.playing,

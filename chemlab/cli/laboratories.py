@@ -277,5 +277,15 @@ def _show_results(results: list[EpisodeResult]) -> None:
         numbers = (f"{r.submitted_mol:.3f}", f"{r.purity:.3f}", f"{sum(r.costs.values()):.4f}", f"{r.score:.3f}")
         events = ", ".join(event_words(r.safety_events)) or "none"
         rows.append((r.seed, r.goal, *numbers, r.manager_actions, r.ticks, events))
+    if len(results) > 1:
+        means = [
+            sum(values) / len(results)
+            for values in zip(
+                *((r.submitted_mol, r.purity, sum(r.costs.values()), r.score) for r in results), strict=True
+            )
+        ]
+        rows.append(
+            ("mean", "", *(f"{m:.{digits}f}" for m, digits in zip(means, (3, 3, 4, 3), strict=True)), "", "", "")
+        )
     head = ("seed", "goal", "mol", "purity", "costs", "score", "actions", "ticks", "safety events")
     show_table("Results (mol of the goal submitted; actions of the manager)", head, rows, right=(0, *range(2, 8)))

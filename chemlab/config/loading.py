@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import functools
 from collections.abc import Mapping
 from pathlib import Path
@@ -123,9 +124,12 @@ def _loaded(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
         return _load_file(file, level)
     path = Path(name)
     if path.suffix != ".toml":
+        known = [*scenario_names(), *synthesis_names()]
+        plain = name.lower().replace("-", "_")
+        near = [one for one in known if plain in one][:1] or difflib.get_close_matches(plain, known, 1)
         raise DataError(
-            f"scenario: unknown name {str(scenario)!r:.200}; "
-            f"choose from {', '.join([*scenario_names(), *synthesis_names()])}, or give a path to a .toml file"
+            f"scenario: unknown name {str(scenario)!r:.200}; {f'did you mean {near[0]}? ' if near else ''}"
+            f"choose from {', '.join(known)}, or give a path to a .toml file"
         )
     return _resolve(read_toml(path), str(path), path.parent, level)
 
