@@ -272,7 +272,7 @@ class _Account:
 
 
 def _show_results(results: list[EpisodeResult]) -> None:
-    rows = []
+    rows: list[tuple[Any, ...]] = []
     for r in results:
         numbers = (f"{r.submitted_mol:.3f}", f"{r.purity:.3f}", f"{sum(r.costs.values()):.4f}", f"{r.score:.3f}")
         events = ", ".join(event_words(r.safety_events)) or "none"
