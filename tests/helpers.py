@@ -59,7 +59,7 @@ def script(path: str) -> ModuleType:
     return module
 
 
-FEATURED = ("crude", "failing", "recrystallization", "relay", "runaway", "unlabelled", "wurtz_two_lines")
+FEATURED = ("crude", "failing", "recrystallization", "refine", "relay", "runaway", "unlabelled", "wurtz_two_lines")
 """Shipped scenarios that together have every feature of them all: ``tests/test_scenario.py`` says which."""
 EVERY_SCENARIO = slow_but(scenario_names(), *FEATURED)
 """Cases of a test of what holds in any scenario."""
