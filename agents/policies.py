@@ -15,6 +15,7 @@ from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
 from chemlab.roles.discrete import Discretised
+from chemlab.roles.reaction_bench import ReactionBench
 
 from .advice import AdvisedPolicy, Advisor
 from .discretised import NearestPolicy
@@ -35,6 +36,7 @@ from .scripted.reaction import ScriptedReaction
 from .scripted.real import ScriptedRealReaction
 from .scripted.router import SynthesisManager
 from .scripted.schedule import SchedulingManager, has_orders_to_schedule
+from .scripted.screening import ScreeningManager, ScriptedScreening, catalysts
 from .scripted.script import Setting
 from .scripted.upkeep import UpkeepManager, has_wearing_lines
 from .scripted.workup import ScriptedWorkup
@@ -303,7 +305,8 @@ def scripted_bench(
     if is_scripted(bench):
         script = _SCRIPTS[bench.scenario.physics][kind]
         habits = {"margin_k": margin_k} if script in (ScriptedReaction, ScriptedExtraction) else {}
-        policy: Policy = script(bench, careful, **habits)
+        screens = isinstance(bench, ReactionBench) and catalysts(bench.scenario)
+        policy: Policy = ScriptedScreening(bench) if screens else script(bench, careful, **habits)
         return NearestPolicy(policy, bench) if isinstance(bench, Discretised) else policy
     if kind not in _UNSCRIPTED:
         _UNSCRIPTED.add(kind)
@@ -346,6 +349,8 @@ def scripted_manager(
         raise ValueError(f"scripted:fifo: the scripted manager of {labs.scenario.name} has no orders to choose from")
     if has_unknown_rate(labs.scenario) is not None:
         return CampaignManager(setting, remember=remember)
+    if catalysts(labs.scenario) and remember:
+        return ScreeningManager(setting)
     if foresees(labs.scenario):
         return ForeseeingManager(setting, remember=remember, script=scripted_bench)
     if has_wearing_lines(labs.scenario):

@@ -30,7 +30,7 @@ from chemlab.agents.evaluate.audit import measure_rows
 from chemlab.cli import app as command
 from chemlab.cli.evaluation import RESULT_COLUMNS
 from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
-from chemlab.config.loading import load_scenario, scenario_names, synthesis_names
+from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import AbsorptionPeak, Material, RealProperties, VaporPressure
 from chemlab.config.reactions import Acid, Reaction, ReactionFamily, Salt, Solubility, Violent, equation
 from chemlab.config.scenario import (
@@ -366,7 +366,8 @@ _PLAYED = ("scripted", "random")
 def _scenarios() -> dict[str, str]:
     specs = [load_scenario(name) for name in scenario_names()]
     syntheses = [load_scenario(name) for name in synthesis_names()]
-    found = {spec.name: _scenario_page(spec) for spec in (*specs, *syntheses)}
+    campaigns = [load_scenario(name) for name in campaign_names()]
+    found = {spec.name: _scenario_page(spec) for spec in (*specs, *campaigns, *syntheses)}
     scores = {name: {row[0]: row[3] for row in rows} for name, rows in _results().items()}
     rows = [
         (
@@ -408,6 +409,12 @@ def _scenarios() -> dict[str, str]:
             "to the scripted one, observations are not needed.",
             "[What a score means](../../glossary.md#what-a-score-means).",
             "",
+            "## Campaigns",
+            "",
+            "Scenarios made for optimizers, in addition to the benchmark:",
+            "[Optimize a campaign](../../chemist/campaign.md).",
+            "",
+            _table(("campaign", "description"), [(f"[`{s.name}`]({s.name}.md)", s.summary) for s in campaigns]),
             "## Syntheses",
             "",
             "Scenarios that reproduce publications, in addition to the benchmark; their validation:",
@@ -424,7 +431,7 @@ def _scenarios() -> dict[str, str]:
             "```{toctree}",
             ":hidden:",
             "",
-            *(spec.name for spec in (*specs, *syntheses)),
+            *(spec.name for spec in (*specs, *campaigns, *syntheses)),
             "```",
             "",
         ]

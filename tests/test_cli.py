@@ -26,7 +26,7 @@ from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import event_words, page, show_table
 from chemlab.cli.training import _curve
 from chemlab.config.files import replace_between, write_text
-from chemlab.config.loading import load_scenario, scenario_names, synthesis_names
+from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import DataError, shipped_materials
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
@@ -52,11 +52,11 @@ runner = CliRunner()
 def test_list_names_every_scenario() -> None:
     """People and programs see the same scenarios."""
     rows = json.loads(runner.invoke(app, ["list", "--json"]).stdout)
-    assert [row["name"] for row in rows] == [*scenario_names(), *synthesis_names()]
+    assert [row["name"] for row in rows] == [*scenario_names(), *campaign_names(), *synthesis_names()]
     assert [row["name"] for row in rows if row["synthesis"]] == synthesis_names()
     assert all(row["agents"][0] == "manager_0" for row in rows)
     shown = runner.invoke(app, ["list"]).stdout
-    assert all(name in shown for name in (*scenario_names(), *synthesis_names()))
+    assert all(name in shown for name in (*scenario_names(), *campaign_names(), *synthesis_names()))
 
 
 def test_help_shows_commands_in_panels() -> None:

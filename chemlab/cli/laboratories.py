@@ -37,28 +37,30 @@ __all__: list[str] = []
 
 @app.command("list")
 def list_scenarios(as_json: JsonOption = False) -> None:
-    """List the bundled scenarios and syntheses."""
-    from ..config.loading import load_scenario, scenario_names, synthesis_names
+    """List the bundled scenarios, campaigns and syntheses."""
+    from ..config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
 
     scenarios = [load_scenario(name) for name in scenario_names()]
+    campaigns = [load_scenario(name) for name in campaign_names()]
     syntheses = [load_scenario(name) for name in synthesis_names()]
     if as_json:
         rows = [
             {
                 "name": s.name,
                 "synthesis": s in syntheses,
+                "campaign": s in campaigns,
                 "title": s.title,
                 "summary": s.summary,
                 "agents": s.agents(),
                 "goals": list(s.lab_goals),
                 "file": s.origin,
             }
-            for s in (*scenarios, *syntheses)
+            for s in (*scenarios, *campaigns, *syntheses)
         ]
         typer.echo(json.dumps(rows, indent=2))
         return
     first = "Scenarios (play one: chemlab run NAME; describe it: chemlab describe NAME)"
-    for title, listed in ((first, scenarios), ("Syntheses, played likewise", syntheses)):
+    for title, listed in ((first, scenarios), ("Campaigns", campaigns), ("Syntheses", syntheses)):
         cells = [(s.name, ", ".join(s.benches), len(s.lab_goals), s.summary) for s in listed]
         show_table(title, ("name", "benches", "goals", "summary"), cells, right=(2,))
 

@@ -18,6 +18,7 @@ from .datafile import DataError, dotted_key, read_toml
 
 __all__ = [
     "bench_defaults",
+    "campaign_names",
     "completed",
     "scenario_folder",
     "scenario_names",
@@ -53,6 +54,11 @@ def synthesis_names() -> list[str]:
     return sorted(path.stem for path in (scenario_folder() / "syntheses").glob("*.toml"))
 
 
+def campaign_names() -> list[str]:
+    """Return the names of the bundled campaigns: scenarios made for :class:`chemlab.campaign.Campaign`."""
+    return sorted(path.stem for path in (scenario_folder() / "campaigns").glob("*.toml"))
+
+
 def split_level(name: str) -> tuple[str, int | None]:
     """Return a scenario's name or path without its level, and the level: ``unlabelled@1``; None: none is given."""
     found = re.fullmatch(r"(.+)@([0-9]{1,9})", name, re.ASCII)
@@ -60,12 +66,13 @@ def split_level(name: str) -> tuple[str, int | None]:
 
 
 def shipped_file(name: object) -> Path | None:
-    """Return the file of a bundled scenario, at any level, or of a synthesis; None for any other name."""
+    """Return the file of a bundled scenario, campaign or synthesis, at any level; None for any other name."""
     if isinstance(name, str):
         name, _ = split_level(name)
-    if name in scenario_names():
-        return scenario_folder() / f"{name}.toml"
-    return scenario_folder() / "syntheses" / f"{name}.toml" if name in synthesis_names() else None
+    for folder, names in (("", scenario_names()), ("syntheses", synthesis_names()), ("campaigns", campaign_names())):
+        if name in names:
+            return scenario_folder() / folder / f"{name}.toml"
+    return None
 
 
 @functools.cache

@@ -14,7 +14,7 @@ from typing_extensions import Unpack
 from .checks import check_charges, check_draws, check_materials, check_vessels, mentioned_materials
 from .datafile import DataError, bounded, read_toml
 from .datamodel import validated, written
-from .inherit import completed, scenario_names, shipped_file, split_level, synthesis_names
+from .inherit import campaign_names, completed, scenario_names, shipped_file, split_level, synthesis_names
 from .materials import Material, load_materials, shipped_materials
 from .pairs import Pair, load_pairs, shipped_pairs
 from .reactions import (
@@ -32,6 +32,7 @@ from .reactions import (
 from .scenario import Scenario, Settings
 
 __all__ = [
+    "campaign_names",
     "dump_scenario",
     "load_scenario",
     "plain_scenario",
@@ -124,7 +125,7 @@ def _loaded(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
         return _load_file(file, level)
     path = Path(name)
     if path.suffix != ".toml":
-        known = [*scenario_names(), *synthesis_names()]
+        known = [*scenario_names(), *campaign_names(), *synthesis_names()]
         plain = name.lower().replace("-", "_")
         near = [one for one in known if plain in one][:1] or difflib.get_close_matches(plain, known, 1)
         raise DataError(

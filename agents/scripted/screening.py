@@ -1,0 +1,164 @@
+"""Scripted agents of a campaign: try every catalyst in turn, measure every batch, submit the best batches."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Memory
+from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.roles.bench import channel_slices
+from chemlab.roles.reaction_bench import ReactionBench
+
+from .script import ScriptedManager, Setting, cheapest
+
+__all__ = ["ScreeningManager", "ScriptedScreening", "catalysts"]
+
+_EQUIVALENTS, _CATALYST, _HEAT = 1.3, 0.5, 0.75
+"""Rules of thumb: equivalents of every reagent, share of the catalyst's supply, share of the temperature range."""
+
+
+def catalysts(scenario: Scenario) -> list[str]:
+    """Return the alternative catalysts of a scenario: bottles that stand on both sides of reactions."""
+    kept = {name for step in scenario.family.reaction for name in step.products if name in step.reactants}
+    return [name for name in scenario.stock if name in kept]
+
+
+class ScriptedScreening:
+    """Runs every experiment by rules of thumb, with the next catalyst.
+
+    Args:
+        bench: the bench, whose scenario has :func:`catalysts`.
+    """
+
+    def __init__(self, bench: ReactionBench) -> None:
+        spec, names = bench.scenario, bench.reagent_names
+        self._slices = channel_slices(bench.channels)
+        self._span = bench.options.temperature_k
+        self._catalysts = [names.index(name) for name in catalysts(spec) if name in names]
+        most = max(spec.theoretical_maximum_mol.values())
+        self._shares = np.array([min(_EQUIVALENTS * most / bench.options.reagents[name], 1.0) for name in names])
+        self._shares[self._catalysts] = 0.0
+        self._turns = Memory(1)
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.agents.policies.Policy`."""
+        (tried,) = self._turns.recall(np.ones_like(step), members)
+        low, high, most = self._span.low, self._span.high, self._span.step
+        now = low + observation[:, self._slices["temperature"]][:, 0] * (high - low)
+        warm = np.clip(0.5 + (low + _HEAT * (high - low) - now) / (2.0 * most), 0.0, 1.0)
+        adding = np.where(step[:, None] == 0, self._shares, 0.0)
+        which = np.array(self._catalysts)[tried[:, 0].astype(np.int64) % len(self._catalysts)]
+        adding[np.arange(len(members)), which] = np.where(step == 0, _CATALYST, 0.0)
+        self._turns.keep(members, tried + (step == 0)[:, None])
+        return np.column_stack((warm, np.full(len(members), 0.5), adding))
+
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
+        """Begin an episode of one member with the first catalyst."""
+        members = np.array([member])
+        self._turns.recall(np.zeros(1, dtype=np.int64), members)
+        self._turns.keep(members, np.zeros((1, 1)))
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.envs.players.Policy`."""
+        return self._turns.copy()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.envs.players.Policy`."""
+        self._turns.put_back(memory)
+
+
+@dataclass
+class _Batches:
+    """Batches of an episode: slots not tried yet, slots to measure, estimated worth by slot, open orders."""
+
+    fresh: list[int]
+    done: list[int] = field(default_factory=list)
+    running: dict[str, int] = field(default_factory=dict)
+    worth: dict[int, float] = field(default_factory=dict)
+    asked: int | None = None
+    orders: list[int] = field(default_factory=list)
+
+
+class ScreeningManager(ScriptedManager[_Batches]):
+    """Runs every vessel on a free reaction bench, measures it, and submits the best ones.
+
+    Args:
+        setting: the manager's laboratory; if not careful, it runs one vessel for each order and never measures.
+    """
+
+    def __init__(self, setting: Setting) -> None:
+        super().__init__(setting)
+        spec = setting.scenario
+        self._agents = [name for name in spec.bench_agents() if name.rpartition("_")[0] not in setting.skip]
+        self._instrument = cheapest(spec, ("hplc", "gas_chromatograph")) if setting.careful else None
+        table, (goal, *_) = setting.instruments, spec.lab_goals
+        names = table.analytes[table.names.index(self._instrument)] if self._instrument else ()
+        terms = spec.specifications.get(goal)
+        among = (terms.purity_among if terms else None) or names
+        self._goal_column = list(names).index(goal) if names else 0
+        self._counted = np.array([name in among for name in names], dtype=np.float64)
+
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
+        if step == 0:
+            self._kept[member] = _Batches(self._occupied(observation), orders=list(range(len(self._orders))))
+        batches = self._kept[member]
+        if batches.asked is not None:
+            shares = observation[self._slices[f"slot_{batches.asked}_{self._instrument}"]].astype(np.float64)
+            shares = shares[: len(self._counted)]
+            # In vessels that are alike, a share of all molecules is an amount.
+            made = shares[self._goal_column]
+            batches.worth[batches.asked] = float(made * made / max(shares @ self._counted, 1e-9))
+            batches.asked = None
+        for agent, slot in list(batches.running.items()):
+            if self._value(observation, f"{agent}_busy") < 0.5:
+                batches.done.append(slot)
+                del batches.running[agent]
+
+    def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        batches, wait = self._kept[member], self._actions.encode("wait")
+        enough = self._instrument is None and len(batches.done) + len(batches.running) >= len(batches.orders)
+        for agent in self._agents:
+            if agent in batches.running or not batches.fresh or enough:
+                continue
+            start = self._actions.encode("start", agent, batches.fresh[0], self._scenario.lab_goals[0])
+            if mask[start]:
+                batches.running[agent] = batches.fresh.pop(0)
+                return start
+        for slot in batches.done:
+            if self._instrument is None or slot in batches.worth:
+                continue
+            measure = self._actions.encode("measure", slot, self._instrument)
+            if mask[measure]:
+                batches.asked = slot
+                return measure
+        if batches.running and mask[wait]:
+            return wait
+        for slot in sorted(batches.done, key=lambda slot: -batches.worth.get(slot, 0.0)):
+            for order in batches.orders:
+                submit = self._encode_submit(slot, order)
+                if mask[submit]:
+                    batches.orders.remove(order)
+                    batches.done.remove(slot)
+                    return submit
+        return int(mask.argmax())
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        batches = self._kept[member]
+        kind, slot, more = self._taken_apart(action)
+        for slots in (batches.fresh, batches.done):
+            if kind in ("start", "submit", "discard") and slot in slots:
+                slots.remove(slot)
+        if kind == "start":
+            batches.running[more[0]] = slot
+            batches.worth.pop(slot, None)
+        elif kind == "measure":
+            batches.asked = slot if more[0] == self._instrument else None
+        elif kind == "submit" and more[0] in batches.orders:
+            batches.orders.remove(more[0])

@@ -1,0 +1,252 @@
+"""Campaigns for optimizers: run a recipe in the laboratory, read what was measured, and what it cost.
+
+A scenario in ``scenarios/campaigns`` has many equal vessels, reaction benches and one chromatograph. An optimizer asks
+for recipes; each :meth:`Campaign.run` starts a vessel on a bench, controls the bench by the recipe, and measures the
+vessel. All of it happens in one laboratory by ordinary actions, so the costs, limits and noise are the laboratory's.
+
+>>> campaign = Campaign(seed=1)
+>>> result = campaign.run(catalyst="catalyst_a", percent=1.5, equivalents=1.3, temperature_k=378.0, minutes=20)
+>>> 0.0 <= result.purity <= 1.0
+True
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from .agents.scripted.screening import catalysts
+from .config.loading import load_scenario
+from .config.scenario import Scenario
+from .lab.engine import Laboratories
+from .roles.manager_state import RUNNING
+from .roles.reaction_bench import ReactionBench
+
+__all__ = ["Campaign", "Choice", "Range", "Result"]
+
+_TRACE = 1e-9
+
+
+@dataclass(frozen=True)
+class Range:
+    """Numbers that a parameter may have; ``step`` is 1 for integers, else 0."""
+
+    low: float
+    high: float
+    step: int = 0
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Names that a parameter may have."""
+
+    options: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Result:
+    """Outcome of one experiment.
+
+    Attributes:
+        recipe: the parameters.
+        slot: the vessel.
+        amount_mol: mol of the product, measured with noise.
+        purity: share of the product among what counts, measured with noise.
+        reagents: price of the reagents used, in units of the score.
+        measuring: price of the measurement.
+        ticks: duration in ticks.
+        value: amount x purity / theoretical maximum, less the price of the reagents for a batch: what a batch by this
+            recipe is worth, as the score counts it. This is the number to maximize.
+    """
+
+    recipe: Mapping[str, float | str]
+    slot: int
+    amount_mol: float
+    purity: float
+    reagents: float
+    measuring: float
+    ticks: int
+    value: float
+
+
+class Campaign:
+    """One hidden world, in which recipes are run until there are no more vessels.
+
+    Args:
+        scenario: a campaign's name, its path, or a loaded scenario of the same form.
+        seed: seed of the hidden world and of the noise.
+        split: split that the world is drawn from.
+    """
+
+    def __init__(self, scenario: str | Scenario = "optimize_coupling", seed: int = 0, split: str | None = None) -> None:
+        spec = load_scenario(scenario)
+        kinds = {bench.kind for bench in spec.benches.values()}
+        names = catalysts(spec)
+        others = [name for name in spec.stock if name not in names]
+        if kinds != {"reaction"} or len(names) < 2 or len(others) != 1 or len(spec.instruments) != 1:
+            raise ValueError(
+                f"scenario: {spec.name} must have reaction benches only, one instrument, one reagent and at least two "
+                "catalysts in its stock; see scenarios/campaigns/optimize_coupling.toml"
+            )
+        self.scenario, self._split = spec, split
+        self._labs = self._laboratory(spec)
+        self._labs.seed(0, np.random.SeedSequence(seed))
+        self._labs.reset(self._labs.members)
+        (self._goal, *_), (self._instrument,), (self._reagent,) = spec.lab_goals, spec.instruments, others
+        bench = self._labs.benches[0]
+        assert isinstance(bench, ReactionBench), "checked above"
+        self._bench, options = bench, bench.options
+        self._limiting = spec.theoretical_maximum_mol[self._goal]
+        most = {name: options.reagents[name] / self._limiting for name in spec.stock}
+        self.space: dict[str, Range | Choice] = {
+            "catalyst": Choice(tuple(names)),
+            "percent": Range(0.5, 100.0 * min(most[name] for name in names)),
+            "equivalents": Range(0.8, most[self._reagent]),
+            "temperature_k": Range(options.temperature_k.low, options.temperature_k.high),
+            "minutes": Range(1.0, float(bench.spec.step_limit), 1),
+        }
+        """Parameters of a recipe by name, with bounds or options."""
+        self.results: list[Result] = []
+        self._fresh = list(range(len(spec.shelf.vessel)))
+
+    def _laboratory(self, spec: Scenario) -> Laboratories:
+        return Laboratories(spec, 1) if self._split is None else Laboratories(spec, 1, split=self._split)
+
+    @property
+    def left(self) -> int:
+        """Number of vessels that no experiment has used."""
+        return len(self._fresh) if self._running else 0
+
+    @property
+    def _running(self) -> bool:
+        return bool(self._labs.state.status[0] == RUNNING)
+
+    @property
+    def score(self) -> float:
+        """Raw score of the episode so far; what is submitted counts (see :meth:`finish`)."""
+        return float(self._labs.result(self._labs.members)[0])
+
+    def run(self, **recipe: float | str) -> Result:
+        """Run one recipe; see :attr:`space` for its parameters.
+
+        Raises:
+            ValueError: a parameter is missing, unknown or out of bounds, or no vessel is left; nothing has happened.
+        """
+        return self.run_batch([recipe])[0]
+
+    def run_batch(self, recipes: Sequence[Mapping[str, float | str]]) -> list[Result]:
+        """Run several recipes, as many at once as there are benches.
+
+        Raises:
+            ValueError: as for :meth:`run`.
+        """
+        checked = [
+            self._checked(recipe, f"recipe {i}: " if len(recipes) > 1 else "") for i, recipe in enumerate(recipes)
+        ]
+        if len(checked) > self.left:
+            raise ValueError(f"campaign: {self.left} vessels are left, given {len(checked)} recipes; finish() ends it")
+        found: list[Result] = []
+        benches = list(self._labs.bench_agents)
+        for first in range(0, len(checked), len(benches)):
+            found += self._together(dict(zip(benches, checked[first : first + len(benches)], strict=False)))
+        self.results += found
+        return found
+
+    def finish(self) -> float:
+        """Submit the best batches by value, one for each order, and return the raw score of the episode."""
+        best = sorted(self.results, key=lambda result: -result.value)
+        for order, result in zip(range(self.scenario.orders), best, strict=False):
+            if self._running:
+                self._manage("submit", result.slot, *([order] if self.scenario.orders > 1 else []))
+        return self.score
+
+    def true_value(self, **recipe: float | str) -> float:
+        """Return a recipe's value without noise, in a copy of the world; for judging optimizers, not for them."""
+        return float(self.true_values([recipe])[0])
+
+    def true_values(self, recipes: Sequence[Mapping[str, float | str]]) -> Any:
+        """Return [n] values without noise; see :meth:`true_value`."""
+        checked = [self._checked(recipe, "") for recipe in recipes]
+        labs = Laboratories(self.scenario, len(checked))
+        labs.reset(labs.members, world=self._labs.worlds.values(0))
+        before = labs.shelf.stock.copy()
+        number = labs.agents.index(labs.bench_agents[0])
+        for action in (labs.actions.encode("start", labs.bench_agents[0], 0, self._goal), labs.actions.encode("wait")):
+            labs.act(labs.manager.index, labs.members, np.full(len(checked), action))
+        for turn in range(self._bench.spec.step_limit):
+            labs.act(number, labs.members, np.stack([self._control(recipe, turn) for recipe in checked]))
+        amounts, rules = labs.shelf.amounts[:, 0], labs.rules.arrays
+        goal = self.scenario.goals.index(self._goal)
+        made, counted = amounts[:, rules.parts[goal, 0]], amounts @ rules.counts[goal]
+        spent = (before - labs.shelf.stock) @ rules.stock_price
+        return made * made / np.maximum(counted, _TRACE) / self._limiting - self.scenario.orders * spent
+
+    def _checked(self, recipe: Mapping[str, float | str], where: str) -> dict[str, Any]:
+        if set(recipe) != set(self.space):
+            raise ValueError(
+                f"{where}takes the parameters {', '.join(self.space)}; given {', '.join(recipe) or 'none'}"
+            )
+        for name, allowed in self.space.items():
+            value = recipe[name]
+            if isinstance(allowed, Choice):
+                if value not in allowed.options:
+                    raise ValueError(f"{where}{name}: choose from {', '.join(allowed.options)}; given {value!r}")
+            elif isinstance(value, str) or not allowed.low - _TRACE <= value <= allowed.high + _TRACE:
+                raise ValueError(f"{where}{name}: from {allowed.low:g} to {allowed.high:g}; given {value!r}")
+            elif allowed.step and value != round(value):
+                raise ValueError(f"{where}{name}: a whole number; given {value!r}")
+        return dict(recipe)
+
+    def _control(self, recipe: Mapping[str, Any], turn: int) -> Any:
+        """Return the bench's action: fill and heat at first, cool down as far as it goes after the given minutes."""
+        span, names = self._bench.options.temperature_k, self._bench.reagent_names
+        shares = np.zeros(len(names))
+        if turn == 0:
+            wanted = {
+                recipe["catalyst"]: recipe["percent"] / 100.0 * self._limiting,
+                self._reagent: recipe["equivalents"] * self._limiting,
+            }
+            for name, mol in wanted.items():
+                shares[names.index(name)] = min(mol / self._bench.options.reagents[name], 1.0)
+        change = {0: recipe["temperature_k"] - self.scenario.ambient_temperature_k, recipe["minutes"]: -span.step}
+        warm = min(max(0.5 + change.get(turn, 0.0) / (2.0 * span.step), 0.0), 1.0)
+        return np.array([warm, 0.5, *shares])
+
+    def _manage(self, kind: str, *arguments: str | int) -> None:
+        labs = self._labs
+        labs.act(labs.manager.index, labs.members, np.array([labs.actions.encode(kind, *arguments)]))
+
+    def _together(self, recipes: Mapping[str, dict[str, Any]]) -> list[Result]:
+        """Run one recipe on each of some benches at the same time, then measure them."""
+        labs, state = self._labs, self._labs.state
+        slots = {agent: self._fresh.pop(0) for agent in recipes}
+        price, used = labs.rules.arrays.stock_price, dict.fromkeys(recipes, 0.0)
+        begun = int(state.ticks[0])
+        for agent, slot in slots.items():
+            self._manage("start", agent, slot, self._goal)
+        self._manage("wait")
+        while (turn := labs.turn()) != labs.manager.index and self._running:
+            agent, before = labs.agents[turn], labs.shelf.stock[0].copy()
+            labs.act(turn, labs.members, self._control(recipes[agent], int(labs.turns_had(turn)[0]))[None])
+            used[agent] += float((before - labs.shelf.stock[0]) @ price)
+        ticks, cost = int(state.ticks[0]) - begun, self.scenario.instruments[self._instrument].price
+        found = []
+        for agent, slot in slots.items():
+            self._manage("measure", slot, self._instrument)
+            amount, purity = self._read(slot)
+            value = amount * purity / self._limiting - self.scenario.orders * used[agent]
+            found.append(Result(recipes[agent], slot, amount, purity, used[agent], cost, ticks, value))
+        return found
+
+    def _read(self, slot: int) -> tuple[float, float]:
+        """Return amount and purity from a vessel's chromatogram; the solvent is the internal standard."""
+        labs, spec = self._labs, self.scenario
+        names = labs.instruments.analytes[labs.instruments.names.index(self._instrument)]
+        shares = dict(zip(names, labs.state.reading[0, slot, : len(names)].tolist(), strict=True))
+        among = spec.specifications[self._goal].purity_among or names
+        solvents = {name: mol for name, mol in spec.shelf.vessel[slot].contents.items() if name not in among}
+        standard = sum(solvents.values()) / max(sum(shares[name] for name in solvents), _TRACE)
+        return shares[self._goal] * standard, shares[self._goal] / max(sum(shares[n] for n in among), _TRACE)

@@ -1,0 +1,145 @@
+"""Regret of optimizers on a campaign, in 20 hidden worlds.
+
+    python recipes/campaigns/regret.py --out recipes/campaigns/results.json --figure docs/images/regret.png
+
+Every optimizer has the same hidden worlds (split ``test``) and all 24 vessels of each, two at a time. After every
+experiment, the recipe with the best measured value so far is recommended. Its regret is its distance from the oracle,
+1 - (value - random) / (oracle - random): values without noise; the oracle is the best recipe that a search with the
+hidden parameters finds, random the mean of recipes drawn uniformly. ``--figure`` draws the curves.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import sys
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from random_search import drawn
+from scipy import stats
+
+from chemlab.campaign import Campaign, Choice
+
+OPTIMIZERS = ("random_search", "scripted", "scipy_evolution", "optuna_tpe", "baybe_gp", "ax_client")
+_GAIN = "{:+.2f} ({:+.2f} to {:+.2f})"
+_ROUNDS, _DRAWN, _KEPT = 7, 200, 20
+
+
+def oracle(campaign: Campaign) -> tuple[float, float]:
+    """Return the best value that an evolutionary search finds, and the mean value of random recipes."""
+    rng = np.random.default_rng(0)
+    recipes = [drawn(campaign, rng) for _ in range(_DRAWN)]
+    values = campaign.true_values(recipes)
+    random = float(values.mean())
+    for step in range(_ROUNDS):
+        best = [recipes[i] for i in np.argsort(-values)[:_KEPT]]
+        recipes, values = _near(campaign, best, 0.15 * 0.6**step, rng), values[np.argsort(-values)[:_KEPT]]
+        values = np.concatenate([values, campaign.true_values(recipes)])
+        recipes = [*best, *recipes]
+    return float(values.max()), random
+
+
+def _near(campaign: Campaign, best: list[Any], width: float, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Return changed copies of some recipes; a share of them has another catalyst."""
+    found = []
+    for recipe in best * (_DRAWN // _KEPT):
+        other: dict[str, Any] = {}
+        for name, allowed in campaign.space.items():
+            if isinstance(allowed, Choice):
+                other[name] = str(rng.choice(allowed.options)) if rng.random() < 0.2 else recipe[name]
+                continue
+            value = recipe[name] + width * (allowed.high - allowed.low) * rng.standard_normal()
+            other[name] = min(max(round(value) if allowed.step else value, allowed.low), allowed.high)
+        found.append(other)
+    return found
+
+
+def regrets(optimizer: str, seed: int, ends: tuple[float, float]) -> tuple[list[float], float]:
+    """Return the regret after every experiment of one optimizer in one world, and the raw score of the episode."""
+    campaign = Campaign(seed=seed, split="test")
+    importlib.import_module(optimizer).optimize(campaign, seed)
+    true = campaign.true_values([result.recipe for result in campaign.results])
+    measured = [result.value for result in campaign.results]
+    best, random = ends
+    found = [1.0 - (true[int(np.argmax(measured[: n + 1]))] - random) / (best - random) for n in range(len(true))]
+    return [round(float(value), 4) for value in found], round(campaign.finish(), 4)
+
+
+def interval(values: Any) -> tuple[float, float, float]:
+    """Return mean and 95 % confidence interval (Student's t)."""
+    values = np.asarray(values)
+    half = stats.t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    return float(values.mean()), float(values.mean() - half), float(values.mean() + half)
+
+
+def table(found: dict[str, Any]) -> list[str]:
+    """Return the results as a Markdown table."""
+    rows = ["| optimizer | regret after 8 | after 16 | after 24 | better than random search by | raw score |"]
+    rows += ["| --- | --: | --: | --: | --: | --: |"]
+    random = np.array(found["regret"]["random_search"])[:, -1]
+    for name, curves in found["regret"].items():
+        curve = np.array(curves)
+        cells = ["{:.2f} ({:.2f} to {:.2f})".format(*interval(curve[:, n - 1])) for n in (8, 16, 24)]
+        gain = (
+            "{:+.2f} ({:+.2f} to {:+.2f})".format(*interval(random - curve[:, -1]))
+            if curve[:, -1] is not random
+            else ""
+        )
+        cells.append("" if name == "random_search" else gain)
+        cells.append("{:.2f} ({:.2f} to {:.2f})".format(*interval(found["score"][name])))
+        rows.append(f"| `{name}` | {' | '.join(cells)} |")
+    return rows
+
+
+def figure(found: dict[str, Any], path: Path) -> None:
+    """Draw mean regrets with their intervals."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    fig, axes = plt.subplots(figsize=(7.0, 4.2))
+    for name, curves in found["regret"].items():
+        curve = np.array(curves)
+        mean, low, high = np.array([interval(column) for column in curve.T]).T
+        n = np.arange(1, curve.shape[1] + 1)
+        axes.plot(n, mean, label=name)
+        axes.fill_between(n, low, high, alpha=0.15)
+    axes.set(xlabel="experiments", ylabel="regret (0: oracle, 1: random recipe)", ylim=(0.0, 1.0))
+    axes.legend(frameon=False)
+    fig.tight_layout()
+    fig.savefig(path, dpi=90)
+
+
+def main() -> None:
+    """Run the study, or draw a stored one."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--seeds", type=int, default=20, help="number of worlds")
+    parser.add_argument("--only", nargs="*", default=OPTIMIZERS, choices=OPTIMIZERS, help="optimizers to run")
+    parser.add_argument("--out", type=Path, help="JSON file; results of other optimizers in it are kept")
+    parser.add_argument("--figure", type=Path, help="draw the file of --out")
+    given = parser.parse_args()
+    warnings.filterwarnings("ignore")
+    found: dict[str, Any] = {"seeds": given.seeds, "ends": [], "regret": {}, "score": {}}
+    if given.out is not None and given.out.is_file():
+        found = json.loads(given.out.read_text(encoding="utf-8"))
+    if len(found["ends"]) < given.seeds:
+        found["ends"] = [oracle(Campaign(seed=seed, split="test")) for seed in range(given.seeds)]
+    for name in given.only:
+        print(name, file=sys.stderr, flush=True)
+        pairs = [regrets(name, seed, tuple(found["ends"][seed])) for seed in range(given.seeds)]
+        found["regret"][name], found["score"][name] = [list(part) for part in zip(*pairs, strict=True)]
+        if given.out is not None:
+            given.out.write_text(json.dumps(found) + "\n", encoding="utf-8")
+    found["regret"] = {name: found["regret"][name] for name in OPTIMIZERS if name in found["regret"]}
+    print("\n".join(table(found)))
+    if given.figure is not None:
+        figure(found, given.figure)
+
+
+if __name__ == "__main__":
+    main()

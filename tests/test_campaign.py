@@ -1,0 +1,161 @@
+"""Campaigns: recipes run in the laboratory come to what the published equations give, and cost what they say."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
+from chemlab.campaign import Campaign, Choice, Range
+from chemlab.config.loading import campaign_names, load_scenario
+from chemlab.envs.aec import raw_env
+
+RECIPES = Path(__file__).parent.parent / "recipes" / "campaigns"
+GOOD: dict[str, Any] = {
+    "catalyst": "catalyst_c",
+    "percent": 1.5,
+    "equivalents": 1.3,
+    "temperature_k": 378.0,
+    "minutes": 20,
+}
+NEEDS = {"optuna_tpe": "optuna", "baybe_gp": "baybe", "ax_client": "ax"}
+
+
+def published(campaign: Campaign, recipe: dict[str, Any]) -> tuple[float, float]:
+    """Return (amount in mol, purity) by the publication's equations with the hidden factors of a world."""
+    drawn: dict[str, Any] = dict(campaign._labs.worlds.values(0))
+    (extra,) = (number for step, number in drawn["catalysts"].items() if recipe["catalyst"] in step)
+    factor = [drawn[name] for name in ("coupling", "loss", "second")]
+    heat = 8.314462618 * recipe["temperature_k"]
+    vessel = campaign.scenario.shelf.vessel[0].contents
+    charge = {**vessel, "boronate": 0.167 * recipe["equivalents"], recipe["catalyst"]: 0.00167 * recipe["percent"]}
+    known = campaign.scenario.materials
+    litres = sum(mol * known[name].molar_mass_g_mol / known[name].density_kg_l / 1e3 for name, mol in charge.items())
+    root = math.sqrt(charge[recipe["catalyst"]] / litres)
+    numbers = zip(factor, (3.1e7, 1e12, 3.1e5), (55e3 + extra, 100e3, 50e3), strict=True)
+    k = [f * a * root * math.exp(-energy / heat) for f, a, energy in numbers]
+
+    def change(_: float, c: Any) -> list[float]:
+        made, lost, second = k[0] * c[0] * c[1], k[1] * c[1], k[2] * c[1] * c[2]
+        return [-made, -made - lost - second, made - second, lost, second]
+
+    start = [0.167 / litres, charge["boronate"] / litres, 0.0, 0.0, 0.0]
+    end = solve_ivp(change, (0.0, 60.0 * recipe["minutes"]), start, rtol=1e-9, atol=1e-12).y[:, -1]
+    return float(end[2] * litres), float(end[2] / end.sum())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{}, {"catalyst": "catalyst_a", "temperature_k": 395.0}, {"equivalents": 2.0, "percent": 0.7}],
+    ids=["warm", "hot", "more"],
+)
+def test_a_recipe_comes_to_what_the_published_equations_give(change: dict[str, Any]) -> None:
+    """Twenty minutes at temperature: nothing is left to the cooling of the last turn."""
+    recipe = {**GOOD, **change}
+    campaign = Campaign(seed=4)
+    amount, purity = published(campaign, recipe)
+    spent = 0.002 * 0.167 * recipe["equivalents"] + 0.00167 * recipe["percent"]
+    assert campaign.true_value(**recipe) == pytest.approx(amount * purity / 0.167 - 8 * spent, abs=2e-3)
+    results = [campaign.run(**recipe) for _ in range(8)]
+    assert np.mean([result.amount_mol for result in results]) == pytest.approx(amount, rel=0.05)
+    assert np.mean([result.purity for result in results]) == pytest.approx(purity, rel=0.05)
+    assert results[0].reagents == pytest.approx(spent, rel=1e-6)
+    assert len({result.amount_mol for result in results}) == 8, "readings have noise"
+
+
+def test_less_time_makes_less() -> None:
+    campaign = Campaign(seed=4)
+    values = campaign.true_values([{**GOOD, "minutes": minutes} for minutes in (1, 5, 20)])
+    assert values[0] < values[1] < values[2]
+
+
+def test_two_at_once_take_the_time_of_one_and_cost_what_the_laboratory_charges() -> None:
+    campaign = Campaign(seed=2)
+    pair = campaign.run_batch([GOOD, {**GOOD, "catalyst": "catalyst_d"}])
+    assert [result.ticks for result in pair] == [20, 20]
+    assert [result.slot for result in pair] == [0, 1]
+    assert campaign.left == 22
+    costs = campaign._labs.charges(campaign._labs.members)[0]
+    assert costs.sum() == pytest.approx(sum(r.reagents + r.measuring for r in pair) + 20 * 0.0001)
+    campaign.run_batch([GOOD] * 22)
+    assert campaign.left == 0
+    with pytest.raises(ValueError, match="0 vessels are left"):
+        campaign.run(**GOOD)
+    outcome = campaign.finish()
+    assert campaign.left == 0
+    orders = campaign._labs.outcome()["orders"]
+    worth = sum(order["submitted_mol"] * order["purity"] / 0.167 for order in orders) / 8
+    assert outcome == pytest.approx(worth - campaign._labs.charges(campaign._labs.members).sum())
+
+
+def test_a_seed_is_a_world_and_its_noise() -> None:
+    one, same, other = (Campaign(seed=seed).run(**GOOD) for seed in (1, 1, 2))
+    assert one == same
+    assert one.value != other.value
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"catalyst": "platinum"}, "catalyst: choose from catalyst_a, .*; given 'platinum'"),
+        ({"temperature_k": 500.0}, "temperature_k: from 303.15 to 403.15; given 500.0"),
+        ({"percent": float("nan")}, "percent: from 0.5 to 2.5; given nan"),
+        ({"minutes": 2.5}, "minutes: a whole number; given 2.5"),
+        ({"minutes": "2"}, "minutes: from 1 to 20; given '2'"),
+        ({"pressure": 1.0}, "takes the parameters catalyst, .*; given catalyst, "),
+    ],
+)
+def test_wrong_recipes_change_nothing(change: dict[str, Any], message: str) -> None:
+    campaign = Campaign(seed=1)
+    before = campaign._labs.snapshot()
+    with pytest.raises(ValueError, match=message):
+        campaign.run(**{**GOOD, **change})
+    assert campaign.left == 24
+    assert all(np.array_equal(a, b) for a, b in zip(before, campaign._labs.snapshot(), strict=True))
+
+
+def test_other_scenarios_are_refused() -> None:
+    with pytest.raises(ValueError, match="scenario: crude must have reaction benches only"):
+        Campaign("crude")
+
+
+def test_the_space_is_the_scenarios() -> None:
+    space = Campaign().space
+    assert space["catalyst"] == Choice(tuple(f"catalyst_{letter}" for letter in "abcde"))
+    assert space["minutes"] == Range(1.0, 20.0, 1)
+    assert space["equivalents"] == Range(0.8, pytest.approx(3.0))
+
+
+@pytest.mark.parametrize("name", [f"{name}{level}" for name in campaign_names() for level in ("", "@2", "@1")])
+def test_scripted_agents_beat_random_play(name: str) -> None:
+    def score(policy: str, seed: int) -> float:
+        env = raw_env(load_scenario(name))
+        return play_episode(env, make_policies(policy, env.laboratories, seed), seed, policy).score
+
+    assert np.mean([score("scripted", s) for s in range(2)]) > np.mean([score("random", s) for s in range(2)]) + 0.2
+
+
+@pytest.mark.parametrize(
+    "name", [path.stem for path in sorted(RECIPES.glob("*.py")) if path.stem not in ("regret", "learned")]
+)
+def test_optimizers_use_every_vessel(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The contract of every recipe, on a small campaign."""
+    pytest.importorskip(NEEDS.get(name, "scipy"), reason="needs its optimizer")
+    monkeypatch.syspath_prepend(str(RECIPES))
+    few = {"base": "optimize_coupling", "name": "few", "orders": 2}
+    vessels = [{"capacity_l": 1.5, "contents": {"medium": 9.9, "halide": 0.167}}] * 8
+    campaign = Campaign(load_scenario({**few, "shelf": {"vessel": vessels}}), seed=0)
+    module = __import__(name)
+    try:
+        module.optimize(campaign, 0)
+    finally:
+        sys.modules.pop(name, None)
+    assert campaign.left == 0
+    assert len(campaign.results) == 8
