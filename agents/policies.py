@@ -305,8 +305,9 @@ def scripted_bench(
     if is_scripted(bench):
         script = _SCRIPTS[bench.scenario.physics][kind]
         habits = {"margin_k": margin_k} if script in (ScriptedReaction, ScriptedExtraction) else {}
-        screens = isinstance(bench, ReactionBench) and catalysts(bench.scenario)
-        policy: Policy = ScriptedScreening(bench) if screens else script(bench, careful, **habits)
+        policy: Policy = script(bench, careful, **habits)
+        if isinstance(bench, ReactionBench) and catalysts(bench.scenario):
+            policy = ScriptedScreening(bench)
         return NearestPolicy(policy, bench) if isinstance(bench, Discretised) else policy
     if kind not in _UNSCRIPTED:
         _UNSCRIPTED.add(kind)
