@@ -24,7 +24,7 @@ try:
     from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response, StreamingResponse
     from starlette.routing import Route
 except ImportError as error:
-    raise ImportError('starlette or uvicorn is missing: pip install "chemlab-marl[live]"') from error
+    raise ImportError('starlette or uvicorn is missing: pip install ".[live]"') from error
 
 from chemlab import __version__
 from chemlab.config.scenario import Scenario
