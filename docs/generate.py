@@ -655,7 +655,7 @@ def _interface() -> dict[str, str]:
             m for m in modules if m.startswith(("chemlab.sandbox", "chemlab.flask", "chemlab.conformance"))
         ],
         "Random chemistries": [m for m in modules if m.startswith("chemlab.openchem")],
-        "Agents": [m for m in modules if m.startswith("chemlab.agents.")],
+        "Agents and campaigns": [m for m in modules if m.startswith(("chemlab.agents.", "chemlab.campaign"))],
     }
     lines = [
         "# Interface",

@@ -220,7 +220,7 @@ class Film:
         return len(self._results) - 1
 
     def still(self) -> dict[str, Any]:
-        """What does not change in the episode."""
+        """Return the parts that do not change in the episode."""
         labs, scene, table = self._labs, self._first, self._labs.instruments
         scenario = labs.scenario
         return {
@@ -250,7 +250,7 @@ class Film:
         }
 
     def since(self, turns: int = -1, shapes: int = 0, pool: int = 0) -> dict[str, Any]:
-        """What was added after so many turns, shapes and entries of the pool (all experiments); by default, all.
+        """Return all that was added after so many turns, shapes and entries of the pool, and all experiments.
 
         It may be called while another thread adds a turn, of which nothing is shown before it is complete.
         """
