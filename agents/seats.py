@@ -341,13 +341,24 @@ class Room:
     def play(self, agent: str, action: Any) -> None:
         """Play a turn of a seat that has the turn, for instance by a policy that stands in for it.
 
-        Raises:
-            ToolError: the action is not possible now; nothing has changed.
+        An action that is not possible has no effect, as in the environments.
         """
         with self._changed:
-            self._act(agent, "wait", action)
+            labs = self.laboratories
+            number = labs.agents.index(agent)
+            mask = labs.mask(number, labs.members)
+            self._play(number, action)
+            if mask is None or mask[0, int(action)]:
+                self._views[agent].acted(action)
+            self._count(agent)
+            self._notices[agent] = []
+            self._advance()
             if self._over:
                 self._close_books()
+
+    def _count(self, agent: str) -> None:
+        self._turns[agent] += 1
+        self._fresh[agent] = False
 
     def display(self, agent: str) -> str:
         """Everything that a seat observes, as ``look`` shows it; no call is counted."""
@@ -444,8 +455,7 @@ class Room:
         before = sum(labs.costs().values())
         self._play(number, action)
         self._views[agent].acted(action)
-        self._turns[agent] += 1
-        self._fresh[agent] = False
+        self._count(agent)
         price = sum(labs.costs().values()) - before
         words = "Done."
         if agent == MANAGER_AGENT and price > 5e-7:

@@ -106,10 +106,12 @@ def test_an_episode_is_watched_to_its_end(tmp_path: Path, visitor: Any) -> None:
         one, other = visitor(lab.url), visitor(lab.url)
         one.get_by_role("button", name="Run").click()
         one.get_by_role("button", name="Pause").click()
-        one.wait_for_function("!live.playing")
+        until(lambda: not one.evaluate("live.playing"))
+        time.sleep(1.0)  # a turn that had begun is over, and known to both
         before = lab.lives[0].film.turns
+        assert one.evaluate("count") == other.evaluate("count") == before
         one.locator("#forward").click()
-        other.wait_for_function(f"count === {before + 1}")
+        until(lambda: other.evaluate("count") == before + 1)
         other.get_by_label("Speed").select_option("60")
         other.keyboard.press(" ")
         for page in (one, other):
@@ -267,6 +269,19 @@ def test_a_policy_plays_unless_a_person_has_the_seat(tmp_path: Path) -> None:
         lab.step()
     lab.check()
     assert lab.verdict[0] == "ok"
+
+
+def test_a_policy_may_play_what_is_not_possible(tmp_path: Path) -> None:
+    """As in the environments, its turn is lost, and the laboratory goes on."""
+    lab = live.Live(load_scenario(NAME), "scripted", 0, "train", tmp_path)
+    labs = lab.room.laboratories
+    illegal = int(labs.mask(0, labs.members)[0].argmin())
+    before = labs.shelf.vessels.copy()
+    lab.room.play("manager_0", illegal)
+    assert lab.film.since()["turns"][0]["lost"] == ["manager_0"]
+    assert (labs.shelf.vessels == before).all()
+    while not lab.room.over:
+        lab.step()
 
 
 @pytest.mark.parametrize(
