@@ -54,4 +54,4 @@ def test_the_command_finds_the_task(tmp_path: Path) -> None:
     command += ["-T", "seats=manager_0,dit_0", "-T", "episodes=1", "--model", "mockllm/model", "--display", "plain"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
     assert "nowhere" in done.stdout + done.stderr
-    assert "unknown scenario" in " ".join((done.stdout + done.stderr).split())
+    assert "unknown name" in " ".join((done.stdout + done.stderr).split())
