@@ -152,6 +152,7 @@ def test_the_page_allows_its_own_script_and_nothing_else(episode: Path) -> None:
         "script-src": f"'sha256-{hashes['script']}'",
         "style-src": f"'sha256-{hashes['style']}'",
         "img-src": "data:",
+        "connect-src": "'none'",
         "form-action": "'none'",
         "base-uri": "'none'",
     }
