@@ -105,6 +105,12 @@ def _runs() -> dict[tuple[str, str], list[dict[str, Any]]]:
     return found
 
 
+def scored() -> list[str]:
+    """Return the scenarios with hidden parameters that have rows."""
+    names = {scenario for scenario, _ in _runs()}
+    return [name for name in world_scenarios() if name in names]
+
+
 def _lines() -> dict[tuple[str, str], dict[str, Any]]:
     """Return the rows with runs that differ only in their seeds merged into one; intervals are over runs."""
     return {row: _joined(lines) if len(lines) > 1 else lines[0] for row, lines in _runs().items()}
@@ -142,7 +148,7 @@ def table() -> list[str]:
     lines = _lines()
     names = {**_SCRIPTED, **_EVERYWHERE, "people": "people"}
     rows = [["scenario", _ENDS[0], *names.values(), _ENDS[1]]]
-    for scenario in world_scenarios():
+    for scenario in scored():
         low, high = (f"{lines[scenario, name]['value']:.0f} ({lines[scenario, name]['score']:.3f})" for name in _ENDS)
         rows.append([f"`{scenario}`", low, *(_cell(lines.get((scenario, name))) for name in names), high])
     return markdown(rows)
@@ -153,7 +159,7 @@ def tasks() -> list[str]:
     lines = _lines()
     learners = {**_EVERYWHERE, **{name: name for name in _SHIPPED}}
     rows = []
-    for name in world_scenarios():
+    for name in scored():
         scenario = load_scenario(name)
         kinds = {draw.what for draw in scenario.world.draws.values()}
         hidden = "; ".join(words for kind, words in _HIDDEN.items() if kind in kinds)
@@ -172,7 +178,7 @@ def overall() -> list[str]:
     Intervals are over runs within scenarios; if a scenario has a single row there are none. Interquartile means need
     equally many runs in each.
     """
-    runs, scenarios = _runs(), world_scenarios()
+    runs, scenarios = _runs(), scored()
     scripted = [runs[scenario, "scripted"][0]["value"] for scenario in scenarios]
     found = []
     for name, called in {**dict(zip(_ENDS, _ENDS, strict=True)), **_SCRIPTED, **_EVERYWHERE}.items():
@@ -198,7 +204,7 @@ def effort() -> list[str]:
     lines = _lines()
     heads = ["runs", "steps of each", "hours in all", *_KINDS, "best, less scripted", "test less train (best)"]
     rows = [["scenario and learner", *heads]]
-    for scenario in world_scenarios():
+    for scenario in scored():
         for folder, name in LEARNERS.items():
             best, last = (lines.get((scenario, f"{folder} ({kind})")) for kind in _KINDS)
             if best is None or last is None:
@@ -216,7 +222,7 @@ def shipped() -> list[str]:
     """Return the table of bundled trained policies: benches (pretrained), benches and a manager (trained)."""
     lines = _lines()
     rows = [["scenario", "scripted", *_SHIPPED, *(f"{name} / scripted" for name in _SHIPPED)]]
-    for scenario in world_scenarios():
+    for scenario in scored():
         scripted, *others = (lines.get((scenario, name)) for name in ("scripted", *_SHIPPED))
         if scripted is None or not any(_cell(one) for one in others):
             continue
