@@ -928,7 +928,7 @@ SHIPPED = {
     "recrystallization": "414e6c47dc38aa77",
     "refine": "fce58016032d70a5",
     "relay": "0e15f9d25c0961de",
-    "runaway": "5821e1364f5ee309",
+    "runaway": "e6848996698b8cd5",
     "rush": "ab48c72cfda91fb1",
     "salt_from_oil": "feee34ab975676ab",
     "selectivity": "01e5e8236090a707",
