@@ -926,7 +926,7 @@ SHIPPED = {
     "failing": "e4e1ce5646579825",
     "fictitious": "123b34a8dd336967",
     "recrystallization": "414e6c47dc38aa77",
-    "refine": "fce58016032d70a5",
+    "refine": "47b0311ca0cb9541",
     "relay": "0e15f9d25c0961de",
     "runaway": "e6848996698b8cd5",
     "rush": "ab48c72cfda91fb1",
