@@ -25,9 +25,9 @@ from .pretrained import PretrainedPolicy, pretrained_for
 from .random_policy import RandomPolicy
 from .roles import role_of
 from .saved import find_saved, is_saved
-from .scripted.campaign import CampaignManager, has_unknown_rate
 from .scripted.crystallization import ScriptedCrystallization
 from .scripted.distillation import ScriptedDistillation
+from .scripted.exploration import CampaignManager, has_unknown_rate
 from .scripted.extraction import ScriptedExtraction
 from .scripted.foresee import ForeseeingManager, foresees
 from .scripted.fractions import ScriptedFraction

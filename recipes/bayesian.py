@@ -22,7 +22,7 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
-from chemlab.agents.scripted.campaign import run_once
+from chemlab.agents.scripted.exploration import run_once
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 

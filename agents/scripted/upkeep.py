@@ -11,7 +11,7 @@ from chemlab.config.scenario import DriftSpec, Scenario, WearSpec
 from chemlab.kernels.arrays import FloatArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
 
-from .campaign import foreseen
+from .exploration import foreseen
 from .script import ScriptedManager, Setting, apart, cheapest
 
 __all__ = ["UpkeepManager", "has_wearing_lines"]

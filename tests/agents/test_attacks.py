@@ -18,7 +18,7 @@ from helpers import mapping
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
-from chemlab.agents.scripted.campaign import CampaignManager
+from chemlab.agents.scripted.exploration import CampaignManager
 from chemlab.agents.scripted.foresee import run_experiment
 from chemlab.agents.scripted.identify import IdentifyingManager, _Belief
 from chemlab.agents.scripted.reaction import ScriptedReaction

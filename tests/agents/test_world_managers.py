@@ -13,7 +13,7 @@ from helpers import mapping
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies, scripted_manager
-from chemlab.agents.scripted.campaign import CampaignManager, _foreseen, has_unknown_rate
+from chemlab.agents.scripted.exploration import CampaignManager, _foreseen, has_unknown_rate
 from chemlab.agents.scripted.extraction import ScriptedExtraction
 from chemlab.agents.scripted.foresee import foresees
 from chemlab.agents.scripted.identify import IdentifyingManager, has_unlabelled_vessels
