@@ -21,7 +21,7 @@ def test_what_the_fuzzer_begins_with_loads(tmp_path: Path) -> None:
         load_scenario(tmp_path / "lab.toml")
 
 
-@pytest.mark.parametrize("each", slow_but((24, 40), 24))
+@pytest.mark.parametrize("each", slow_but((30, 40), 30))
 def test_broken_files_are_readable_errors(each: int) -> None:
     files = each * len(KINDS)
     outcomes, failures = fuzz(files, seed=0, turns=5)
