@@ -31,15 +31,18 @@ from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players
 from chemlab.record import Play, verify_record
 from chemlab.render.replay_page import MOST_TURNS, Film, filled_page
+from chemlab.roles.bench import channel_slices
 
 from .policies import agent_policy
 from .seats import Reply, Room, ToolError
 from .verbs import Verb
 
-__all__ = ["SPEEDS", "Live", "live_app", "live_server"]
+__all__ = ["LOCAL", "SPEEDS", "Live", "live_app", "live_server"]
 
 SPEEDS = (1, 2, 6, 15, 40, 60)
 """Turns a second."""
+LOCAL = ("127.0.0.1", "localhost")
+"""Names of this machine for itself."""
 _LARGEST_MESSAGE = 10_000
 """Bytes of a message to the server."""
 _HEADERS = {
@@ -51,8 +54,6 @@ _FRAMED = {
     **_HEADERS,
     "Content-Security-Policy": "default-src 'none'; frame-src 'self'; style-src 'unsafe-inline';frame-ancestors 'self'",
 }
-_CURVE = 16
-"""Channels with at least so many values are drawn."""
 
 
 class Live:
@@ -138,11 +139,9 @@ class Live:
         """A line about the episode, and whether it is good news."""
         if not self.room.over:
             at = self.turn
-            return (
-                (f"waiting for the person at {at}", "warn")
-                if at in self.taken
-                else ("spectators see the truth", "soft")
-            )
+            if at in self.taken:
+                return f"waiting for the person at {at}", "warn"
+            return "spectators see the truth", "soft"
         status, message = self.verdict
         if not status:
             return f"over: score {self.room.score:.3f}; the record is being checked", "soft"
@@ -169,15 +168,13 @@ class Live:
     def _shown(self, agent: str) -> dict[str, Any]:
         labs = self.room.laboratories
         number, turn = labs.agents.index(agent), self.turn
-        curves, at = [], 0
-        seen = labs.observe(number, labs.members)[0]
-        for channel in labs.roles[number].channels:
-            values = seen[at : at + channel.size]
-            at += channel.size
-            if channel.size >= _CURVE and channel.unit in ("absorption", "grey") and values.any():
-                curves.append(
-                    {"name": channel.name, "unit": channel.unit, "values": [round(float(v), 3) for v in values]}
-                )
+        seen, channels = labs.observe(number, labs.members)[0], labs.roles[number].channels
+        slices = channel_slices(channels)
+        curves = [
+            {"name": one.name, "unit": one.unit, "values": seen[slices[one.name]].round(3).tolist()}
+            for one in channels
+            if one.unit in ("absorption", "grey") and seen[slices[one.name]].any()
+        ]
         return {
             "turn": turn,
             "over": self.room.over,
@@ -377,7 +374,7 @@ def live_app(
     lives: Sequence[Live],
     policies: Sequence[str],
     tokens: Mapping[str, str] | None = None,
-    hosts: Sequence[str] = ("127.0.0.1", "localhost", "[::1]", "testserver"),
+    hosts: Sequence[str] = LOCAL,
     paused: bool = False,
     speed: int = 6,
 ) -> Starlette:

@@ -81,7 +81,7 @@ class Campaign:
         split: split that the world is drawn from.
     """
 
-    def __init__(self, scenario: str | Scenario = "optimize_coupling", seed: int = 0, split: str | None = None) -> None:
+    def __init__(self, scenario: str | Scenario = "optimize_coupling", seed: int = 0, split: str = "train") -> None:
         spec = load_scenario(scenario)
         kinds = {bench.kind for bench in spec.benches.values()}
         names = catalysts(spec)
@@ -91,8 +91,8 @@ class Campaign:
                 f"scenario: {spec.name} must have reaction benches only, one instrument, one reagent and at least two "
                 "catalysts in its stock; see scenarios/campaigns/optimize_coupling.toml"
             )
-        self.scenario, self._split = spec, split
-        self._labs = self._laboratory(spec)
+        self.scenario = spec
+        self._labs = Laboratories(spec, 1, split=split)
         self._labs.seed(0, np.random.SeedSequence(seed))
         self._labs.reset(self._labs.members)
         (self._goal, *_), (self._instrument,), (self._reagent,) = spec.lab_goals, spec.instruments, others
@@ -111,9 +111,6 @@ class Campaign:
         """Parameters of a recipe by name, with bounds or options."""
         self.results: list[Result] = []
         self._fresh = list(range(len(spec.shelf.vessel)))
-
-    def _laboratory(self, spec: Scenario) -> Laboratories:
-        return Laboratories(spec, 1) if self._split is None else Laboratories(spec, 1, split=self._split)
 
     @property
     def left(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from pathlib import Path
@@ -160,3 +161,12 @@ def test_optimizers_use_every_vessel(name: str, monkeypatch: pytest.MonkeyPatch)
         sys.modules.pop(name, None)
     assert campaign.left == 0
     assert len(campaign.results) == 8
+
+
+def test_the_table_of_regrets_is_that_of_the_stored_results(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(RECIPES))
+    from regret import table
+
+    found = json.loads((RECIPES / "results.json").read_text(encoding="utf-8"))
+    page = (RECIPES.parents[1] / "docs" / "chemist" / "campaign.md").read_text(encoding="utf-8")
+    assert "\n".join(table(found)) in page, "print it: regret.py --only --out results.json"

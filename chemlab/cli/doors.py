@@ -130,7 +130,7 @@ def serve(
 
     The first address is that of the spectators, who see the truth. A seat shows what its agent observes.
     """
-    from ..agents.live import SPEEDS, Live, live_app, live_server
+    from ..agents.live import LOCAL, SPEEDS, Live, live_app, live_server
 
     spec, _ = prepare(scenario, quiet=False, split=split)
     policies = policy or ["scripted"]
@@ -138,7 +138,7 @@ def serve(
         raise ValueError(f"--policy: at most two, side by side, given {len(policies)}")
     if speed not in SPEEDS:
         raise ValueError(f"--speed: must be one of {', '.join(map(str, SPEEDS))}, given {speed}")
-    local = host in ("127.0.0.1", "localhost", "::1")
+    local = host in LOCAL
     port = port or _free_port(host)
     agents = ["manager_0", *spec.bench_agents()]
     tokens = None if local else {one: secrets.token_urlsafe(24) for one in ("watch", *agents)}
@@ -146,7 +146,7 @@ def serve(
         lives = [
             Live(spec, name, seed, split, (out_folder or Path(folder)) / str(i)) for i, name in enumerate(policies)
         ]
-        hosts = ["127.0.0.1", "localhost", "[::1]"] if local else ["*"]
+        hosts = LOCAL if local else ("*",)
         pages = {"watch": ""} | ({} if tokens is None else {agent: f"lab/0/seat/{agent}" for agent in agents})
         for name, page_path in pages.items():
             query = "" if tokens is None else f"?token={tokens[name]}"

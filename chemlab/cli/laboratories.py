@@ -280,12 +280,8 @@ def _show_results(results: list[EpisodeResult]) -> None:
         events = ", ".join(event_words(r.safety_events)) or "none"
         rows.append((r.seed, r.goal, *numbers, r.manager_actions, r.ticks, events))
     if len(results) > 1:
-        means = [
-            sum(values) / len(results)
-            for values in zip(
-                *((r.submitted_mol, r.purity, sum(r.costs.values()), r.score) for r in results), strict=True
-            )
-        ]
+        numbers_of = [(r.submitted_mol, r.purity, sum(r.costs.values()), r.score) for r in results]
+        means = [sum(values) / len(results) for values in zip(*numbers_of, strict=True)]
         rows.append(
             ("mean", "", *(f"{m:.{digits}f}" for m, digits in zip(means, (3, 3, 4, 3), strict=True)), "", "", "")
         )

@@ -25,7 +25,6 @@ from scipy import stats
 from chemlab.campaign import Campaign, Choice
 
 OPTIMIZERS = ("random_search", "scripted", "scipy_evolution", "optuna_tpe", "baybe_gp", "ax_client")
-_GAIN = "{:+.2f} ({:+.2f} to {:+.2f})"
 _ROUNDS, _DRAWN, _KEPT = 7, 200, 20
 
 
@@ -84,11 +83,7 @@ def table(found: dict[str, Any]) -> list[str]:
     for name, curves in found["regret"].items():
         curve = np.array(curves)
         cells = ["{:.2f} ({:.2f} to {:.2f})".format(*interval(curve[:, n - 1])) for n in (8, 16, 24)]
-        gain = (
-            "{:+.2f} ({:+.2f} to {:+.2f})".format(*interval(random - curve[:, -1]))
-            if curve[:, -1] is not random
-            else ""
-        )
+        gain = "{:+.2f} ({:+.2f} to {:+.2f})".format(*interval(random - curve[:, -1]))
         cells.append("" if name == "random_search" else gain)
         cells.append("{:.2f} ({:.2f} to {:.2f})".format(*interval(found["score"][name])))
         rows.append(f"| `{name}` | {' | '.join(cells)} |")
