@@ -370,6 +370,130 @@ async def _refused(request: Request, error: Exception) -> Response:
     return JSONResponse({"error": error.detail}, error.status_code)
 
 
+class _Pages:
+    """Answers to requests: the pages, their news, and the commands."""
+
+    def __init__(self, show: _Show, tokens: Mapping[str, str] | None) -> None:
+        self.show, self.tokens = show, tokens
+
+    def allowed(self, request: Request, agent: str | None = None) -> None:
+        """Refuse a request without the token of the spectators, or of the seat that it is for.
+
+        Raises:
+            HTTPException: wrong or missing token.
+        """
+        if self.tokens is None:
+            return
+        given = request.query_params.get("token", "").encode()
+        known = [self.tokens["watch"]] + ([self.tokens[agent]] if agent else [])
+        if not any(hmac.compare_digest(given, token.encode()) for token in known):
+            raise HTTPException(401, "wrong or missing token; open the address that the server has printed")
+
+    def lab(self, request: Request) -> tuple[int, Live]:
+        """The number of the laboratory in a path, and the laboratory."""
+        number = int(request.path_params["lab"])
+        if number >= len(self.show.lives):
+            raise HTTPException(404, f"there are laboratories 0 to {len(self.show.lives) - 1}")
+        return number, self.show.lives[number]
+
+    def seat(self, request: Request) -> tuple[Live, str]:
+        """The laboratory and the agent in a path, if the token opens that seat."""
+        live, agent = self.lab(request)[1], request.path_params["agent"]
+        if agent not in live.room.seats:
+            raise HTTPException(404, f"seats: {', '.join(live.room.seats)}")
+        self.allowed(request, agent)
+        return live, agent
+
+    async def home(self, request: Request) -> Response:
+        """The first page: one laboratory, or two side by side."""
+        self.allowed(request)
+        if len(self.show.lives) == 1:
+            return HTMLResponse(self.show.lives[0].page(0), headers=_HEADERS)
+        return HTMLResponse(_side_by_side(self.show.policies, request.url.query), headers=_FRAMED)
+
+    async def page(self, request: Request) -> Response:
+        """The page of a laboratory."""
+        number, live = self.lab(request)
+        self.allowed(request)
+        return HTMLResponse(live.page(number), headers=_HEADERS)
+
+    async def events(self, request: Request) -> Response:
+        """News of a laboratory for its page."""
+        live = self.lab(request)[1]
+        self.allowed(request)
+        try:
+            mark = [int(request.query_params.get(key, 0)) for key in ("turns", "shapes", "pool")]
+            episode = int(request.query_params.get("episode", live.episode))
+        except ValueError:
+            raise HTTPException(400, "turns, shapes, pool and episode must be whole numbers") from None
+        return _stream(_film(self.show, live, [max(n, 0) for n in mark], episode))
+
+    async def control(self, request: Request) -> Response:
+        """A command to all laboratories."""
+        self.allowed(request)
+        try:
+            await self.show.order(await _message(request))
+        except ValueError as error:
+            raise HTTPException(400, str(error)) from None
+        return JSONResponse({})
+
+    async def record(self, request: Request) -> Response:
+        """The record of an episode that is over."""
+        live = self.lab(request)[1]
+        self.allowed(request)
+        if not live.room.over:
+            raise HTTPException(409, "the episode is not over; its record has the true contents")
+        return FileResponse(live.record, filename=f"{live.room.scenario.name}-{live.seed}.jsonl")
+
+    async def seat_page(self, request: Request) -> Response:
+        """The page of a seat."""
+        live, agent = self.seat(request)
+        verbs = [
+            {
+                "name": verb.name,
+                "meaning": verb.meaning,
+                "arguments": [vars(argument) for argument in verb.arguments],
+            }
+            for verb in live.acts(agent)
+        ]
+        data = {
+            "title": f"{agent}: {live.room.scenario.title}",
+            "agent": agent,
+            "brief": live.room.brief(agent),
+            "verbs": verbs,
+            "seat": request.url.path,
+        }
+        return HTMLResponse(filled_page("seat.html", data, "'self'"), headers=_HEADERS)
+
+    async def seat_events(self, request: Request) -> Response:
+        """News of a seat for its page."""
+        return _stream(_seat(self.show, *self.seat(request)))
+
+    async def seat_post(self, request: Request) -> Response:
+        """Take a seat, leave it, or act in it."""
+        live, agent = self.seat(request)
+        given = await _message(request)
+        answer: dict[str, Any] = {}
+        if given.get("do") == "take":
+            live.taken.add(agent)
+        elif given.get("do") == "leave":
+            live.taken.discard(agent)
+        elif given.get("do") == "act":
+            if agent not in live.taken:
+                raise HTTPException(409, f"a policy plays {agent}; take the seat first")
+            verb, arguments = given.get("verb"), given.get("arguments")
+            known = arguments if isinstance(arguments, dict) else {}
+            reply = await anyio.to_thread.run_sync(live.call, agent, str(verb), known)
+            if reply.error:
+                raise HTTPException(422, reply.text)
+            answer = {"text": reply.text}
+            await self.show.after(live)
+        else:
+            raise HTTPException(400, "do: must be take, leave or act")
+        await self.show.tell()
+        return JSONResponse(answer)
+
+
 def live_app(
     lives: Sequence[Live],
     policies: Sequence[str],
@@ -390,109 +514,7 @@ def live_app(
         speed: turns a second.
     """
     show = _Show(lives, policies, paused, speed)
-
-    def allowed(request: Request, agent: str | None = None) -> None:
-        if tokens is None:
-            return
-        given = request.query_params.get("token", "").encode()
-        known = [tokens["watch"]] + ([tokens[agent]] if agent else [])
-        if not any(hmac.compare_digest(given, token.encode()) for token in known):
-            raise HTTPException(401, "wrong or missing token; open the address that the server has printed")
-
-    def lab(request: Request) -> tuple[int, Live]:
-        number = int(request.path_params["lab"])
-        if number >= len(lives):
-            raise HTTPException(404, f"there are laboratories 0 to {len(lives) - 1}")
-        return number, lives[number]
-
-    def seat(request: Request) -> tuple[Live, str]:
-        live, agent = lab(request)[1], request.path_params["agent"]
-        if agent not in live.room.seats:
-            raise HTTPException(404, f"seats: {', '.join(live.room.seats)}")
-        allowed(request, agent)
-        return live, agent
-
-    async def home(request: Request) -> Response:
-        allowed(request)
-        if len(lives) == 1:
-            return HTMLResponse(lives[0].page(0), headers=_HEADERS)
-        return HTMLResponse(_side_by_side(policies, request.url.query), headers=_FRAMED)
-
-    async def page(request: Request) -> Response:
-        number, live = lab(request)
-        allowed(request)
-        return HTMLResponse(live.page(number), headers=_HEADERS)
-
-    async def events(request: Request) -> Response:
-        live = lab(request)[1]
-        allowed(request)
-        try:
-            mark = [int(request.query_params.get(key, 0)) for key in ("turns", "shapes", "pool")]
-            episode = int(request.query_params.get("episode", live.episode))
-        except ValueError:
-            raise HTTPException(400, "turns, shapes, pool and episode must be whole numbers") from None
-        return _stream(_film(show, live, [max(n, 0) for n in mark], episode))
-
-    async def control(request: Request) -> Response:
-        allowed(request)
-        try:
-            await show.order(await _message(request))
-        except ValueError as error:
-            raise HTTPException(400, str(error)) from None
-        return JSONResponse({})
-
-    async def record(request: Request) -> Response:
-        live = lab(request)[1]
-        allowed(request)
-        if not live.room.over:
-            raise HTTPException(409, "the episode is not over; its record has the true contents")
-        return FileResponse(live.record, filename=f"{live.room.scenario.name}-{live.seed}.jsonl")
-
-    async def seat_page(request: Request) -> Response:
-        live, agent = seat(request)
-        verbs = [
-            {
-                "name": verb.name,
-                "meaning": verb.meaning,
-                "arguments": [vars(argument) for argument in verb.arguments],
-            }
-            for verb in live.acts(agent)
-        ]
-        data = {
-            "title": f"{agent}: {live.room.scenario.title}",
-            "seed": live.seed,
-            "agent": agent,
-            "brief": live.room.brief(agent),
-            "verbs": verbs,
-            "seat": request.url.path,
-        }
-        return HTMLResponse(filled_page("seat.html", data, "'self'"), headers=_HEADERS)
-
-    async def seat_events(request: Request) -> Response:
-        return _stream(_seat(show, *seat(request)))
-
-    async def seat_post(request: Request) -> Response:
-        live, agent = seat(request)
-        given = await _message(request)
-        answer: dict[str, Any] = {}
-        if given.get("do") == "take":
-            live.taken.add(agent)
-        elif given.get("do") == "leave":
-            live.taken.discard(agent)
-        elif given.get("do") == "act":
-            if agent not in live.taken:
-                raise HTTPException(409, f"a policy plays {agent}; take the seat first")
-            verb, arguments = given.get("verb"), given.get("arguments")
-            known = arguments if isinstance(arguments, dict) else {}
-            reply = await anyio.to_thread.run_sync(live.call, agent, str(verb), known)
-            if reply.error:
-                raise HTTPException(422, reply.text)
-            answer = {"text": reply.text}
-            await show.after(live)
-        else:
-            raise HTTPException(400, "do: must be take, leave or act")
-        await show.tell()
-        return JSONResponse(answer)
+    pages = _Pages(show, tokens)
 
     @asynccontextmanager
     async def lifespan(app: Starlette) -> AsyncIterator[None]:
@@ -504,14 +526,14 @@ def live_app(
             live.room.close()
 
     routes: list[tuple[str, Callable[[Request], Any], str]] = [
-        ("/", home, "GET"),
-        ("/control", control, "POST"),
-        ("/lab/{lab:int}", page, "GET"),
-        ("/lab/{lab:int}/events", events, "GET"),
-        ("/lab/{lab:int}/record", record, "GET"),
-        ("/lab/{lab:int}/seat/{agent}", seat_page, "GET"),
-        ("/lab/{lab:int}/seat/{agent}", seat_post, "POST"),
-        ("/lab/{lab:int}/seat/{agent}/events", seat_events, "GET"),
+        ("/", pages.home, "GET"),
+        ("/control", pages.control, "POST"),
+        ("/lab/{lab:int}", pages.page, "GET"),
+        ("/lab/{lab:int}/events", pages.events, "GET"),
+        ("/lab/{lab:int}/record", pages.record, "GET"),
+        ("/lab/{lab:int}/seat/{agent}", pages.seat_page, "GET"),
+        ("/lab/{lab:int}/seat/{agent}", pages.seat_post, "POST"),
+        ("/lab/{lab:int}/seat/{agent}/events", pages.seat_events, "GET"),
     ]
     app = Starlette(
         routes=[Route(path, answer, methods=[method]) for path, answer, method in routes],

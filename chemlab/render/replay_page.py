@@ -350,7 +350,7 @@ def filled_page(name: str, data: Mapping[str, Any], connect: str = "'none'") -> 
 
     Args:
         name: file name of the page.
-        data: JSON data, of which ``title`` and ``seed`` are shown as the title.
+        data: JSON data; ``title``, and ``seed`` where there is one, are the page's title.
         connect: what the page's script may connect to, as a source of a content security policy.
     """
     # Only "</" and "<!--" are special in a script element; JSON can escape "<".
@@ -360,7 +360,8 @@ def filled_page(name: str, data: Mapping[str, Any], connect: str = "'none'") -> 
     for mark, element in (("__SCRIPT_HASH__", "script"), ("__STYLE_HASH__", "style")):
         page = page.replace(mark, _content_hash(page, element))
     head, tail = page.split("__DATA__")
-    return head.replace("__TITLE__", html.escape(f"{data['title']}, seed {data['seed']}")) + text + tail
+    title = f"{data['title']}, seed {data['seed']}" if "seed" in data else data["title"]
+    return head.replace("__TITLE__", html.escape(title)) + text + tail
 
 
 def _content_hash(page: str, element: str) -> str:

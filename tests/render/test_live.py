@@ -325,6 +325,9 @@ def test_tokens_and_hosts(tmp_path: Path) -> None:
         for agent in ("manager_0", "rxn_0", "dit_0"):
             found = lab.ask("GET", f"/lab/0/seat/{agent}?token={tokens['rxn_0']}")[0]
             assert found == (200 if agent == "rxn_0" else 401)
+        page = lab.ask("GET", f"/lab/0/seat/rxn_0?token={tokens['rxn_0']}")[1]
+        assert b'"seed"' not in page
+        assert b", seed " not in page
         assert lab.ask("GET", f"/lab/0?token={tokens['watch']}", Host="evil.example")[0] == 400
         assert lab.ask("GET", f"/lab/0/record?token={tokens['watch']}")[0] == 409
         assert lab.ask("GET", f"/lab/0/events?token={tokens['watch']}&turns=many")[0] == 400
