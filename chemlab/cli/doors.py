@@ -119,11 +119,11 @@ def serve(
     speed: Annotated[int, typer.Option(help="Turns a second: 1, 2, 6, 15, 40 or 60.")] = 6,
     paused: Annotated[bool, typer.Option("--paused", help="Wait for a command in the page.")] = False,
     host: Annotated[
-        str, typer.Option(help="Address to listen on. Not on this machine alone: with tokens.")
+        str, typer.Option(help="Address to listen on. Addresses that others can reach need tokens, which are printed.")
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port; 0: a free one.")] = 8765,
     out_folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the records. Default: a temporary one.")
+        Path | None, typer.Option("--out", help="Folder of the records. Default: a temporary one, deleted at the end.")
     ] = None,
 ) -> None:
     """Watch and play a laboratory in a browser (needs the extra `live`).
