@@ -76,6 +76,13 @@ def test_no_module_is_named_like_another() -> None:
     assert [own for own, found in places.items() if len(found) > 1 and sorted(found) != backends] == []
 
 
+def test_no_test_file_is_named_like_another() -> None:
+    """Their folders are no packages, so that pytest could collect only the first of two."""
+    names = [path.name for path in Path(__file__).parent.rglob("test_*.py")]
+    assert len(names) > 100
+    assert sorted(names) == sorted(set(names))
+
+
 def test_kernels_take_few_arguments() -> None:
     """What a kernel works with is one state and one set of parameters a layer, opened where it is needed."""
     kernels = [
