@@ -348,6 +348,8 @@ def replay_page(record: Record, trust: bool = False) -> str:
 def filled_page(name: str, data: Mapping[str, Any], connect: str = "'none'") -> str:
     """A page of this folder with its data.
 
+    ``page.html`` has what all pages share; the page's own file has its style, its body and its script.
+
     Args:
         name: file name of the page.
         data: JSON data; ``title``, and ``seed`` where there is one, are the page's title.
@@ -355,7 +357,11 @@ def filled_page(name: str, data: Mapping[str, Any], connect: str = "'none'") -> 
     """
     # Only "</" and "<!--" are special in a script element; JSON can escape "<".
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
-    page = files("chemlab.render").joinpath(name).read_text(encoding="utf-8").replace("__CONNECT__", connect)
+    page, own = (files("chemlab.render").joinpath(file).read_text(encoding="utf-8") for file in ("page.html", name))
+    body = own.partition("</style>\n")[2].partition("<script>")[0]
+    parts = {"CONNECT": connect, "STYLE": _element(own, "style"), "BODY": body, "SCRIPT": _element(own, "script")}
+    for mark, part in parts.items():
+        page = page.replace(f"__{mark}__", part)
     # The content security policy restricts the browser to this page's script, whatever the data contain.
     for mark, element in (("__SCRIPT_HASH__", "script"), ("__STYLE_HASH__", "style")):
         page = page.replace(mark, _content_hash(page, element))
@@ -364,7 +370,11 @@ def filled_page(name: str, data: Mapping[str, Any], connect: str = "'none'") -> 
     return head.replace("__TITLE__", html.escape(title)) + text + tail
 
 
+def _element(page: str, name: str) -> str:
+    """Return the content of the element with this name and no attributes."""
+    return page.split(f"<{name}>")[1].split(f"</{name}>")[0]
+
+
 def _content_hash(page: str, element: str) -> str:
     """Return the content security policy's hash of the element with this name and no attributes."""
-    content = page.split(f"<{element}>")[1].split(f"</{element}>")[0]
-    return "sha256-" + base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
+    return "sha256-" + base64.b64encode(hashlib.sha256(_element(page, element).encode()).digest()).decode()
