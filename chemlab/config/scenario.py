@@ -216,8 +216,8 @@ class BenchSpec(BaseModel):
 
     Half of its variance is drawn for an experiment, half for each step. Channels that are not named are exact.
     """
-    resolution: dict[Key, Annotated[float, Field(gt=0.0, le=1.0)]] = Field(default={}, max_length=32)
-    """Resolution of these values, noise included, by channel, on the same scale."""
+    resolution: dict[Key, Annotated[float, Field(gt=0.0, le=10.0)]] = Field(default={}, max_length=32)
+    """Resolution of these values, noise included, by channel, on the same scale. Above 2, a channel reads 0."""
     report: float | None = Field(default=None, ge=0.0, le=1.0)
     """Standard deviation of the self-reported outcome of an experiment, on the scale from 0 to 1.
 
