@@ -30,7 +30,7 @@ from chemlab import __version__
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players
 from chemlab.record import Play, verify_record
-from chemlab.render.replay_page import MOST_TURNS, Film, filled_page
+from chemlab.render.replay_page import MOST_TURNS, Film, filled_page, side_by_side
 from chemlab.roles.bench import channel_slices
 
 from .policies import agent_policy
@@ -50,10 +50,7 @@ _HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "same-origin",
 }
-_FRAMED = {
-    **_HEADERS,
-    "Content-Security-Policy": "default-src 'none'; frame-src 'self'; style-src 'unsafe-inline';frame-ancestors 'self'",
-}
+_FRAMED = "default-src 'none'; frame-src 'self'; style-src 'unsafe-inline'; img-src data:"
 
 
 class Live:
@@ -328,17 +325,6 @@ async def _seat(show: _Show, live: Live, agent: str) -> AsyncIterator[str]:
         heard = await show.wait(heard)
 
 
-def _side_by_side(policies: Sequence[str], query: str) -> str:
-    """A page of two laboratories; its addresses have the query of its own."""
-    frames = "".join(
-        f'<iframe src="/lab/{number}?{html.escape(query)}" title="{html.escape(policy)}"></iframe>'
-        for number, policy in enumerate(policies)
-    )
-    style = "body{margin:0;display:flex;height:100vh}iframe{flex:1;min-width:0;border:0;border-left:1px solid #888}"
-    head = f'<meta charset="utf-8"><title>{html.escape(" and ".join(policies))}</title><style>{style}</style>'
-    return f'<!DOCTYPE html><html lang="en"><head>{head}</head><body>{frames}</body></html>'
-
-
 def _stream(events: AsyncIterator[str]) -> Response:
     return StreamingResponse(events, media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
@@ -409,7 +395,11 @@ class _Pages:
         self.allowed(request)
         if len(self.show.lives) == 1:
             return HTMLResponse(self.show.lives[0].page(0), headers=_HEADERS)
-        return HTMLResponse(_side_by_side(self.show.policies, request.url.query), headers=_FRAMED)
+        query = html.escape(request.url.query)
+        sources = [f'src="/lab/{number}?{query}"' for number in range(len(self.show.lives))]
+        titles = [f"{number}: {policy}" for number, policy in enumerate(self.show.policies)]
+        page = side_by_side(dict(zip(titles, sources, strict=True)), _FRAMED)
+        return HTMLResponse(page, headers=_HEADERS)
 
     async def page(self, request: Request) -> Response:
         """The page of a laboratory."""

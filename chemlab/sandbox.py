@@ -11,14 +11,12 @@ All operations use the laboratory's kernels (:mod:`chemlab.physics.backends`), w
 
 from __future__ import annotations
 
-import base64
 import collections
 import difflib
 import functools
 import hashlib
 import html
 import importlib.util
-import io
 import itertools
 import math
 import os.path
@@ -820,10 +818,11 @@ class Flask:
     def _repr_html_(self) -> str:
         text = f"<pre>{html.escape(repr(self))}</pre>"
         try:
-            picture = _png(self.picture(240, 240))
+            from .render.frames import picture_html
+
+            return picture_html(self.picture(240, 240), "The flask") + text
         except ImportError:  # Pillow is an extra
             return text
-        return f'<img alt="The flask" src="data:image/png;base64,{picture}">{text}'
 
     def plot(self, path: str | Path | None = None) -> Any:
         """Draw the history: temperatures, amounts and compositions, over time, or over heat if no time has passed.
@@ -1075,11 +1074,3 @@ def _weak(scenario: Scenario, names: set[str]) -> Iterator[str]:
 def _materials(files: tuple[str, ...], content: str) -> dict[str, Material]:
     """Return materials by id; ``content`` is part of the cache key, so that an edited file is read again."""
     return {**shipped_materials(), **load_materials(Path(file) for file in files)}
-
-
-def _png(picture: npt.NDArray[np.uint8]) -> str:
-    from PIL import Image
-
-    data = io.BytesIO()
-    Image.fromarray(picture).save(data, "png")
-    return base64.b64encode(data.getvalue()).decode()

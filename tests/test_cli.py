@@ -21,15 +21,17 @@ from typer.testing import CliRunner
 
 import chemlab.scenarios
 from chemlab import __version__
-from chemlab.cli import PANELS, app
+from chemlab.cli import PANELS, app, screen
 from chemlab.cli.options import FORMER_COMMANDS
-from chemlab.cli.screen import event_words, page, show_table
+from chemlab.cli.screen import TextConsole, event_words, hanging, page, show_table
 from chemlab.cli.training import _curve
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import DataError, shipped_materials
+from chemlab.envs.aec import env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
+from chemlab.record import read_record
 
 FIELDS = {
     "scenario",
@@ -734,3 +736,44 @@ def test_a_group_with_a_default_takes_it_where_no_kind_is_named() -> None:
         done = runner.invoke(app, words)
         assert done.exit_code == 2
         assert "no_such" in done.output
+
+
+def test_further_lines_of_a_log_are_indented(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In a terminal no line is longer than it, and no word is broken; elsewhere a turn is one line."""
+    said = "[bold]measure slot 12[/bold] with an instrument -> nonpolar 0.50, chlorohexane 0.25, dodecane 0.125"
+    hanging("tick   7  rxn_0      ", said)
+    assert capsys.readouterr().out.count("\n") == 1
+    terminal = TextConsole(soft_wrap=True)
+    monkeypatch.setattr(screen, "out", terminal)
+    monkeypatch.setattr(TextConsole, "is_terminal", True)
+    terminal.width = 48
+    hanging("tick   7  rxn_0      ", said)
+    lines = [re.sub(r"\x1b\[[0-9;]*m", "", line).rstrip() for line in capsys.readouterr().out.splitlines()]
+    assert len(lines) > 2
+    assert all(len(line) <= 48 for line in lines)
+    assert all(line.startswith(" " * 21) for line in lines[1:])
+    assert " ".join(" ".join(lines).split()) == "tick 7 rxn_0 " + re.sub(r"\[/?bold\]", "", said)
+
+
+def test_kernels_are_compiled_ahead() -> None:
+    result = runner.invoke(app, ["warm", "wurtz_dodecane_direct"])
+    assert (result.exit_code, result.output.splitlines()[-1]) == (0, "1 scenarios are compiled")
+    result = runner.invoke(app, ["warm", "wurtz_dodecane_direct", "wurtz_dodecan"])
+    assert result.exit_code == 2
+    assert "wurtz_dodecane" in result.output
+
+
+def test_notebooks_show_what_things_are(tmp_path: Path) -> None:
+    """An environment as a picture, a scenario and a record as facts, none as pages of numbers."""
+    path = tmp_path / "a<b>.jsonl"
+    assert runner.invoke(app, ["run", "wurtz_dodecane_direct", "--record", str(path)]).exit_code == 0
+    laboratory, record = env("wurtz_dodecane_direct"), read_record(path)
+    assert "data:image/png;base64," in laboratory._repr_html_()
+    for shown, words in (
+        (record, ("wurtz_dodecane_direct", "a&lt;b&gt;.jsonl", "score")),
+        (load_scenario("crude"), ("manager_0", "dodecane", "ticks", "hidden parameters")),
+    ):
+        assert all(word in shown._repr_html_() for word in words)
+        assert len(repr(shown)) < 400

@@ -27,7 +27,7 @@ from .options import app
 __all__ = ["PANELS", "app", "main"]
 
 PANELS: dict[str, tuple[str, ...]] = {
-    "Play": ("run", "play", "serve", "mcp", "list", "describe"),
+    "Play": ("run", "play", "serve", "mcp", "list", "describe", "warm"),
     "Train": ("train", "sweep", "export"),
     "Compare": ("evaluate", "benchmark", "crossplay", "audit"),
     "Author": ("check", "new", "generate", "data"),

@@ -23,7 +23,7 @@ from .options import (
     chosen_agents,
     prepare,
 )
-from .screen import event_words, out, page, plain, show_table
+from .screen import counting, event_words, hanging, out, page, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.episodes import EpisodeResult, PlayedTurn
@@ -207,6 +207,26 @@ def run(
         out.print(f"record: {plain(recorder.path)}")
 
 
+@app.command()
+def warm(
+    scenarios: Annotated[
+        list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Default: all bundled scenarios.")
+    ] = None,
+) -> None:
+    """Compile the kernels of scenarios ahead, by playing an episode of each; later starts load them from the cache."""
+    from ..config.loading import campaign_names, scenario_names, synthesis_names
+
+    names = scenarios or [*scenario_names(), *campaign_names(), *synthesis_names()]
+    prepared = [prepare(name, quiet=True) for name in names]
+    with counting() as progress:
+        task = progress.add_task("scenarios", total=len(names))
+        for spec, env in prepared:
+            progress.update(task, description=spec.name)
+            for _ in _play(env, "scripted", (0,)):
+                progress.advance(task)
+    out.print(f"{len(names)} scenarios are compiled")
+
+
 class _Account:
     """Prints an episode turn by turn: manager decisions and outcomes in full, runs of equal bench actions folded."""
 
@@ -261,9 +281,8 @@ class _Account:
         times = f" x{self._times}" if self._times > 1 else ""
         manager = agent == self._env.laboratories.manager.name
         what = f"[bold]{plain(words)}[/bold]" if manager else plain(words)
-        out.print(
-            f"tick {self._since:>3}  {'' if manager else '  '}{agent:<10} {what}{times}{'  -> ' + note if note else ''}"
-        )
+        head = f"tick {self._since:>3}  {'' if manager else '  '}{agent:<10} "
+        hanging(head, f"{what}{times}{'  -> ' + note if note else ''}")
         self._last, self._times = None, 0
 
     def close(self, result: EpisodeResult, number: int, episodes: int) -> None:

@@ -25,6 +25,7 @@ _COLORS = {
     "chosen": "yellow",
     "unchecked": "red",
 }
+_VIDEOS = (".mp4", ".webm", ".mov", ".avi", ".mkv")
 _WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "chosen", "torn", "ok")
 
 
@@ -95,29 +96,55 @@ def _verify_leaderboard(path: Path, as_json: bool) -> Status:
 
 @app.command()
 def replay(
-    file: Annotated[Path, typer.Argument(help="A record, finished or not (see `chemlab run --record`).")],
+    files: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILE [OTHER]",
+            help="A record, finished or not (see `chemlab run --record`). Two: beside each other, with one clock.",
+        ),
+    ],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Output file (default: the record's name with .html).")
+        Path | None,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Output file: a page (.html), or an animation of one record (.gif, .webp; needs the extra `plot`). "
+            "Default: the record's name with .html.",
+        ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing page.")] = False,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     trust: TrustOption = False,
 ) -> None:
-    """Make an interactive HTML page of a record; the page needs no network."""
+    """Make an interactive HTML page, or an animation, of a record; the page needs no network."""
     with readable_errors():
-        from ..config.files import write_text
+        from ..config.files import write_bytes
         from ..record import read_record
-        from ..render.replay_page import replay_page
 
-        path = output or file.parent / f"{file.stem}.html"
+        path = output or files[0].with_name(f"{'-'.join(file.stem for file in files)}.html")
+        animated = path.suffix in (".gif", ".webp")
+        if len(files) > 2 or (animated and len(files) > 1):
+            raise ValueError(f"a page shows at most two records, an animation one, given {len(files)}")
+        if path.suffix in _VIDEOS:
+            raise ValueError(f"{path}: videos are not made; name a .gif or .webp, which other programs convert")
         if path.exists() and not force:
             raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
-        check_result(path, file)
-        record = read_record(file)
-        if record.torn:
-            err.print(f"{plain(file)}: the end is missing; the page shows the available turns")
-        text = replay_page(record, trust)
-        write_text(path, text)
-    out.print(f"{plain(path)}: {len(record.turns)} turns, {len(text.encode()) / 1e6:.2f} MB")
+        check_result(path, *files)
+        records = [read_record(file) for file in files]
+        for record in records:
+            if record.torn:
+                err.print(f"{plain(record.path)}: the end is missing; the available turns are shown")
+        if animated:
+            from ..render.animation import animation
+
+            content = animation(records[0], path.suffix[1:], trust)
+        else:
+            from ..render.replay_page import comparison_page, replay_page
+
+            page = replay_page(records[0], trust) if len(records) == 1 else comparison_page(records, trust)
+            content = page.encode()
+        write_bytes(path, content)
+    turns = " and ".join(str(len(record.turns)) for record in records)
+    out.print(f"{plain(path)}: {turns} turns, {len(content) / 1e6:.2f} MB")
     if show:
         typer.launch(path.resolve().as_uri())

@@ -14,7 +14,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["TextConsole", "counting", "err", "event_words", "happened", "out", "page", "plain", "show_table"]
+__all__ = ["TextConsole", "counting", "err", "event_words", "hanging", "happened", "out", "page", "plain", "show_table"]
 
 _NARROWEST, _USUAL = 20, 80
 """Widths below this many columns are ignored; the default width if the terminal reports none."""
@@ -61,6 +61,21 @@ page = TextConsole()
 def plain(text: object) -> str:
     """Escape text from files or users for use in a message with markup."""
     return escape(str(text).translate(_SIGNS))
+
+
+def hanging(head: str, body: str) -> None:
+    """Print a line with markup; in a terminal, its further lines are indented below the body."""
+    line = Text.from_markup(head + body)
+    indent = cell_len(Text.from_markup(head).plain)
+    if not out.is_terminal or out.width < 2 * indent:
+        out.print(line)
+        return
+    first, *rest = line.wrap(out, out.width)
+    out.print(first)
+    if rest:
+        below = Text(" ").join(rest)
+        for part in below.wrap(out, out.width - indent):
+            out.print(Text(" " * indent) + part)
 
 
 def happened(events: Mapping[str, float]) -> dict[str, float]:

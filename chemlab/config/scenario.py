@@ -16,6 +16,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr,
 
 from .datafile import read_toml
 from .datamodel import validated
+from .display import facts_html
 from .draws import Split, WorldSpec
 from .inherit import shipped_file
 from .materials import Material
@@ -705,6 +706,17 @@ class Scenario(BaseModel):
 
     def __hash__(self) -> int:
         return hash((self.name, self._origin))
+
+    def _repr_html_(self) -> str:
+        facts = {
+            "summary": self.summary,
+            "agents": ", ".join(self.agents()),
+            "products": ", ".join(self.lab_goals),
+            "hidden parameters": len(self.world.draws),
+            "horizon": f"{self.limits.ticks} ticks",
+            "file": self.origin,
+        }
+        return facts_html(f"{self.name}: {self.title}", facts)
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
         yield None, self.name

@@ -88,6 +88,9 @@ class _Enforced(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
     def __repr__(self) -> str:
         return repr(self.env)
 
+    def _repr_html_(self) -> str:
+        return self.unwrapped._repr_html_()  # type: ignore[no-any-return]
+
 
 class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
     """The laboratory without wrappers; it checks every action itself.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from abc import abstractmethod
 from typing import TYPE_CHECKING, Any
 
@@ -70,6 +71,18 @@ class Rendered:
             self._scene() if self.render_mode == "rgb_array_true" else visible_scene(self._scene(), self.scenario)
         )
         return frame
+
+    def _repr_html_(self) -> str:
+        """Return what a notebook shows: the picture that a person in the laboratory would see."""
+        text = f"<pre>{html.escape(repr(self))}</pre>"
+        try:
+            from ..render.frames import Viewer, picture_html
+            from ..render.scene import visible_scene
+        except ImportError:  # Pillow is an extra
+            return text
+        frame = Viewer("rgb_array", 1.0).show(visible_scene(self._scene(), self.scenario))
+        assert frame is not None
+        return picture_html(frame, f"The laboratory {html.escape(self.scenario.name)}") + text
 
     def close(self) -> None:
         """Close the window if there is one."""

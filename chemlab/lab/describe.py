@@ -28,6 +28,7 @@ __all__ = [
     "channel_table",
     "description",
     "goal_words",
+    "hidden_words",
     "instrument_table",
     "limit_words",
     "manager_action_table",
@@ -178,6 +179,24 @@ def vessel_table(spec: Scenario) -> FactTable:
     """Return the vessels at the start of an episode."""
     rows = [(f"slot {i}", f"{v.capacity_l:g} L", amount_words(v.contents)) for i, v in enumerate(spec.shelf.vessel)]
     return _facts(("place", "capacity", "contents"), rows)
+
+
+_HIDDEN = {
+    "identity": "which material a vessel holds",
+    "titre": "strength of the feeds",
+    "amount": "contents of the vessels",
+    "pre_exponential": "rate constants",
+    "formation": "heat of reaction",
+    "gain": "condition of the equipment",
+    "arrives": "orders to come",
+}
+"""Hidden parameters by kind; kinds drawn together with another kind have no entry."""
+
+
+def hidden_words(spec: Scenario) -> list[str]:
+    """Return what a scenario hides from its agents, by kind."""
+    kinds = {draw.what for draw in spec.world.draws.values()}
+    return [words for kind, words in _HIDDEN.items() if kind in kinds]
 
 
 def world_table(spec: Scenario) -> FactTable:

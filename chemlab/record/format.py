@@ -14,6 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..config.display import facts_html
 from ..config.files import read_bytes
 from ..config.loading import dump_scenario, restore_scenario
 from ..config.materials import DataError, validated
@@ -154,7 +155,7 @@ class Header(BaseModel):
 # -- reading ----------------------------------------------------------------------------------------------------------
 
 
-@dataclass
+@dataclass(repr=False)
 class Record:
     """A record as read from a file.
 
@@ -173,7 +174,23 @@ class Record:
     end: dict[str, Any] | None = None
     broken: tuple[int, str] | None = None
     notes: list[str] = field(default_factory=list)
-    lines: list[bytes] = field(default_factory=list, repr=False)
+    lines: list[bytes] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.path}: " + ", ".join(f"{k} {v}" for k, v in self._facts().items()) + ">"
+
+    def _repr_html_(self) -> str:
+        return facts_html(self.path.name, self._facts())
+
+    def _facts(self) -> dict[str, Any]:
+        """Return what is shown of a record."""
+        try:
+            scenario = self.header["scenario"]["scenario"]["name"]
+        except (KeyError, TypeError):
+            scenario = "unknown"
+        result = self.end["end"] if self.end else "missing"
+        score = result.get("score") if isinstance(result, dict) else result
+        return {"scenario": scenario, "seed": self.header.get("seed"), "turns": len(self.turns), "score": score}
 
     @property
     def torn(self) -> bool:

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import base64
+import io
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from .canvas import Image
 from .draw import draw
 from .scene import Scene
 
-__all__ = ["Viewer"]
+__all__ = ["Viewer", "picture_html"]
 
 
 class Viewer:
@@ -69,6 +72,13 @@ class Viewer:
     def __reduce__(self) -> tuple[type[Viewer], tuple[str, float, tuple[int, int]]]:
         # The window is not part of the state: a copied or pickled environment gets its own viewer.
         return Viewer, (self.mode, self.frames_per_second, self.size)
+
+
+def picture_html(frame: npt.NDArray[np.uint8], name: str) -> str:
+    """Return a picture as an element of a notebook's page."""
+    data = io.BytesIO()
+    Image.fromarray(frame).save(data, "png")
+    return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}">'
 
 
 def _pygame() -> Any:

@@ -27,7 +27,7 @@ from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_ITEMS
 from .scene import laboratory_scene
 
-__all__ = ["MOST_TURNS", "Film", "filled_page", "replay_data", "replay_page"]
+__all__ = ["MOST_TURNS", "Film", "comparison_page", "filled_page", "replay_data", "replay_page", "side_by_side"]
 
 _DIGITS = 4
 _LONG = 30
@@ -343,6 +343,37 @@ def replay_page(record: Record, trust: bool = False) -> str:
     if len(record.turns) > MOST_TURNS:
         raise RecordError(f"{record.path}: has {len(record.turns)} turns; a page may have {MOST_TURNS}")
     return filled_page("replay.html", replay_data(record, trust))
+
+
+def comparison_page(records: Sequence[Record], trust: bool = False) -> str:
+    """Return the replay pages of several records beside each other; a turn chosen in one sets the clock of all."""
+    pages = [replay_page(record, trust) for record in records]
+    frames = {
+        f"{number}: {record.path.stem}": f'srcdoc="{html.escape(page)}"'
+        for number, (record, page) in enumerate(zip(records, pages, strict=True), start=1)
+    }
+    script = _content_hash(pages[0], "script")
+    return side_by_side(frames, f"default-src 'none'; script-src '{script}'; style-src 'unsafe-inline'; img-src data:")
+
+
+def side_by_side(frames: Mapping[str, str], policy: str) -> str:
+    """Return a page of frames beside each other; on a narrow screen they stand below each other.
+
+    Args:
+        frames: by title, the attribute of a frame that names or holds its page.
+        policy: the page's content security policy.
+    """
+    inner = "".join(f'<iframe {page} title="{html.escape(title)}"></iframe>' for title, page in frames.items())
+    style = (
+        "body{margin:0;display:flex;height:100vh}iframe{flex:1;min-width:0;border:0;border-left:1px solid #888}"
+        "@media(max-width:800px){body{flex-direction:column}iframe{border-top:1px solid #888}}"
+    )
+    head = (
+        f'<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}"><link rel="icon" href="data:,">'
+        f"<title>{html.escape(' and '.join(frames))}</title><style>{style}</style>"
+    )
+    return f'<!DOCTYPE html><html lang="en"><head>{head}</head><body>{inner}</body></html>'
 
 
 def filled_page(name: str, data: Mapping[str, Any], connect: str = "'none'") -> str:

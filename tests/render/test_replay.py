@@ -6,12 +6,15 @@ import base64
 import hashlib
 import json
 import re
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers import slow_but
+from PIL import Image
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_episode
@@ -23,7 +26,10 @@ from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, RecordError, Replay, read_record
+from chemlab.render.animation import animation
+from chemlab.render.draw import draw
 from chemlab.render.replay_page import replay_data, replay_page
+from chemlab.render.scene import laboratory_scene
 
 runner = CliRunner()
 
@@ -458,3 +464,63 @@ def test_text_can_be_read(page: Any, scheme: str) -> None:
     assert min(contrast(text, ground) for text in texts for ground in ("card", "page")) >= 4.5
     assert contrast("ink", "mark") >= 4.5
     assert min(contrast(line, "card") for line in ["warn", "glass", *(f"a{i}" for i in range(7))]) >= 3.0
+
+
+def test_two_records_have_one_clock(episode: Path, tmp_path: Path, browser: Any) -> None:
+    """A turn chosen in one shows the other at the same tick; the longer one goes on alone."""
+    other, both = record(tmp_path / "b.jsonl", policy="random", seed=3), tmp_path / "both.html"
+    assert runner.invoke(app, ["replay", str(episode), str(other), "-o", str(both)]).exit_code == 0
+    page, complaints = browser.new_page(), []
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    page.goto(both.as_uri())
+    frames = page.frames[1:]
+    for frame in frames:
+        frame.get_by_text("record checked: right").wait_for()
+    for leader, follower in (frames, frames[::-1]):
+        for place in ("#first", "#last"):
+            leader.locator(place).click()
+            tick, late = leader.evaluate("clock()"), time.monotonic() + 60
+            while not follower.evaluate(f"turnAt({tick}) === state.turn"):
+                assert time.monotonic() < late
+        last, turn = follower.evaluate("count"), follower.evaluate("state.turn")
+        assert turn == last or follower.evaluate(f"frame({turn} + 1).ticks") > tick
+        assert leader.evaluate("state.turn") == leader.evaluate("count")
+    page.close()
+    assert complaints == []
+
+
+@pytest.mark.parametrize("suffix", ["gif", "webp"])
+def test_a_record_as_an_animation(episode: Path, tmp_path: Path, suffix: str) -> None:
+    """It begins and ends with the episode, and has at most as many frames as asked for."""
+    picture = read_record(episode)
+    path = tmp_path / f"a.{suffix}"
+    path.write_bytes(animation(picture, suffix, frames=5, size=(480, 270)))
+    with Image.open(path) as made:
+        assert (made.size, made.n_frames) == ((480, 270), 5)
+        first = np.asarray(made.convert("RGB")).astype(int)
+        made.seek(4)
+        last = np.asarray(made.convert("RGB")).astype(int)
+    replay = Replay(picture)
+    begins = draw(laboratory_scene(replay.laboratories), 480, 270)
+    for turn in picture.turns:
+        replay.play(turn)
+    ends = draw(laboratory_scene(replay.laboratories), 480, 270)
+    assert np.abs(first - begins).mean() < np.abs(first - ends).mean()
+    assert np.abs(last - ends).mean() < np.abs(last - begins).mean()
+
+
+@pytest.mark.parametrize(
+    ("output", "extra", "said"),
+    [
+        ("a.mp4", (), "videos are not made"),
+        ("a.gif", ("b",), "an animation one"),
+        ("a.html", ("b", "c"), "at most two"),
+    ],
+)
+def test_what_replay_does_not_make(
+    episode: Path, tmp_path: Path, output: str, extra: tuple[str, ...], said: str
+) -> None:
+    result = runner.invoke(app, ["replay", str(episode), *extra, "-o", str(tmp_path / output)])
+    assert result.exit_code == 2
+    assert said in " ".join(result.output.split())
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,19 @@
+"""Facts about an object as HTML, for notebooks."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping
+
+__all__ = ["facts_html"]
+
+
+def facts_html(title: str, facts: Mapping[str, object]) -> str:
+    """Return a heading and a table of names and values; empty values are left out."""
+    rows = "".join(
+        f'<tr><th style="text-align:left">{html.escape(name)}</th>'
+        f'<td style="text-align:left">{html.escape(str(value))}</td></tr>'
+        for name, value in facts.items()
+        if value not in ("", None)
+    )
+    return f"<b>{html.escape(title)}</b><table>{rows}</table>"
