@@ -23,7 +23,6 @@ from .options import (
     check_result,
     current_policy,
     out,
-    readable_errors,
     report_result,
 )
 from .screen import counting, plain, show_table
@@ -64,22 +63,21 @@ def measures(
     Scores are normalized: 0 is random legal play, 1 a planner's lower bound of the optimum of each episode.
     Acceptance criteria apply to scenarios with hidden parameters.
     """
-    with readable_errors():
-        from ..agents.evaluate.audit import audit as measure
-        from ..agents.evaluate.audit import job_count
-        from ..agents.evaluate.jobs import budget_of
-        from ..agents.executors import executor
-        from ..config.loading import load_scenario
+    from ..agents.evaluate.audit import audit as measure
+    from ..agents.evaluate.audit import job_count
+    from ..agents.evaluate.jobs import budget_of
+    from ..agents.executors import executor
+    from ..config.loading import load_scenario
 
-        spec = load_scenario(scenario)
-        chosen = budget_of(budget, turns)
-        if keep is not None:
-            check_folder(keep)
-        if output is not None:
-            check_result(output, scenario)
-        with counting() as progress, executor(address, processes) as jobs:
-            task = progress.add_task("parts", total=job_count(spec, chosen))
-            found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task), turns)
+    spec = load_scenario(scenario)
+    chosen = budget_of(budget, turns)
+    if keep is not None:
+        check_folder(keep)
+    if output is not None:
+        check_result(output, scenario)
+    with counting() as progress, executor(address, processes) as jobs:
+        task = progress.add_task("parts", total=job_count(spec, chosen))
+        found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task), turns)
     report_result(found, _show, as_json, output)
 
 
@@ -120,20 +118,19 @@ def plan(
     In a scenario that requires observations, other policies score higher. The score is over episodes with seeds 0, 1,
     ..., which the search does not use.
     """
-    with readable_errors():
-        from ..agents.evaluate.search import plan_budget, search_plan
-        from ..config.loading import load_scenario
+    from ..agents.evaluate.search import plan_budget, search_plan
+    from ..config.loading import load_scenario
 
-        spec = load_scenario(scenario)
-        most = plan_budget(budget)
-        if output is not None:
-            check_result(output, scenario, benches)
-        with counting() as progress:
-            task = progress.add_task("plans", total=most)
-            search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
-        words = ["chemlab", "audit", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]
-        words += ["--episodes", str(episodes)]
-        found = search.as_file(shlex.join(words), episodes)
+    spec = load_scenario(scenario)
+    most = plan_budget(budget)
+    if output is not None:
+        check_result(output, scenario, benches)
+    with counting() as progress:
+        task = progress.add_task("plans", total=most)
+        search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
+    words = ["chemlab", "audit", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]
+    words += ["--episodes", str(episodes)]
+    found = search.as_file(shlex.join(words), episodes)
     if as_json:
         typer.echo(json.dumps(found.as_dict()))
     else:
@@ -176,12 +173,11 @@ def difficulty(
     Yield and selectivity are those of the best constant conditions of the reaction bench: a temperature, and an
     addition of reagents at once or slowly.
     """
-    with readable_errors():
-        from ..config.loading import load_scenario
-        from ..openchem.difficulty import difficulty as measure
+    from ..config.loading import load_scenario
+    from ..openchem.difficulty import difficulty as measure
 
-        spec = load_scenario(scenario)
-        rows = measure(spec, episodes, plans, seed, explored)
+    spec = load_scenario(scenario)
+    rows = measure(spec, episodes, plans, seed, explored)
     if as_json:
         typer.echo(json.dumps([row.as_dict() for row in rows]))
         return

@@ -18,7 +18,6 @@ from .options import (
     app,
     current_policy,
     out,
-    readable_errors,
 )
 from .screen import counting, show_table
 
@@ -57,30 +56,29 @@ def benchmark(
 
     The same command resumes an interrupted benchmark. The folder's leaderboard keeps the rows of other commands.
     """
-    with readable_errors():
-        from ..agents.evaluate import benchmark as protocol
-        from ..agents.evaluate.jobs import budget_of
-        from ..agents.evaluate.leaderboard import leaderboard_lines
-        from ..agents.executors import executor
-        from ..config.draws import Split
-        from ..config.loading import load_scenario
+    from ..agents.evaluate import benchmark as protocol
+    from ..agents.evaluate.jobs import budget_of
+    from ..agents.evaluate.leaderboard import leaderboard_lines
+    from ..agents.executors import executor
+    from ..config.draws import Split
+    from ..config.loading import load_scenario
 
-        Split.of(split)
-        specs = [load_scenario(name) for name in scenario or protocol.world_scenarios()]
-        chosen = budget_of(budget)
-        always = protocol.REFERENCES
-        names = dict.fromkeys([baseline, *(policy or protocol.DEFAULT_ROWS)])
-        rows = protocol.find_rows([name for name in names if name not in always])
-        check_folder(output)
-        leaderboard_lines(output / "leaderboard.json")  # validated before anything is played
-        with counting() as progress, executor(address, processes) as jobs:
-            total = protocol.part_count(specs, rows, chosen, seeds, split)
-            task = progress.add_task("parts", total=total)
-            parts = output / "parts"
-            found = protocol.benchmark(
-                specs, rows, budget, seeds, split, baseline, parts, jobs, lambda _: progress.advance(task)
-            )
-        protocol.write_benchmark(output, found, specs, rows, records)
+    Split.of(split)
+    specs = [load_scenario(name) for name in scenario or protocol.world_scenarios()]
+    chosen = budget_of(budget)
+    always = protocol.REFERENCES
+    names = dict.fromkeys([baseline, *(policy or protocol.DEFAULT_ROWS)])
+    rows = protocol.find_rows([name for name in names if name not in always])
+    check_folder(output)
+    leaderboard_lines(output / "leaderboard.json")  # validated before anything is played
+    with counting() as progress, executor(address, processes) as jobs:
+        total = protocol.part_count(specs, rows, chosen, seeds, split)
+        task = progress.add_task("parts", total=total)
+        parts = output / "parts"
+        found = protocol.benchmark(
+            specs, rows, budget, seeds, split, baseline, parts, jobs, lambda _: progress.advance(task)
+        )
+    protocol.write_benchmark(output, found, specs, rows, records)
     if as_json:
         typer.echo(json.dumps(found))
         return

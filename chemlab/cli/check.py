@@ -7,7 +7,7 @@ from dataclasses import asdict
 
 import typer
 
-from .options import JsonOption, ScenarioArgument, TrustOption, app, out, readable_errors
+from .options import JsonOption, ScenarioArgument, TrustOption, app, out
 from .screen import counting, plain
 
 __all__: list[str] = []
@@ -20,20 +20,19 @@ def check(scenario: ScenarioArgument, trust: TrustOption = False, as_json: JsonO
     Plays random legal actions and tests spaces, limits, seeds, copies, conservation, records, and the agreement of all
     environments. Exits with 0 if every check passes, and with 1 if one fails.
     """
-    with readable_errors():
-        from ..config.loading import load_scenario
-        from ..conformance import CHECKS, check_scenario
+    from ..config.loading import load_scenario
+    from ..conformance import CHECKS, check_scenario
 
-        spec = load_scenario(scenario)
-        results = []
-        with counting() as progress:
-            task = progress.add_task("checks", total=len(CHECKS))
-            for result in check_scenario(spec):
-                results.append(result)
-                progress.advance(task)
-                if not as_json:
-                    word = "[red]failed[/red]" if result.error else "[green]passed[/green]"
-                    out.print(f"{word} {result.name}: {plain(result.error or result.meaning)}")
+    spec = load_scenario(scenario)
+    results = []
+    with counting() as progress:
+        task = progress.add_task("checks", total=len(CHECKS))
+        for result in check_scenario(spec):
+            results.append(result)
+            progress.advance(task)
+            if not as_json:
+                word = "[red]failed[/red]" if result.error else "[green]passed[/green]"
+                out.print(f"{word} {result.name}: {plain(result.error or result.meaning)}")
     if as_json:
         typer.echo(json.dumps([asdict(result) for result in results]))
     raise typer.Exit(int(any(result.error for result in results)))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..config.files import check_apart, check_target, write_text, write_texts
-from .options import JsonOption, app, out, readable_errors
+from .options import JsonOption, app, out
 from .screen import counting, plain, show_table
 
 if TYPE_CHECKING:
@@ -531,12 +531,11 @@ def generate(
     Equal options give equal files on every machine. Omitted numbers of materials, reactions and steps depend on the
     difficulty.
     """
-    with readable_errors():
-        from ..openchem.generate import generated
+    from ..openchem.generate import generated
 
-        made = generated(seed, materials, reactions, difficulty, physics, steps, goals, name)
-        made.scenario()
-        path = made.write(output, force)
+    made = generated(seed, materials, reactions, difficulty, physics, steps, goals, name)
+    made.scenario()
+    path = made.write(output, force)
     out.print(plain(made.tables["summary"]))
     words = f"play it: chemlab run {plain(path)}; measure its difficulty: chemlab audit difficulty {plain(path)}"
     out.print(f"{plain(path)} and {len(made.files()) - 1} files beside it; {words}")

@@ -19,7 +19,6 @@ from .options import (
     app,
     check_result,
     out,
-    readable_errors,
 )
 from .screen import counting, plain, show_table
 
@@ -83,31 +82,30 @@ def evaluate(
     The interquartile mean is that of all episodes. P(improvement) is the share of episodes in which the policy scores
     above the baseline from the same seed, a tie counting one half.
     """
-    with readable_errors():
-        from ..agents.evaluate.play import evaluate as play
-        from ..agents.evaluate.play import find_target
-        from ..agents.executors import executor
-        from ..config.loading import scenario_names
+    from ..agents.evaluate.play import evaluate as play
+    from ..agents.evaluate.play import find_target
+    from ..agents.executors import executor
+    from ..config.loading import scenario_names
 
-        policies = policy or ["scripted", "random"]
-        if output is not None:
-            check_result(output, *(targets or ()), baseline, *policies)
-        if update is not None:
-            check_marks(update, "results")
-            check_result(update, *(targets or ()), baseline, *policies)
-        chosen = [find_target(name, bench, starts, split) for name in targets or scenario_names()]
-        for target in chosen if len(chosen) > 1 else ():
-            for name in (baseline, *policies):
-                target.check(name)
-        total = len({baseline, *policies}) * sum(len(goal or target.default_goals) for target in chosen) * episodes
-        found = []
-        # Most evaluations end before other processes would have started.
-        with counting() as progress, executor(address, processes or (1 if address is None else None)) as jobs:
-            task = progress.add_task("episodes", total=total)
-            for target in chosen:
-                found.append(
-                    play(target, policies, episodes, seed, goal, baseline, lambda n: progress.advance(task, n), jobs)
-                )
+    policies = policy or ["scripted", "random"]
+    if output is not None:
+        check_result(output, *(targets or ()), baseline, *policies)
+    if update is not None:
+        check_marks(update, "results")
+        check_result(update, *(targets or ()), baseline, *policies)
+    chosen = [find_target(name, bench, starts, split) for name in targets or scenario_names()]
+    for target in chosen if len(chosen) > 1 else ():
+        for name in (baseline, *policies):
+            target.check(name)
+    total = len({baseline, *policies}) * sum(len(goal or target.default_goals) for target in chosen) * episodes
+    found = []
+    # Most evaluations end before other processes would have started.
+    with counting() as progress, executor(address, processes or (1 if address is None else None)) as jobs:
+        task = progress.add_task("episodes", total=total)
+        for target in chosen:
+            found.append(
+                play(target, policies, episodes, seed, goal, baseline, lambda n: progress.advance(task, n), jobs)
+            )
     for results in found if as_json else ():
         brief = [{k: v for k, v in row.items() if k not in ("returns", "cases")} for row in results["policies"]]
         typer.echo(json.dumps({**results, "policies": brief}))

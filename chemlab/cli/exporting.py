@@ -18,7 +18,6 @@ from .options import (
     app,
     check_result,
     prepare,
-    readable_errors,
 )
 from .screen import err, out, plain
 
@@ -45,15 +44,14 @@ def policy(
     It plays as the checkpoint was evaluated, unless :greedy or :sampled after the folder says otherwise.
     It is compared with the original on observations of the bench, and rejected if outputs differ by more than 1e-5.
     """
-    with readable_errors():
-        from ..agents.former_names import split_way
-        from ..agents.train.export import export_run
+    from ..agents.former_names import split_way
+    from ..agents.train.export import export_run
 
-        for ending in (".json", ".safetensors"):
-            target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")
-            check_target(target)
-            check_apart([target], (file for file in Path(split_way(str(run))[0]).rglob("*") if file.is_file()))
-        card = export_run(run, to, role)
+    for ending in (".json", ".safetensors"):
+        target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")
+        check_target(target)
+        check_apart([target], (file for file in Path(split_way(str(run))[0]).rglob("*") if file.is_file()))
+    card = export_run(run, to, role)
     if as_json:
         typer.echo(json.dumps(card.as_dict()))
         return

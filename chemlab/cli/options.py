@@ -44,7 +44,6 @@ __all__ = [
     "err",
     "out",
     "prepare",
-    "readable_errors",
     "report_result",
 ]
 

@@ -17,7 +17,6 @@ from .options import (
     TrustOption,
     app,
     check_result,
-    readable_errors,
     report_result,
 )
 from .screen import counting, page, show_table
@@ -56,25 +55,24 @@ def crossplay(
     The partners of their training are included if they are not named. Scores are normalized as in the benchmark, from 0
     (random) to 1 (oracle), in the same worlds.
     """
-    with readable_errors():
-        from ..agents.evaluate.crossplay import PARTNERS, crossplay_count, find_players
-        from ..agents.evaluate.crossplay import crossplay as play
-        from ..agents.evaluate.jobs import budget_of
-        from ..agents.executors import executor
-        from ..config.draws import Split
-        from ..config.loading import load_scenario
+    from ..agents.evaluate.crossplay import PARTNERS, crossplay_count, find_players
+    from ..agents.evaluate.crossplay import crossplay as play
+    from ..agents.evaluate.jobs import budget_of
+    from ..agents.executors import executor
+    from ..config.draws import Split
+    from ..config.loading import load_scenario
 
-        Split.of(split)
-        spec = load_scenario(scenario)
-        chosen = budget_of(budget)
-        if keep is not None:
-            check_folder(keep)
-        if output is not None:
-            check_result(output, scenario, *(manager or ()), *(benches or ()))
-        managers, crews = find_players(spec, manager or PARTNERS, benches or PARTNERS)
-        with counting() as progress, executor(address, processes) as jobs:
-            task = progress.add_task("parts", total=crossplay_count(managers, crews, chosen, split))
-            found = play(spec, managers, crews, budget, split, keep, jobs, lambda _: progress.advance(task))
+    Split.of(split)
+    spec = load_scenario(scenario)
+    chosen = budget_of(budget)
+    if keep is not None:
+        check_folder(keep)
+    if output is not None:
+        check_result(output, scenario, *(manager or ()), *(benches or ()))
+    managers, crews = find_players(spec, manager or PARTNERS, benches or PARTNERS)
+    with counting() as progress, executor(address, processes) as jobs:
+        task = progress.add_task("parts", total=crossplay_count(managers, crews, chosen, split))
+        found = play(spec, managers, crews, budget, split, keep, jobs, lambda _: progress.advance(task))
     report_result(found, _show, as_json, output)
 
 

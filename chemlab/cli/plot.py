@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_folder
-from .options import TrustOption, app, check_result, readable_errors
+from .options import TrustOption, app, check_result
 from .screen import counting, out, plain
 
 __all__: list[str] = []
@@ -120,26 +120,25 @@ def runs(
     Managers have a separate page (laboratory.md), beside policies without training. The command needs only the runs'
     small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
     """
-    with readable_errors():
-        from ..agents.evaluate.page import write_page
-        from ..agents.evaluate.trained_managers import collect as collect_tables
-        from ..agents.evaluate.trained_managers import collect_count, write_laboratory
-        from ..render.figure import FORMATS
+    from ..agents.evaluate.page import write_page
+    from ..agents.evaluate.trained_managers import collect as collect_tables
+    from ..agents.evaluate.trained_managers import collect_count, write_laboratory
+    from ..render.figure import FORMATS
 
-        formats = file_format or ["png"]
-        if unknown := [name for name in formats if name not in FORMATS]:
-            raise ValueError(f"--format: must be one of {', '.join(FORMATS)}; given {', '.join(unknown)}")
-        total = collect_count(results)
-        left_out = []
-        for folder in (output, *([collect] if collect is not None else [])):
-            check_folder(folder)
-        if collect is not None:
-            with counting() as progress:
-                task = progress.add_task("managers", total=total)
-                left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
-        page, others = write_page(collect or results, output, formats)
-        laboratory = write_laboratory(collect or results, output, formats)
-        left_out += [*others, *(laboratory.left_out if laboratory is not None else ())]
+    formats = file_format or ["png"]
+    if unknown := [name for name in formats if name not in FORMATS]:
+        raise ValueError(f"--format: must be one of {', '.join(FORMATS)}; given {', '.join(unknown)}")
+    total = collect_count(results)
+    left_out = []
+    for folder in (output, *([collect] if collect is not None else [])):
+        check_folder(folder)
+    if collect is not None:
+        with counting() as progress:
+            task = progress.add_task("managers", total=total)
+            left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
+    page, others = write_page(collect or results, output, formats)
+    laboratory = write_laboratory(collect or results, output, formats)
+    left_out += [*others, *(laboratory.left_out if laboratory is not None else ())]
     for line in left_out:
         out.print(f"[yellow]left out[/yellow] {plain(line)}")
     for written in (page, laboratory and laboratory.page):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import JsonOption, TrustOption, app, check_result, err, out, readable_errors
+from .options import JsonOption, TrustOption, app, check_result, err, out
 from .screen import counting, plain
 
 if TYPE_CHECKING:
@@ -59,20 +59,19 @@ def verify(
     from ..record import EXIT_CODES, verify_record
 
     results: list[Status] = []
-    with readable_errors():
-        for path in files:
-            if path.suffix == ".json":
-                results.append(_verify_leaderboard(path, as_json))
-                continue
-            result = verify_record(path, scenario, trust, split=split)
-            results.append(result.status)
-            if as_json:
-                typer.echo(json.dumps(result.as_dict()))
-                continue
-            color = _COLORS[result.status]
-            out.print(f"[{color}]{result.status}[/{color}] {plain(result.path)}: {plain(result.message)}")
-            for note in result.notes:
-                out.print(f"   {plain(note)}")
+    for path in files:
+        if path.suffix == ".json":
+            results.append(_verify_leaderboard(path, as_json))
+            continue
+        result = verify_record(path, scenario, trust, split=split)
+        results.append(result.status)
+        if as_json:
+            typer.echo(json.dumps(result.as_dict()))
+            continue
+        color = _COLORS[result.status]
+        out.print(f"[{color}]{result.status}[/{color}] {plain(result.path)}: {plain(result.message)}")
+        for note in result.notes:
+            out.print(f"   {plain(note)}")
     raise typer.Exit(EXIT_CODES[next(status for status in _WORST_FIRST if status in results)])
 
 
@@ -117,33 +116,32 @@ def replay(
     trust: TrustOption = False,
 ) -> None:
     """Make an interactive HTML page, or an animation, of a record; the page needs no network."""
-    with readable_errors():
-        from ..config.files import write_bytes
-        from ..record import read_record
+    from ..config.files import write_bytes
+    from ..record import read_record
 
-        path = output or files[0].with_name(f"{'-'.join(file.stem for file in files)}.html")
-        animated = path.suffix in (".gif", ".webp")
-        if len(files) > 2 or (animated and len(files) > 1):
-            raise ValueError(f"a page shows at most two records, an animation one, given {len(files)}")
-        if path.suffix in _VIDEOS:
-            raise ValueError(f"{path}: videos are not made; name a .gif or .webp, which other programs convert")
-        if path.exists() and not force:
-            raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
-        check_result(path, *files)
-        records = [read_record(file) for file in files]
-        for record in records:
-            if record.torn:
-                err.print(f"{plain(record.path)}: the end is missing; the available turns are shown")
-        if animated:
-            from ..render.animation import animation
+    path = output or files[0].with_name(f"{'-'.join(file.stem for file in files)}.html")
+    animated = path.suffix in (".gif", ".webp")
+    if len(files) > 2 or (animated and len(files) > 1):
+        raise ValueError(f"a page shows at most two records, an animation one, given {len(files)}")
+    if path.suffix in _VIDEOS:
+        raise ValueError(f"{path}: videos are not made; name a .gif or .webp, which other programs convert")
+    if path.exists() and not force:
+        raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
+    check_result(path, *files)
+    records = [read_record(file) for file in files]
+    for record in records:
+        if record.torn:
+            err.print(f"{plain(record.path)}: the end is missing; the available turns are shown")
+    if animated:
+        from ..render.animation import animation
 
-            content = animation(records[0], path.suffix[1:], trust)
-        else:
-            from ..render.replay_page import comparison_page, replay_page
+        content = animation(records[0], path.suffix[1:], trust)
+    else:
+        from ..render.replay_page import comparison_page, replay_page
 
-            page = replay_page(records[0], trust) if len(records) == 1 else comparison_page(records, trust)
-            content = page.encode()
-        write_bytes(path, content)
+        page = replay_page(records[0], trust) if len(records) == 1 else comparison_page(records, trust)
+        content = page.encode()
+    write_bytes(path, content)
     turns = " and ".join(str(len(record.turns)) for record in records)
     out.print(f"{plain(path)}: {turns} turns, {len(content) / 1e6:.2f} MB")
     if show:

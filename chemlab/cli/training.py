@@ -17,7 +17,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 from typer.core import TyperCommand
 
-from .options import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out, readable_errors
+from .options import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out
 from .screen import page, plain
 
 if TYPE_CHECKING:
@@ -246,14 +246,13 @@ def train(
     Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations with the
     scripted policy's scores, checkpoints, TensorBoard logs, and at the end result.json.
     """
-    with readable_errors():
-        from ..agents.train.arguments import load_arguments
+    from ..agents.train.arguments import load_arguments
 
-        arguments = load_arguments(config, _given(ctx.obj, target))
-        from ..agents.train import learn
+    arguments = load_arguments(config, _given(ctx.obj, target))
+    from ..agents.train import learn
 
-        place = folder or Path("runs") / arguments.folder()
-        _watched(place, quiet, as_json, lambda watcher: learn.train(arguments, place, watcher))
+    place = folder or Path("runs") / arguments.folder()
+    _watched(place, quiet, as_json, lambda watcher: learn.train(arguments, place, watcher))
 
 
 # -- sweep ------------------------------------------------------------------------------------------------------------
@@ -272,24 +271,23 @@ def sweep(
     as_json: JsonOption = False,
 ) -> None:
     """Train all runs of a sweep file; finished runs are skipped, interrupted ones resumed."""
-    with readable_errors():
-        from ..agents.executors import executor
-        from ..agents.train.sweep import plan, run_sweep, status_of
+    from ..agents.executors import executor
+    from ..agents.train.sweep import plan, run_sweep, status_of
 
-        runs = plan(file, folder)
-        if status:
-            found = [status_of(one) for one in runs]
-        else:
-            from ..agents.train import learn as training  # noqa: F401 - report a missing extra only once
+    runs = plan(file, folder)
+    if status:
+        found = [status_of(one) for one in runs]
+    else:
+        from ..agents.train import learn as training  # noqa: F401 - report a missing extra only once
 
-            # Terminating a sweep terminates its runs, as an interruption does.
-            signal.signal(signal.SIGTERM, signal.default_int_handler)
-            try:
-                with executor(address, processes, commands=True) as jobs:
-                    found = run_sweep(runs, jobs, lambda _: None) if as_json else _live(runs, jobs)
-            except KeyboardInterrupt:
-                err.print("stopped; the same command resumes")
-                raise typer.Exit(130) from None
+        # Terminating a sweep terminates its runs, as an interruption does.
+        signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            with executor(address, processes, commands=True) as jobs:
+                found = run_sweep(runs, jobs, lambda _: None) if as_json else _live(runs, jobs)
+        except KeyboardInterrupt:
+            err.print("stopped; the same command resumes")
+            raise typer.Exit(130) from None
     if as_json:
         rows = [{"run": one.name, **asdict(now)} for one, now in zip(runs, found, strict=True)]
         typer.echo(json.dumps(rows, indent=1))

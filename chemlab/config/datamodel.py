@@ -11,13 +11,19 @@ import re
 from collections.abc import Mapping, Set
 from typing import Any
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from .datafile import DataError, shown
 
-__all__ = ["validated", "written"]
+__all__ = ["DataModel", "validated", "written"]
 
 _LINES = 20
+
+
+class DataModel(BaseModel):
+    """Immutable values of a file; unknown keys, NaN and infinity are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
 def _described(error: ValidationError, where: str) -> str:

@@ -20,8 +20,10 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, model_validator
 from pydantic import Field as Bound
+from pydantic import model_validator
+
+from .datamodel import DataModel
 
 __all__ = [
     "BOTTLE",
@@ -49,7 +51,6 @@ __all__ = [
     "options_of",
 ]
 
-_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _MOST_DRAWS = 64
 _MOST_TARGETS = 64
 Number = Annotated[float, Bound(ge=-1e9, le=1e9)]
@@ -74,10 +75,8 @@ ORDER_QUANTITIES = ("arrives", "within", "price", "amount_at_least_mol", "purity
 """Order terms that may be drawn."""
 
 
-class Uniform(BaseModel):
+class Uniform(DataModel):
     """Uniform distribution from ``low`` to ``high``."""
-
-    model_config = _FROZEN
 
     kind: Literal["uniform"]
     low: Number
@@ -90,9 +89,7 @@ class Uniform(BaseModel):
         return self
 
 
-class _Bounded(BaseModel):
-    model_config = _FROZEN
-
+class _Bounded(DataModel):
     low: Number | None = None
     """Lower bound; smaller values are clipped."""
     high: Number | None = None
@@ -121,10 +118,8 @@ class Lognormal(_Bounded):
     sigma: float = Bound(ge=0.0, le=5.0)
 
 
-class Choice(BaseModel):
+class Choice(DataModel):
     """One of ``options`` (numbers or materials), independently for each target."""
-
-    model_config = _FROZEN
 
     kind: Literal["choice"]
     options: tuple[Option, ...] = Bound(min_length=1, max_length=64)
@@ -138,10 +133,8 @@ class Choice(BaseModel):
         return self
 
 
-class Permutation(BaseModel):
+class Permutation(DataModel):
     """Random permutation: each target has a different one of ``options``, all orders equally likely."""
-
-    model_config = _FROZEN
 
     kind: Literal["permutation"]
     options: tuple[Option, ...] = Bound(min_length=1, max_length=64)
@@ -150,10 +143,8 @@ class Permutation(BaseModel):
 Distribution = Annotated[Uniform | Normal | Lognormal | Choice | Permutation, Bound(discriminator="kind")]
 
 
-class Draw(BaseModel):
+class Draw(DataModel):
     """A declared draw: one or several numbers of one kind."""
-
-    model_config = _FROZEN
 
     what: Name
     """Quantity that is drawn.
@@ -254,10 +245,8 @@ class Draw(BaseModel):
         return [name for name in (self.material, self.inert, *options) if name is not None]
 
 
-class WorldSpec(BaseModel):
+class WorldSpec(DataModel):
     """Hidden parameters of a scenario."""
-
-    model_config = _FROZEN
 
     draws: dict[Annotated[str, Bound(pattern=r"^[a-z][a-z0-9_]*$", max_length=100)], Draw] = Bound(
         default={}, max_length=_MOST_DRAWS

@@ -14,11 +14,11 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from ..kernels.arrays import FloatArray
 from .datafile import DataError, read_toml, toml_key
-from .datamodel import validated
+from .datamodel import DataModel, validated
 
 __all__ = [
     "COLDEST_K",
@@ -62,10 +62,8 @@ Text = Annotated[str, Field(min_length=1, max_length=200)]
 Count = Annotated[float, Field(ge=0.001, le=10_000.0)]
 
 
-class AbsorptionPeak(BaseModel):
+class AbsorptionPeak(DataModel):
     """One Gaussian peak of a UV-Vis spectrum: ``height * exp(-((x - center) / width)**2 / 2)``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     height_l_mol: float = Field(gt=0.0, le=1.0)
     """Absorption per mol/L at the centre (dimensionless per mol/L)."""
@@ -73,13 +71,11 @@ class AbsorptionPeak(BaseModel):
     width_nm: float = Field(ge=0.1, le=200.0)
 
 
-class VaporPressure(BaseModel):
+class VaporPressure(DataModel):
     """Vapour pressure of a liquid as a formula, p in Pa and T in K.
 
     ``dippr101``, five coefficients: ln p = A + B / T + C ln T + D T^E; ``antoine``, three: log10 p = A - B / (T + C).
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     form: Literal["dippr101", "antoine"]
     coefficients: tuple[Annotated[float, Field(ge=-1e6, le=1e6)], ...] = Field(min_length=3, max_length=5)
@@ -128,14 +124,12 @@ class VaporPressure(BaseModel):
         return np.asarray(np.exp(self._log(at_end) + slope * (1.0 / temperature - 1.0 / at_end)))
 
 
-class Dimerization(BaseModel):
+class Dimerization(DataModel):
     """Dimers in a vapour, 2 A = A2.
 
     Their pressure is K times the square of the monomers' pressure, in atmospheres, with ln K = (entropy - enthalpy / T)
     / R.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     enthalpy_j_mol: float = Field(ge=-2e5, le=-1e3)
     """Enthalpy of dimerization per mol of dimers."""
@@ -153,10 +147,8 @@ class Dimerization(BaseModel):
         return np.asarray(2.0 * pressure_kpa / (1.0 + np.sqrt(1.0 + 4.0 * constant * pressure_kpa)))
 
 
-class RealProperties(BaseModel):
+class RealProperties(DataModel):
     """Properties of a material for the physics backend ``real``; every number has a ``source``."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     vapor_pressure: VaporPressure | None = None
     """Vapour pressure of the liquid, also for materials that are solid when pure; None: non-volatile.
@@ -194,14 +186,12 @@ _BOILING_ERROR = 0.1
 """Allowed relative deviation of a vapour pressure from 101.325 kPa at the boiling point, equivalent to 3 K."""
 
 
-class Material(BaseModel):
+class Material(DataModel):
     """Properties of one material at 298.15 K and 101.325 kPa; every number has a ``source``.
 
     Density, heat capacity and boiling point of ions are chosen so that dissolution of their salt conserves volume and
     heat content.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: Text
     formula: Text

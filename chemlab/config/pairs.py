@@ -18,11 +18,11 @@ from pathlib import Path
 from typing import Annotated, NamedTuple
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from ..kernels.arrays import FloatArray
 from .datafile import DataError, read_toml
-from .datamodel import validated
+from .datamodel import DataModel, validated
 from .materials import Text
 
 __all__ = [
@@ -42,15 +42,12 @@ _SHOWN = 3
 STRONGEST = 100.0
 """Largest absolute value of tau, in a file at the ends of its range, and in the extrapolation by kernels."""
 
-_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 Both = tuple[Annotated[float, Field(ge=-1e5, le=1e5)], Annotated[float, Field(ge=-1e5, le=1e5)]]
 """Values of tau_12 and tau_21."""
 
 
-class Pair(BaseModel):
+class Pair(DataModel):
     """NRTL parameters of two materials, 1 and 2 in the order of ``of``."""
-
-    model_config = _FROZEN
 
     of: tuple[Text, Text]
     a: Both
@@ -83,10 +80,8 @@ class Pair(BaseModel):
         return first, second
 
 
-class PairFile(BaseModel):
+class PairFile(DataModel):
     """A file of pairs."""
-
-    model_config = _FROZEN
 
     lock: dict[Text, str] = Field(max_length=50)
     """Origin of the file: command and versions."""

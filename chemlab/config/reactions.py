@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from ..kernels.arrays import FloatArray
 from .datafile import DataError, read_toml
-from .datamodel import validated
+from .datamodel import DataModel, validated
 from .materials import Material, Text, atoms_of
 
 __all__ = [
@@ -42,7 +42,6 @@ PROTON, HYDROXIDE, WATER = "H+", "OH-", "water"
 """Materials of the ionization of water, through which acids and bases react."""
 
 _BALANCE_TOLERANCE = 1e-9
-_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 Coefficients = Annotated[
     dict[Text, Annotated[float, Field(ge=0.001, le=100.0)]],
@@ -67,10 +66,8 @@ Enthalpy = Annotated[float, Field(ge=-1e7, le=1e7)]
 """J/mol"""
 
 
-class _Balanced(BaseModel):
+class _Balanced(DataModel):
     """Common fields of all kinds of reactions."""
-
-    model_config = _FROZEN
 
     reactants: Coefficients
     products: Coefficients
@@ -159,10 +156,8 @@ Point = tuple[Annotated[float, Field(ge=150.0, le=1000.0)], Annotated[float, Fie
 """A temperature in K and a solubility in mol/kg."""
 
 
-class Solubility(BaseModel):
+class Solubility(DataModel):
     """Solubility of a salt per kilogram of solvent; a mixture dissolves as its solvents do, by mass."""
-
-    model_config = _FROZEN
 
     solvents: dict[Text, Annotated[tuple[Point, ...], Field(min_length=1, max_length=50)]] = Field(
         min_length=1, max_length=50
@@ -186,14 +181,12 @@ class Solubility(BaseModel):
         return np.asarray(np.interp(temperature, points[:, 0], points[:, 1]))
 
 
-class Salt(BaseModel):
+class Salt(DataModel):
     """A salt that dissolves as ``solid <-> cation + anion`` (one of each).
 
     In the backend ``paper`` it dissolves in every solvent with K = 1 mol/mol, in the backend ``real`` up to its
     solubility.
     """
-
-    model_config = _FROZEN
 
     solid: Text
     cation: Text
@@ -213,13 +206,11 @@ class Violent(_Balanced):
     """
 
 
-class Acid(BaseModel):
+class Acid(DataModel):
     """An acid with its bases, in permanent equilibrium with water; only in the backend ``real``.
 
     Strong acids and bases need no entry: they are ions from the start, one of them ``H+`` or ``OH-``.
     """
-
-    model_config = _FROZEN
 
     species: tuple[Text, ...] = Field(min_length=2, max_length=8)
     """Species from the most acidic one on; each has one proton less than the previous one."""
@@ -243,10 +234,8 @@ class Acid(BaseModel):
         return self
 
 
-class ReactionFamily(BaseModel):
+class ReactionFamily(DataModel):
     """A named set of reactions, salts, violent reactions and acids."""
-
-    model_config = _FROZEN
 
     name: Text
     summary: str = ""

@@ -12,10 +12,10 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypedDict
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from .datafile import read_toml
-from .datamodel import validated
+from .datamodel import DataModel, validated
 from .display import facts_html
 from .draws import Split, WorldSpec
 from .inherit import shipped_file
@@ -64,7 +64,6 @@ PHYSICS_TIERS: dict[str, str] = {"paper": "chemlab.physics.backends.paper", "rea
 """Physics backends that a scenario may name, with the module of each (see :mod:`chemlab.physics.backends`)."""
 
 _DATA = Path(__file__).resolve().parent.parent / "data"
-_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _MOST_STARTS = 20_000
 
 _MOST_VESSEL_TICKS = 1_000_000
@@ -87,10 +86,8 @@ Parts = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_
 Share = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 
-class VesselSpec(BaseModel):
+class VesselSpec(DataModel):
     """A vessel on the shelf at the start of an episode."""
-
-    model_config = _FROZEN
 
     capacity_l: Capacity
     """Volume up to the rim; the excess runs over (a spill)."""
@@ -98,10 +95,8 @@ class VesselSpec(BaseModel):
     """Moles of each material."""
 
 
-class ShelfSpec(BaseModel):
+class ShelfSpec(DataModel):
     """The shared shelf: a number of slots and the vessels in the first of them."""
-
-    model_config = _FROZEN
 
     slots: int = Field(ge=1, le=64)
     """Number of slots."""
@@ -130,10 +125,8 @@ class ShelfSpec(BaseModel):
         return self
 
 
-class Companion(BaseModel):
+class Companion(DataModel):
     """A further material of an initial state; ``if_goal`` replaces ``material`` if that is the goal itself."""
-
-    model_config = _FROZEN
 
     material: Key
     """Material that may be present in addition."""
@@ -145,10 +138,8 @@ class Companion(BaseModel):
     """Replacement in experiments whose goal is ``material``."""
 
 
-class StartSpec(BaseModel):
+class StartSpec(DataModel):
     """The paper's fixed initial state of a single-bench episode."""
-
-    model_config = _FROZEN
 
     capacity_l: Capacity = 1.0
     """Volume of the vessel up to the rim."""
@@ -160,10 +151,8 @@ class StartSpec(BaseModel):
     """A further material that may be present."""
 
 
-class WearSpec(BaseModel):
+class WearSpec(DataModel):
     """Degradation, drift and breakdown of a bench's apparatus. Agents observe only a breakdown."""
-
-    model_config = _FROZEN
 
     actuator: Literal["stir", "heat"] = "stir"
     """Affected effect.
@@ -186,14 +175,14 @@ class WearSpec(BaseModel):
     """Duration of a repair in ticks."""
 
 
-class BenchSpec(BaseModel):
+class BenchSpec(DataModel):
     """One kind of bench: number, step limit, and the bench's own options.
 
     Keys that are not listed here go to the options model of the bench ``kind``, which rejects unknown ones. Omitted
     keys have the defaults of ``chemlab/data/benches`` for the kind, if there are any.
     """
 
-    model_config = ConfigDict(frozen=True, extra="allow", allow_inf_nan=False)
+    model_config = ConfigDict(extra="allow")
 
     kind: str = Field(min_length=1, max_length=200)
     """``reaction``, ``extraction``, ``distillation``, ``crystallization``, or your own, ``my_bench.py:Class``."""
@@ -229,10 +218,8 @@ class BenchSpec(BaseModel):
     """Initial state of the single bench (``starts="paper"``); not used in a laboratory."""
 
 
-class DriftSpec(BaseModel):
+class DriftSpec(DataModel):
     """Drift of an instrument's zero, and calibration."""
-
-    model_config = _FROZEN
 
     first: float = Field(default=0.0, ge=0.0, le=1.0)
     """Standard deviation of the bias of every value of the (0 to 1) reading at the start of an episode."""
@@ -246,13 +233,11 @@ class DriftSpec(BaseModel):
     """Standard deviation of the bias of every value after a calibration."""
 
 
-class InstrumentSpec(BaseModel):
+class InstrumentSpec(DataModel):
     """An instrument of the characterization bench.
 
     A reading is gain x true value + bias + noise, on the scale from 0 to 1 of its channel.
     """
-
-    model_config = _FROZEN
 
     kind: Key
     """Kind of instrument.
@@ -277,10 +262,8 @@ class InstrumentSpec(BaseModel):
     """Drift; None: no drift. The manager may have the instrument calibrated."""
 
 
-class LimitSpec(BaseModel):
+class LimitSpec(DataModel):
     """Limits of an episode, which terminates when it reaches one."""
-
-    model_config = _FROZEN
 
     manager_actions: int = Field(ge=1, le=100_000)
     """Maximum number of manager actions."""
@@ -290,10 +273,8 @@ class LimitSpec(BaseModel):
     """Budget of the manager for measurements and calibrations, in units of the score; actions beyond it are masked."""
 
 
-class CostSpec(BaseModel):
+class CostSpec(DataModel):
     """Prices in units of the score (1 = the theoretical maximum of the product, pure)."""
-
-    model_config = _FROZEN
 
     stock_per_mol: Amounts = {}
     """Price of a mole taken from a bottle, by material."""
@@ -305,10 +286,8 @@ class CostSpec(BaseModel):
     """Penalty in the reward of an agent that plays a masked action, which has no other effect."""
 
 
-class SafetySpec(BaseModel):
+class SafetySpec(DataModel):
     """Weights of safety events in ``info["cost"]``, and the price of that cost in the reward."""
-
-    model_config = _FROZEN
 
     weights: dict[Key, Price]
     """Weight of each kind of event in the cost."""
@@ -328,13 +307,11 @@ class SafetySpec(BaseModel):
         return self
 
 
-class RewardSpec(BaseModel):
+class RewardSpec(DataModel):
     """Each agent's reward = local * own + team * the manager's result.
 
     A scenario gives the numbers, or the name of one of :data:`REWARD_MIXES`.
     """
-
-    model_config = _FROZEN
 
     bench_local: Share = 1.0
     """Weight of a bench agent's own experiment scores."""
@@ -368,10 +345,8 @@ class Settings(TypedDict, total=False):
     actions: str | None
 
 
-class OrderSpec(BaseModel):
+class OrderSpec(DataModel):
     """Requirements of a submission; a submission that fails them scores 0."""
-
-    model_config = _FROZEN
 
     purity_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
     """Minimum share of the goal in the vessel."""
@@ -405,14 +380,12 @@ class GradeSpec(OrderSpec):
     """Maximum duration of the experiment in ticks; None: the bench's step limit."""
 
 
-class DemandSpec(BaseModel):
+class DemandSpec(DataModel):
     """Terms of customers: orders that arrive over time with their own terms, penalties, and feedback.
 
     An order with terms pays its price for a submission in time that meets its requirements, and nothing for exceeding
     them. The score is the mean over the orders, minus all costs.
     """
-
-    model_config = _FROZEN
 
     order: tuple[OrderTerms, ...] = Field(default=(), max_length=16)
     """Terms of every order; empty: all orders exist from the beginning and are paid by amount and purity."""
@@ -434,10 +407,8 @@ class DemandSpec(BaseModel):
     """
 
 
-class ManagerSpec(BaseModel):
+class ManagerSpec(DataModel):
     """Changes to the manager's observation and reward."""
-
-    model_config = _FROZEN
 
     observe: Parts = ()
     """Your own observation channels, ``my_parts.py:NAME`` each, after the manager's."""
@@ -450,10 +421,8 @@ class ManagerSpec(BaseModel):
     """Your own reward terms, ``my_parts.py:NAME`` each, added to the reward of every action."""
 
 
-class RealSpec(BaseModel):
+class RealSpec(DataModel):
     """Options that only ``physics = "real"`` uses."""
-
-    model_config = _FROZEN
 
     tick_s: float = Field(default=60.0, gt=0.0, le=1e6)
     """Duration of a laboratory tick in seconds."""
@@ -465,13 +434,11 @@ class RealSpec(BaseModel):
     """Ratio to saturation up to which a solution without crystals stays clear."""
 
 
-class Scenario(BaseModel):
+class Scenario(DataModel):
     """A laboratory as data; see the files under ``scenarios/`` for commented examples.
 
     ``materials`` and ``family`` are resolved at load and contain only what can occur in this scenario.
     """
-
-    model_config = _FROZEN
 
     name: str = Field(pattern=r"^[a-z][a-z0-9_]*(@[12])?$", max_length=100)
     """Name in commands and records; with its level, if that is not the file's own: ``unlabelled@1``."""

@@ -14,10 +14,9 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import pydantic
-from pydantic import BaseModel, ConfigDict
 
 from ..config.datafile import DataError, read_json
-from ..config.datamodel import validated
+from ..config.datamodel import DataModel, validated
 from ..config.files import write_text
 from ..config.loading import shipped_file
 from ..config.scenario import Scenario
@@ -40,7 +39,6 @@ __all__ = [
     "write_starts",
 ]
 
-_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _FILE_BYTES = 20_000_000
 _SUFFIX = ".starts.json"
 
@@ -62,10 +60,8 @@ class Start(NamedTuple):
     """Its position at that bench."""
 
 
-class _Vessel(BaseModel):
+class _Vessel(DataModel):
     """A recorded vessel, independent of its purpose."""
-
-    model_config = _FROZEN
 
     capacity_l: float = pydantic.Field(gt=0.0, le=100.0)
     contents_mol: dict[str, Annotated[float, pydantic.Field(ge=0.0, le=1e4)]]
@@ -76,10 +72,8 @@ class _Vessel(BaseModel):
         return Start(goal, 1.0, self.capacity_l, dict(self.contents_mol), self.last_bench, self.last_position)
 
 
-class _Recorded(BaseModel):
+class _Recorded(DataModel):
     """Schema of a file of recorded vessels."""
-
-    model_config = _FROZEN
 
     scenario: str
     same_as: str | None = pydantic.Field(default=None, pattern=r"^[\w.-]+\.json$")
