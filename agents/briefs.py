@@ -195,11 +195,12 @@ def _bench_lines(bench: Bench) -> list[str]:
     gauges = [c for c in bench.channels if c.size == 1 and c.unit not in ("fraction", "one-hot", "0 or 1")]
     ranges = "; ".join(f"{c.name} {c.low:g} to {c.high:g} {c.unit}" for c in gauges)
     noise = ", ".join(f"{channel} {deviation:g}" for channel, deviation in bench.spec.noise.items())
+    often = " What is mostly noise is shown only at the first step, and by look."
     return [
         f"You operate a {bench.kind} bench. Score of an experiment: {bench.score_meaning}.",
         f"An experiment has at most {bench.spec.step_limit} steps. Vessels: {position_words(bench)}.",
         *([f"Gauges: {ranges}."] if ranges else []),
-        *([f"Noise (of full scale): {noise}. Only look and wait show long values with much of it."] if noise else []),
+        *([f"Noise (of full scale): {noise}.{often}"] if noise else []),
     ]
 
 

@@ -20,7 +20,7 @@ from rich.text import Text
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import RoleText, Shades, action_words, position_words
+from chemlab.lab.text import RoleText, Shades, action_words, folded_lines, position_words
 from chemlab.roles.bench import Bench, channel_slices
 
 __all__ = ["HumanPolicy", "Left", "LetterShades", "Menu", "parse_numbers", "sparkline"]
@@ -330,7 +330,7 @@ class HumanPolicy:
         else:
             costs = [f"{item} {value:.4f}" for item, value in self._labs.costs().items() if value > 0.0]
             yield Text.assemble((self.agent, "bold"), f": costs so far: {', '.join(costs) or 'none'}")
-        yield _grid([("", line) for line in self._text.lines(observation)])
+        yield _grid([("", line) for line in folded_lines(self._text.lines(observation))])
         yield from self._pictures(observation)
 
     @property

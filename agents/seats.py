@@ -24,7 +24,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
-from chemlab.lab.text import RoleText
+from chemlab.lab.text import RoleText, folded_lines
 from chemlab.record import Play, Recorder
 from chemlab.roles.bench import Bench
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
@@ -150,7 +150,7 @@ class Room:
             renaming = self._name if known else None
             self._views = {seat: RoleText(labs, labs.agents.index(seat), renaming) for seat in self.seats}
             self._verbs = {seat: {verb.name: verb for verb in self._make_verbs(seat)} for seat in self.seats}
-            self._shown: dict[str, set[str]] = {seat: set() for seat in self.seats}
+            self._shown: dict[str, set[tuple[str, str]]] = {seat: set() for seat in self.seats}
             self._noted: dict[str, Any] = {}
             self._fresh = dict.fromkeys(self.seats, True)
             self._turns = dict.fromkeys(self.seats, 1)
@@ -201,9 +201,14 @@ class Room:
         assert labs is not None
         role = labs.roles[labs.agents.index(seat)].workplace
         acting = bench_verbs(role, self._name) if isinstance(role, Bench) else manager_verbs(labs, self._name)
-        verbs = [*acting, Verb("look", "Show everything that you observe. Free.")]
-        if seat != MANAGER_AGENT:
-            verbs.append(Verb("wait", "Wait for your turn."))
+        if seat == MANAGER_AGENT:
+            priced = ("orders",) if labs.scenario.demand.order else ()
+            parts = ("all", *priced, *map(str, range(labs.actions.slots)))
+            at = Argument("at", "a slot, for all about it; or one of the other words", parts, default="all")
+            verbs = [*acting, Verb("look", "Show what you observe, all of it or a part in detail. Free.", (at,))]
+        else:
+            look = Verb("look", "Show everything that you observe. Free.")
+            verbs = [*acting, look, Verb("wait", "Wait for your turn.")]
         others = tuple(other for other in self.seats if other != seat)
         if self._say and others:
             text = Argument("text", "the message", longest=min(self._say, 1000))
@@ -295,10 +300,13 @@ class Room:
     # -- turns --------------------------------------------------------------------------------------------------------
 
     def turn(self) -> tuple[str, str]:
-        """(agent that has the turn, everything it observes); an empty name when the episode is over."""
+        """(agent that has the turn, what has changed for it); an empty name when the episode is over.
+
+        Everything it observes has changed at the beginning of an episode, and of a bench's experiment.
+        """
         with self._changed:
             agent = self._current()
-            return (agent, self._situation(agent, True)) if agent else ("", self._end_words())
+            return (agent, self._situation(agent)) if agent else ("", self._end_words())
 
     def _current(self) -> str:
         assert self._labs is not None
@@ -363,7 +371,7 @@ class Room:
     def display(self, agent: str) -> str:
         """Everything that a seat observes, as ``look`` shows it; no call is counted."""
         with self._changed:
-            return self._end_words() if self._over else self._display(agent, True)
+            return self._end_words() if self._over else self._display(agent, True, "")
 
     # -- calls --------------------------------------------------------------------------------------------------------
 
@@ -415,7 +423,7 @@ class Room:
             raise ToolError(f"{verb}: reason must be a text of at most {_LONGEST_REASON} characters")
         known = verbs[verb].checked(given)
         if verb == "look":
-            return Reply(self._display(agent, True))
+            return Reply(self._display(agent, True, known.get("at", "all")))
         if verb == "say":
             return self._deliver(agent, known["to"], known["text"])
         before = self._repeated(agent, verb, known, turn)
@@ -425,10 +433,10 @@ class Room:
             if verb != "wait":
                 return Reply(f"Not your turn: {self._current()} has it; nothing was done. Call wait.")
             self._changed.wait_for(lambda: self._over or self._current() == agent, self._patience)
-            return Reply(self._situation(agent, True), self._over)
+            return Reply(self._situation(agent), self._over)
         action = verbs[verb].action
         if action is None or (verb == "wait" and self._fresh[agent]):  # it has the turn and has not been shown it yet
-            return Reply(self._situation(agent, True))
+            return Reply(self._situation(agent))
         reply = self._act(agent, verb, action(known))
         self._last[agent] = (self._turns[agent] - 1, verb, known, reply)
         return reply
@@ -461,12 +469,12 @@ class Room:
         if agent == MANAGER_AGENT and price > 5e-7:
             words = f"Done; cost {price:.4g}."
         self._advance()
-        situation = self._situation(agent, False)
+        situation = self._situation(agent)
         return Reply(
             f"{words} {situation}" if agent == MANAGER_AGENT or self._current() != agent else situation, self._over
         )
 
-    def _situation(self, agent: str, whole: bool) -> str:
+    def _situation(self, agent: str) -> str:
         """Notices, whose turn it is, and what has changed."""
         notices = " ".join(self._notices[agent])
         self._notices[agent] = []
@@ -474,14 +482,24 @@ class Room:
             return f"{notices} {self._end_words()}".strip()
         if self._current() != agent:
             return f"{notices} {self._current()} has the turn; call wait.".strip()
-        return f"{notices} {self._display(agent, whole)}".strip()
+        return f"{notices} {self._display(agent, False)}".strip()
 
-    def _display(self, agent: str, whole: bool) -> str:
-        """The seat's observation: everything, or the lines that have changed since the last reply."""
+    def _display(self, agent: str, whole: bool, at: str = "all") -> str:
+        """The seat's observation, or the lines that have changed since the last reply.
+
+        Args:
+            agent: the seat.
+            whole: whether all lines are shown.
+            at: the only slot that is shown, or ``orders``, in detail; ``all``: all but details that the seat has been
+                shown; empty: all with details.
+        """
         labs = self._labs
         assert labs is not None
         number = labs.agents.index(agent)
-        lines = self._views[agent].lines(self._noticed(agent, labs.observe(number, labs.members)[0], whole), whole)
+        seen, view = labs.observe(number, labs.members)[0], self._views[agent]
+        if at not in ("", "all"):
+            return "\n".join(folded_lines(view.lines(seen, only="goal" if at == "orders" else f"slot_{at}")))
+        lines = view.lines(self._noticed(agent, seen, whole), whole)
         head, had = f"Turn {self._turns[agent]}", int(labs.turns_had(number)[0])
         if number:
             bench = labs.benches[number - 1]
@@ -491,14 +509,15 @@ class Room:
             head += step if busy else ": no experiment here"
             if not busy:
                 lines = []
-        news = [line for line in lines if line not in self._shown[agent]]
-        changed = lines if whole else [line.partition(" (before: ")[0] for line in news]
-        self._shown[agent] = set(lines)
+        known, self._shown[agent] = self._shown[agent], set(lines)
+        shown = lines if whole else [line for line in lines if line not in known]
+        if at:  # what was known of vessels at benches is a detail, too
+            shown = [(subject, words.partition(" (before: ")[0]) for subject, words in shown]
         if self._current() == agent:
             self._fresh[agent] = False
         else:
             head += f"; {self._current()} has the turn"
-        return "\n".join([head, *changed])
+        return "\n".join([head, *folded_lines(shown, known if whole and at else ())])
 
     def _noticed(self, agent: str, observation: Any, whole: bool) -> Any:
         """The observation, with curves as they were last shown where they have changed by next to nothing."""

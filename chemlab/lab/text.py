@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Collection, Mapping, Sequence
 from itertools import groupby
 from typing import Any
 
@@ -24,6 +25,7 @@ __all__ = [
     "action_words",
     "curve_words",
     "describe_laboratory",
+    "folded_lines",
     "measured_words",
     "named_costs",
     "named_events",
@@ -40,6 +42,10 @@ _NOISY = 0.05
 """Standard deviation above which a long channel is printed value by value: its curve would have a point at each."""
 _PURE = 5
 """Minimum number of consecutive pixels of a separately listed layer; thinner ones are part of a mixed zone."""
+_COLUMNS = " | "
+"""Between the cells of an order and the heads of their columns."""
+_READING = re.compile(r"(\S+ at tick \S+): (.*)")
+_SHARES = re.compile(r"(\S+ [\d.]+%(, |$))+")
 
 
 def named_events(scenario: Scenario, info: Mapping[str, Any]) -> dict[str, float]:
@@ -198,6 +204,10 @@ def _number(value: float) -> str:
     return f"{value:.4g}"
 
 
+def _time(tick: float) -> str:
+    return _number(round(tick, 2) + 0.0)  # observations are float32, and 0 has no sign
+
+
 def _listed(channel: Channel) -> list[str]:
     """Return the names of a channel's values, which its meaning lists after a colon; empty without a list."""
     names = channel.meaning.rpartition(": ")[2].split(", ")
@@ -290,31 +300,33 @@ class RoleText:
         scales["told"] = ([1.0] * len(named), [f"{name} quantile" for name in named], "")
         return scales
 
-    def lines(self, observation: ObservationArray, noisy: bool = True) -> list[str]:
-        """Return the observation in lines. Slots or orders with equal lines share one.
+    def lines(self, observation: ObservationArray, noisy: bool = True, only: str = "") -> list[tuple[str, str]]:
+        """Return the observation as lines: (slot, bench, order or instrument it is about, or empty; words).
 
         Args:
             observation: of the role.
             noisy: whether noisy channels are included.
+            only: a slot (``slot_0``), or ``goal`` for the orders, whose lines alone are returned; default: all.
         """
-        found: dict[str, list[str]] = {}
+        found: list[tuple[str, str]] = []
         if self._manages:
             self._tick = self._labs.scenario.limits.ticks * (1.0 - float(observation[self._slices["ticks"]][0]))
         for subject, channels in self._subjects.items():
-            values = {channel.name: observation[self._slices[channel.name]] for _, channel in channels}
-            if not subject:
-                shown = [pair for pair in channels if noisy or pair[1].name not in self.noisy]
-                found.update((line, [""]) for line in self._general(shown, values))
+            if only not in ("", subject, subject.rpartition("_")[0]):
                 continue
-            parts = self._about(subject, channels, values)
-            self._seen[subject] = ", ".join(parts)
-            for words in parts:
-                found.setdefault(words, []).append(subject)
-        return [f"{_together(subjects)}: {words}" if subjects[0] else words for words, subjects in found.items()]
+            values = {channel.name: observation[self._slices[channel.name]] for _, channel in channels}
+            if subject:
+                parts = self._about(subject, channels, values)
+                self._seen[subject] = ", ".join(parts)
+            else:
+                shown = [pair for pair in channels if noisy or pair[1].name not in self.noisy]
+                parts = self._general(shown, values)
+            found += [(subject, words) for words in parts]
+        return found
 
     def text(self, observation: ObservationArray) -> str:
         """Return the observation as one text."""
-        return "\n".join(self.lines(observation))
+        return "\n".join(folded_lines(self.lines(observation)))
 
     def _general(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> list[str]:
         """Return the channels of the role itself, a line each; amounts of several materials have a line each, too."""
@@ -326,7 +338,7 @@ class RoleText:
             elif channel.size > 1 or channel.unit == "one-hot":
                 lines.append(f"{label}: {self._words(label, channel, own, '')}")
             else:
-                now = f"tick {_number(self._tick)}, " if channel.name == "ticks" else ""
+                now = f"tick {_time(self._tick)}, " if channel.name == "ticks" else ""
                 lines.append(f"{now}{self._words(label, channel, own, label)}{left}")
         return lines
 
@@ -356,7 +368,8 @@ class RoleText:
                 words = ["idle", *rest]
             for slot in [slot for slot, (bench, _) in self._away.items() if bench == subject]:
                 del self._away[slot]
-        return [", ".join(filter(None, words))]
+        first, *reports = ", ".join(filter(None, words)).split(", reported ")
+        return [", ".join([first, f"reported {reports[0]}", *reports[1:]] if reports else [first])]
 
     def _order(
         self, subject: str, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]], still: bool
@@ -364,15 +377,20 @@ class RoleText:
         if still:
             return "filled" if subject in self._filled or len(channels) == 1 else "not arrived yet"
         self._filled.discard(subject)
-        words = []
+        cells = {}
         for label, channel in channels:
             own = values[channel.name]
             if label == "ticks left":  # a time that stays, so that only news is repeated
                 left = channel.low + float(own[0]) * (channel.high - channel.low)
-                words.append(f"due at {_number(self._tick + left)}" if left > 0.0 else "overdue")
+                cells["due at tick"] = _time(self._tick + left) if left > 0.0 else "overdue"
+            elif channel.size > 1 or channel.unit == "one-hot":
+                cells["goal"] = self._words(label, channel, own, label)
             elif own.any() or not label.endswith("at least"):
-                words.append(self._words(label, channel, own, label))
-        return ", ".join(filter(None, words))
+                number, _, unit = self._words(label, channel, own, "").partition(" ")
+                cells[f"{label} ({unit})" if unit else label] = number
+        if len(channels) == 1:
+            return cells["goal"]
+        return f"{' '.join(cells.values())}{_COLUMNS}{', '.join(cells)}"
 
     def _vessel(self, channels: list[tuple[str, Channel]], values: Mapping[str, npt.NDArray[Any]]) -> list[str]:
         """Describe a vessel on the shelf: its visible properties, and each of its readings."""
@@ -396,7 +414,7 @@ class RoleText:
             # The age alone does not distinguish a reading as old as the longest episode from none: both are 1.
             if age >= 1.0 and (shown is None or not shown.any()):
                 continue
-            when = f"at tick {_number(self._tick - age * labels[f'{instrument} age'].high)}"
+            when = f"at tick {_time(self._tick - age * labels[f'{instrument} age'].high)}"
             measured = "" if shown is None else f": {measured_words(self._labs, i, shown, self._name)}"
             readings.append(f"{self._labs.instruments.names[i]} {when}{measured}")
         words += [self._words(label, one, values[one.name], label) for label, one in channels if label not in known]
@@ -431,7 +449,8 @@ class RoleText:
             return self._shades.words(values, self._name)
         if channel.name in self._scales:
             factors, names, unit = self._scales[channel.name]
-            numbers = [_number(round(float(v) * f, 6)) for v, f in zip(values, factors, strict=True)]
+            exact = [round(float(v) * f, 6) for v, f in zip(values, factors, strict=True)]
+            numbers = [f"{value:.3g}" if unit == "mol" and value < 1000.0 else _number(value) for value in exact]
             pairs = zip(names, numbers, strict=True)
             return ", ".join(f"{name} {number} {unit}".strip() for name, number in pairs)
         if channel.unit.startswith("share"):
@@ -439,7 +458,7 @@ class RoleText:
         span = channel.high - channel.low
         exact = _as_exact_as(self._noise.get(channel.name, 0.0) * span, channel.low + values.astype(np.float64) * span)
         scaled = [_number(value) for value in exact.tolist()]
-        unit = "" if channel.unit in ("fraction", *label.split()) else f" {channel.unit}"
+        unit = "" if channel.unit in ("fraction", "mole fraction", *label.split()) else f" {channel.unit}"
         if channel.size == 1:
             return f"{before} {scaled[0]}{unit}".strip()
         if channel.size > _LONG:
@@ -448,6 +467,36 @@ class RoleText:
         materials = self._labs.scenario.materials
         named = [self._name(one) if one in materials else one for one in names] or [str(i) for i in range(channel.size)]
         return ", ".join(f"{one} {number}" for one, number in zip(named, scaled, strict=True)) + unit
+
+
+def folded_lines(lines: Sequence[tuple[str, str]], known: Collection[tuple[str, str]] = ()) -> list[str]:
+    """Return lines as text: slots and benches with equal words share one, as do readings of an instrument, and orders.
+
+    Args:
+        lines: of :meth:`RoleText.lines`, or some of them.
+        known: those of which curves, and terms of orders, are left out.
+    """
+    alike: dict[tuple[str, bool], list[str]] = {}
+    for subject, words in lines:
+        alike.setdefault((words, (subject, words) in known), []).append(subject)
+    found: dict[str, list[str]] = {}
+    for (words, short), subjects in alike.items():
+        name, reading, row = _together(subjects), _READING.fullmatch(words), words.partition(_COLUMNS)
+        if row[1]:
+            numbers = name.partition(" ")[2]
+            head = "open orders (look at orders to read them)" if short else f"orders ({row[2]})"
+            found.setdefault(head, []).append(numbers if short else f"{numbers}: {row[0]}")
+        elif reading is None or not name.startswith("slot"):
+            found.setdefault(f"{name}: {words}" if name else words, [])
+        else:
+            head, words = reading.groups()
+            if _SHARES.fullmatch(words):
+                head, words = f"{head} (%)", re.sub("[%,]", "", words)
+            elif short and words.startswith(("nm:%", "index:%")):
+                head, name, words = f"{head} (look at one slot to read it)", name.partition(" ")[2], ""
+            found.setdefault(head, []).append(f"{name} {words}".strip())
+    marks = {head: "; " if any(" " in item for item in items) else ", " for head, items in found.items()}
+    return [f"{head}: {marks[head].join(items)}" if items else head for head, items in found.items()]
 
 
 def _together(subjects: Sequence[str]) -> str:

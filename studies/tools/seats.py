@@ -20,7 +20,7 @@ from chemlab.agents.policies import agent_policy
 from chemlab.agents.seats import Room
 from chemlab.agents.verbs import ToolError
 
-__all__ = ["call_for", "main", "play_scripted"]
+__all__ = ["call_for", "main", "measure", "play_scripted"]
 
 Call = tuple[str, dict[str, Any]]
 
@@ -50,22 +50,24 @@ def _calls(room: Room, agent: str) -> dict[int, Call]:
 
 
 def play_scripted(
-    room: Room, most: int = 5000, seen: Callable[[str, str], None] = lambda seat, text: None
+    room: Room, most: int = 5000, seen: Callable[[str, str, bool], None] = lambda seat, text, replied: None
 ) -> list[tuple[str, str, dict[str, Any]]]:
     """Play an episode to its end with the scripted policies at every seat; returns the calls made.
 
     Args:
         room: at the beginning of an episode.
         most: calls, after which it gives up.
-        seen: called with every seat and reply.
+        seen: called with every seat and text: False for one that tells it that it has the turn, True for a reply.
     """
     labs: Any = room._labs
     policies = {seat: agent_policy("scripted", labs, labs.agents.index(seat)) for seat in room.seats}
-    made = []
+    made: list[tuple[str, str, dict[str, Any]]] = []
     for _ in range(most):
-        agent, _ = room.turn()
+        agent, text = room.turn()
         if not agent:
             return made
+        if not made or made[-1][0] != agent:
+            seen(agent, text, False)
         number = labs.agents.index(agent)
         mask = labs.mask(number, labs.members)
         step = labs.turns_had(number)
@@ -73,7 +75,7 @@ def play_scripted(
         verb, given = call_for(room, agent, action)
         reply = room.call(agent, verb, given)
         assert not reply.error, reply.text
-        seen(agent, reply.text)
+        seen(agent, reply.text, True)
         made.append((agent, verb, given))
     raise AssertionError(f"the episode is not over after {most} calls")
 
@@ -88,10 +90,12 @@ def measure(name: str, count: Callable[[str], int]) -> list[str]:
     looks = [count(room.call(seat, "look").text) for seat in room.seats]
     sizes = dict.fromkeys(room.seats, 0)
 
-    def seen(seat: str, text: str) -> None:
-        replies.append(count(text))
-        sizes[seat] += replies[-1]
-        looks.append(count(room.call(seat, "look").text) if not room.over else 0)
+    def seen(seat: str, text: str, replied: bool) -> None:
+        sizes[seat] += count(text)
+        if replied:
+            replies.append(count(text))
+        if not room.over:
+            looks.append(count(room.call(seat, "look").text))
 
     play_scripted(room, seen=seen)
     columns = [

@@ -6,6 +6,8 @@ import inspect
 import json
 import random
 import re
+import subprocess
+import sys
 import typing
 from pathlib import Path
 from typing import Any
@@ -18,10 +20,10 @@ from chemlab.agents.seats import LabTools, Room, ToolError, input_schema
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.lab.engine import Laboratories
 from chemlab.record import verify_record
-from studies.tools.seats import call_for, play_scripted
+from studies.tools.seats import call_for, measure, play_scripted
 
 SALT = "0123456789abcdef0123456789abcdef"
-TWO = ("manager_0", "dit_0")
+TWO, RELAY = ("manager_0", "dit_0"), ("manager_0", "fin_0")
 
 
 def snapshot(room: Room) -> list[Any]:
@@ -60,6 +62,58 @@ def test_looking_is_free_and_complete(room: Room) -> None:
     assert same(before, snapshot(room))
 
 
+def test_details_are_shown_once_and_by_parts(room: Room) -> None:
+    """Spectra and terms of orders: whole where they are new or asked for, else only named."""
+    measured = room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"}).text
+    curve = measured[measured.index("nm:%") :].splitlines()[0]
+    assert "uv_vis at tick 0 (look at one slot to read it): 0" in room.call("manager_0", "look").text
+    assert f"slot 0 {curve}" in room.call("manager_0", "look", {"at": 0}).text
+    assert curve in room.display("manager_0")
+    relay = Room("relay", RELAY, salt=SALT, seed=3)
+    first = relay.call("manager_0", "look").text
+    assert "orders (goal, due at tick, price, amount at least (mol)): 0: " in first
+    assert "open orders (look at orders to read them): 0" in relay.call("manager_0", "look").text
+    assert relay.call("manager_0", "look", {"at": "orders"}).text in first
+
+
+def test_seats_and_playing_need_only_the_core() -> None:
+    """Every module of a distribution that is no dependency of the core is hidden, as if it were not installed."""
+    core = r"""
+import importlib.metadata as meta, pathlib, re, sys
+text = pathlib.Path(sys.argv[1]).read_text().split("\ndependencies = [")[1].split("\n]")[0]
+named = [re.match(r"[\w.-]+", line)[0] for line in re.findall(r'"(.*?)"', text)]
+assert len(named) == 11, "the core has grown: " + str(named)
+queue, known = list(named), set()
+while queue:
+    name = re.sub("[-_.]+", "-", queue.pop()).lower()
+    if name in known:
+        continue
+    known.add(name)
+    try:
+        wanted = meta.requires(name) or []
+    except meta.PackageNotFoundError:  # for another platform or Python
+        continue
+    queue += [re.match(r"[\w.-]+", one)[0] for one in wanted if "extra ==" not in one]
+owners = {m: {re.sub("[-_.]+", "-", d).lower() for d in ds} for m, ds in meta.packages_distributions().items()}
+hidden = {m for m, ds in owners.items() if not ds & (known | {"chemlab-marl"})}
+assert "pytest" in hidden
+class Hide:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in hidden:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Hide())
+import chemlab.agents.seats
+from chemlab.cli import main
+sys.argv = ["chemlab", "play", "fictitious"]
+main()
+"""
+    root = Path(__file__).parents[2]
+    command = [sys.executable, "-c", core, str(root / "pyproject.toml")]
+    done = subprocess.run(command, input="q\n", capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "tick 0, " in done.stdout
+
+
 def test_an_agent_without_the_turn_is_told_who_has_it(room: Room) -> None:
     before = snapshot(room)
     reply = room.call("dit_0", "heat", {"amount": 1})
@@ -86,6 +140,9 @@ JUNK: tuple[Any, ...] = (
 )  # fmt: skip
 
 
+NO_NUMBER = (None, True, float("nan"), float("inf"), 10**400, 1e308, -1e308, "", "x" * 5000, "one", [], {}, b"1")
+
+
 def wrong_call(room: Room, rng: random.Random) -> tuple[Any, Any, Any]:
     """A call that is wrong in one respect."""
     agent = rng.choice(room.seats)
@@ -96,21 +153,24 @@ def wrong_call(room: Room, rng: random.Random) -> tuple[Any, Any, Any]:
         return rng.choice(JUNK), "look", {}
     verbs = [verb for verb in room.verbs(agent) if verb.arguments or way == 2]
     verb = rng.choice(verbs)
-    given: Any = {argument.name: argument.options[0] for argument in verb.arguments}
+    given: Any = {one.name: one.options[0] if one.options else one.high for one in verb.arguments}
     if way == 2:
         return agent, verb.name, {**given, rng.choice(["Slot", "x" * 300, "self", "\n"]): 1}
     if way == 3:
         return agent, verb.name, rng.choice([[1, 2], "text", 5, {3: 4}, {str(i): 0 for i in range(1000)}])
-    del given[rng.choice(list(given))]
-    if rng.random() < 0.7:
-        missing = next(a.name for a in verb.arguments if a.name not in given)
-        given[missing] = rng.choice([junk for junk in JUNK if not (junk == -1 and verb.name == "heat")])
+    wrong = rng.choice(verb.arguments)
+    del given[wrong.name]
+    if wrong.default is not None or rng.random() < 0.7:
+        junk = [value for value in JUNK if not (value == -1 and verb.name == "heat")]
+        given[wrong.name] = rng.choice(junk if wrong.options else NO_NUMBER)
     return agent, verb.name, given
 
 
-def test_ten_thousand_wrong_calls_change_nothing(room: Room) -> None:
+@pytest.mark.parametrize(("scenario", "seats", "count"), [("unlabelled", TWO, 8000), ("relay", RELAY, 2000)])
+def test_ten_thousand_wrong_calls_change_nothing(scenario: str, seats: tuple[str, ...], count: int) -> None:
+    room = Room(scenario, seats, salt=SALT, seed=3)
     rng, before, made = random.Random(0), snapshot(room), 0
-    for i in range(10_000):
+    for i in range(count):
         agent, verb, given = wrong_call(room, rng)
         reply = room.call(agent, verb, given)
         assert reply.error, (agent, verb, given, reply.text)
@@ -121,7 +181,7 @@ def test_ten_thousand_wrong_calls_change_nothing(room: Room) -> None:
         if i % 1000 == 999:
             assert same(before, snapshot(room))
     assert sum(seat["wrong"] for seat in room.report()["seats"].values()) == made
-    assert not room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"}).error
+    assert not room.call("manager_0", "discard", {"slot": 0}).error
 
 
 def test_illegal_actions_are_refused_with_what_is_possible(room: Room) -> None:
@@ -154,7 +214,7 @@ def test_messages_are_quoted_and_counted() -> None:
 # -- episodes ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("scenario", "seats"), [("unlabelled", TWO), ("relay", ("manager_0", "fin_0"))])
+@pytest.mark.parametrize(("scenario", "seats"), [("unlabelled", TWO), ("relay", RELAY)])
 def test_two_seats_play_to_the_end(scenario: str, seats: tuple[str, ...], tmp_path: Path) -> None:
     """The record is right with the published salt, and two rooms with the same calls have the same record."""
     records = []
@@ -218,6 +278,31 @@ def test_opaque_names_hide_materials_everywhere(tmp_path: Path) -> None:
     assert [name for name in materials if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", shown)] == []
     assert re.search(r"\bM\d\d\b", shown)
     assert verify_record(tmp_path / "episode-0000.jsonl").status == "ok"
+
+
+# -- tokens -----------------------------------------------------------------------------------------------------------
+
+
+def token_table() -> dict[str, list[int]]:
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "language-agent.md").read_text()
+    rows = [line.strip("| ").split(" | ") for line in page.splitlines() if re.match(r"\| [a-z_]+ \| \d+ \|", line)]
+    return {name: [int(cell) for cell in cells] for name, *cells in rows}
+
+
+def test_texts_of_every_scenario_are_within_their_bars() -> None:
+    table = token_table()
+    assert sorted(table) == scenario_names()
+    for name, (brief, _, look, reply, _, calls, episode) in table.items():
+        assert brief <= 500, name
+        assert look <= 400, name
+        assert reply <= 80, name
+        assert episode <= (2_000 if calls <= 200 else 15_000), name
+
+
+@pytest.mark.parametrize("name", ["fictitious", "wurtz_dodecane", "relay"])
+def test_the_page_has_the_tokens_of_the_present_texts(name: str) -> None:
+    encoding = pytest.importorskip("bpe_openai", reason="needs bpe-openai (extra test)").get_encoding("o200k_base")
+    assert measure(name, lambda text: len(encoding.encode(text)))[1:] == list(map(str, token_table()[name]))
 
 
 # -- tools ------------------------------------------------------------------------------------------------------------

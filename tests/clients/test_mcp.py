@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 import pytest
 from callers import SALT, SEATS, SEED, played
 
+import chemlab
 from chemlab.agents.ledger import read_ledger
 from chemlab.agents.seats import Room
 
@@ -115,39 +117,70 @@ def test_two_seats_over_http(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("given", [False, True])
 def test_the_command_keeps_its_secrets(given: bool, tmp_path: Path) -> None:
-    """While it runs no file, argument or environment variable of the server tells the salt or a drawn seed.
+    """While it runs no file, argument or environment variable tells the salt, a drawn seed or the world.
 
-    A given salt is that of several episodes: nor do the files of one that is over.
+    Files are all that the server has written (its folder, home, temporary files, caches) or holds open. A given salt is
+    that of several episodes: nor do the files of one that is over.
     """
-    command = [sys.executable, "-m", "chemlab", "mcp", "unlabelled", "--seat", "manager_0", "--out", str(tmp_path)]
+    out, began = tmp_path / "out", time.time()
+    command = [sys.executable, "-m", "chemlab", "mcp", "unlabelled", "--seat", "manager_0", "--out", str(out)]
     environment = {name: value for name, value in os.environ.items() if name != "CHEMLAB_SALT"}
+    caches = [Path(environment.setdefault("NUMBA_CACHE_DIR", str(Path.home() / ".cache" / "chemlab")))]
+    caches += [place for root in chemlab.__path__ for place in Path(root).rglob("__pycache__")]
+    for name in ("HOME", "TMPDIR", "XDG_CACHE_HOME", "CHEMLAB_STATE_DIR"):
+        (tmp_path / name).mkdir()
+        environment[name] = str(tmp_path / name)
     if given:
-        Room("unlabelled", folder=tmp_path, salt=SALT, seed=SEED).close()
+        Room("unlabelled", folder=out, salt=SALT, seed=SEED).close()
         command += ["--episode", "3"]
         environment["CHEMLAB_SALT"] = SALT
     process = subprocess.Popen(
-        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+        command,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=environment,
+        cwd=tmp_path / "HOME",
     )
     assert process.stdin is not None
     assert process.stdout is not None
-    hello = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "0"}}
-    process.stdin.write(
-        json.dumps({"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": hello}).encode() + b"\n"
+
+    def send(method: str, params: dict[str, Any], **number: int) -> None:
+        assert process.stdin is not None
+        process.stdin.write(
+            json.dumps({"jsonrpc": "2.0", "method": method, "params": params, **number}).encode() + b"\n"
+        )
+        process.stdin.flush()
+
+    send(
+        "initialize",
+        {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "t", "version": "0"}},
+        id=1,
     )
-    process.stdin.flush()
     assert json.loads(process.stdout.readline())["id"] == 1  # nothing else is on standard output
-    during = {path: path.read_text() for path in tmp_path.iterdir()}
+    send("notifications/initialized", {})
+    send("tools/call", {"name": "start", "arguments": {"bench": "rxn_0", "slot": 0, "goal": "dodecane"}}, id=2)
+    assert "vessel at rxn_0" in process.stdout.readline().decode()
     proc = Path(f"/proc/{process.pid}")
-    seen = "".join(
-        (proc / name).read_bytes().decode(errors="replace") for name in ("cmdline", "environ") if proc.exists()
+    files = {path for path in tmp_path.rglob("*") if path.is_file()}
+    files |= {path for place in caches for path in place.rglob("*") if path.is_file() and path.stat().st_mtime >= began}
+    files |= {path.resolve() for path in proc.glob("fd/*") if path.resolve().is_file()}
+    seen = b"".join(
+        path.read_bytes() for path in [*sorted(files), *map(proc.joinpath, ("cmdline", "environ"))] if path.exists()
     )
     process.stdin.close()
     process.wait(60)
     process.stdout.close()
-    ended = read_ledger(tmp_path / "ledger.jsonl")[-1]
+    assert {path.name for path in files if out in path.parents} - {
+        "episode-0000.jsonl.part",
+        "episode-0000.transcript.jsonl",
+    } == {"ledger.jsonl"}
+    ended = read_ledger(out / "ledger.jsonl")[-1]
     assert ended["status"] == "given up"
     assert ended["condition"] == "tools only"
-    own = {path.name for path in during} - {"episode-0000.jsonl.part", "episode-0000.transcript.jsonl"}
-    assert own == {"ledger.jsonl"}
-    for secret in (SALT,) if given else (ended["split"].partition(":")[2], str(ended["seed"])):
-        assert secret not in seen + "".join(during.values())
+    salt = SALT if given else ended["split"].partition(":")[2]
+    world = Room("unlabelled", salt=salt, seed=ended["seed"]).laboratories.worlds
+    secrets = [salt, *(f"{value:.9f}"[:8] for value in world.values(0)["titre"].values())]
+    secrets += [] if given else [str(ended["seed"]), str(world.number(0))]
+    assert len(secrets) > 2
+    assert [secret for secret in secrets if secret.encode() in seen] == []
