@@ -449,8 +449,8 @@ class RoleText:
             return self._shades.words(values, self._name)
         if channel.name in self._scales:
             factors, names, unit = self._scales[channel.name]
-            exact = [round(float(v) * f, 6) for v, f in zip(values, factors, strict=True)]
-            numbers = [f"{value:.3g}" if unit == "mol" and value < 1000.0 else _number(value) for value in exact]
+            amounts = [round(float(v) * f, 6) for v, f in zip(values, factors, strict=True)]
+            numbers = [f"{one:.3g}" if unit == "mol" and one < 1000.0 else _number(one) for one in amounts]
             pairs = zip(names, numbers, strict=True)
             return ", ".join(f"{name} {number} {unit}".strip() for name, number in pairs)
         if channel.unit.startswith("share"):

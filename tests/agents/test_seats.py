@@ -70,10 +70,11 @@ def test_details_are_shown_once_and_by_parts(room: Room) -> None:
     assert f"slot 0 {curve}" in room.call("manager_0", "look", {"at": 0}).text
     assert curve in room.display("manager_0")
     relay = Room("relay", RELAY, salt=SALT, seed=3)
-    first = relay.call("manager_0", "look").text
-    assert "orders (goal, due at tick, price, amount at least (mol)): 0: " in first
-    assert "open orders (look at orders to read them): 0" in relay.call("manager_0", "look").text
-    assert relay.call("manager_0", "look", {"at": "orders"}).text in first
+    while "due at tick" not in (first := relay.call("manager_0", "wait").text):
+        assert not relay.over
+    assert "orders (goal, due at tick, price, amount at least (mol)): " in first
+    assert "open orders (look at orders to read them): " in relay.call("manager_0", "look").text
+    assert first.splitlines()[-1] in relay.call("manager_0", "look", {"at": "orders"}).text
 
 
 def test_seats_and_playing_need_only_the_core() -> None:
