@@ -28,6 +28,8 @@ from .roles.reaction_bench import ReactionBench
 __all__ = ["Campaign", "Choice", "Range", "Result"]
 
 _TRACE = 1e-9
+_LEAST = 0.2
+"""Least share of what a bench takes at most: the publication's catalyst is 0.5 to 2.5 % (reactions.toml)."""
 
 
 @dataclass(frozen=True)
@@ -101,10 +103,11 @@ class Campaign:
         self._bench, options = bench, bench.options
         self._limiting = spec.theoretical_maximum_mol[self._goal]
         most = {name: options.reagents[name] / self._limiting for name in spec.stock}
+        percent = 100.0 * min(most[name] for name in names)
         self.space: dict[str, Range | Choice] = {
             "catalyst": Choice(tuple(names)),
-            "percent": Range(0.5, 100.0 * min(most[name] for name in names)),
-            "equivalents": Range(0.8, most[self._reagent]),
+            "percent": Range(_LEAST * percent, percent),
+            "equivalents": Range(_LEAST * most[self._reagent], most[self._reagent]),
             "temperature_k": Range(options.temperature_k.low, options.temperature_k.high),
             "minutes": Range(1.0, float(bench.spec.step_limit), 1),
         }

@@ -18,7 +18,7 @@ from .script import ScriptedManager, Setting, cheapest
 
 __all__ = ["ScreeningManager", "ScriptedScreening", "catalysts"]
 
-_EQUIVALENTS, _CATALYST, _HEAT = 1.3, 0.5, 0.75
+_EQUIVALENTS, _CATALYST, _HEAT = 1.3, 0.5, 0.6
 """Rules of thumb: equivalents of every reagent, share of the catalyst's supply, share of the temperature range."""
 
 

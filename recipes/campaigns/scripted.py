@@ -15,6 +15,6 @@ def optimize(campaign: Campaign, seed: int, batch: int = 2) -> None:
     tried = 0
     while campaign.left:
         names = [catalysts.options[(tried + i) % len(catalysts.options)] for i in range(min(batch, campaign.left))]
-        rules = {"percent": 1.25, "equivalents": 1.3, "temperature_k": 378.15, "minutes": 20}
+        rules = {"percent": 1.25, "equivalents": 1.3, "temperature_k": 363.15, "minutes": 20}
         campaign.run_batch([{"catalyst": name, **rules} for name in names])
         tried += len(names)
