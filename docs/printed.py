@@ -1,5 +1,8 @@
 """Write the output of a page's code into the page: ``python docs/printed.py [PAGE ...]``.
 
+``python docs/printed.py --times`` measures the time to the first plot of the guided pages for the table of
+``sandbox.md``.
+
 A ``text`` block right after a ``python`` block is the output of that block. Figures that it saves are copied to
 ``images``. Tests run the same code and compare (tests/test_sandbox.py, tests/test_catalogue.py).
 """
@@ -11,8 +14,11 @@ import io
 import os
 import re
 import shutil
+import subprocess
 import sys
 import tempfile
+import time
+from collections.abc import Iterator
 from pathlib import Path
 
 __all__ = ["PAGES", "printed"]
@@ -31,23 +37,68 @@ def _run(source: str) -> str:
     return said.getvalue()
 
 
-def printed(page: str, images: Path | None = None) -> str:
-    """Return the text of a page with the current output of its code; copy the figures that it saves to ``images``."""
+@contextlib.contextmanager
+def _folder(page: str) -> Iterator[Path]:
+    """A temporary working directory with the files of a page."""
     before = os.getcwd()
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
         try:
             for block in _FILES.finditer(page):
                 Path(block["name"]).write_text(block[0].partition("\n")[2].removesuffix("```"), encoding="utf-8")
-            text = _BLOCKS.sub(lambda found: f"{found['code']}{_run(found['source'])}```", page)
-            for picture in Path(folder).glob("*.png") if images else ():
-                shutil.copy(picture, images or "")
+            yield Path(folder)
         finally:
             os.chdir(before)
+
+
+def printed(page: str, images: Path | None = None) -> str:
+    """Return the text of a page with the current output of its code; copy the figures that it saves to ``images``."""
+    with _folder(page) as folder:
+        text = _BLOCKS.sub(lambda found: f"{found['code']}{_run(found['source'])}```", page)
+        for picture in folder.glob("*.png") if images else ():
+            shutil.copy(picture, images or "")
     return text
 
 
-if __name__ == "__main__":
-    for name in sys.argv[1:] or PAGES:
+def _first_plot(page: str) -> float:
+    """Return s of CPU time that a page's code takes until it has saved a figure."""
+    begun = time.process_time()
+    with _folder(page) as folder:
+        for block in _BLOCKS.finditer(page):
+            _run(block["source"])
+            if any(folder.glob("*.png")):
+                break
+    return time.process_time() - begun
+
+
+def times() -> list[str]:
+    """Return the table of times to the first plot: with kernels compiled, in a new process, and once more in it."""
+    lines = ["| page | computing (s) | again (s) |", "| --- | --: | --: |"]
+    for name in PAGES[1:]:
+        command = [sys.executable, __file__, "--first-plot", name]
+        # The first process compiles kernels if they are not in the cache.
+        _, said = (subprocess.run(command, check=True, capture_output=True, text=True).stdout for _ in range(2))
+        title = (HERE / name).read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
+        lines.append(f"| {title} | {' | '.join(said.split())} |")
+    return lines
+
+
+def main(arguments: list[str]) -> None:
+    """Write the output of pages, or measure."""
+    if arguments[:1] == ["--first-plot"]:
+        page = (HERE / arguments[1]).read_text(encoding="utf-8")
+        _first_plot(page)
+        print(f"{time.process_time():.1f} {_first_plot(page):.1f}")
+        return
+    if arguments == ["--times"]:
+        from chemlab.config.files import replace_between
+
+        replace_between(HERE / "sandbox.md", "times", times())
+        return
+    for name in arguments or PAGES:
         path = HERE / name
         path.write_text(printed(path.read_text(encoding="utf-8"), HERE / "images"), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -107,7 +107,8 @@ def replay(
         typer.Option(
             "--output",
             "-o",
-            help="Output file: a page (.html), or an animation of one record (.gif, .webp; needs the extra `plot`). "
+            help="Output file: a page (.html), or of one record an animation (.gif, .webp; needs the extra `plot`) or a "
+            "protocol of its procedure (.md). "
             "Default: the record's name with .html.",
         ),
     ] = None,
@@ -115,14 +116,14 @@ def replay(
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     trust: TrustOption = False,
 ) -> None:
-    """Make an interactive HTML page, or an animation, of a record; the page needs no network."""
+    """Make an interactive HTML page, an animation or a protocol of a record; the page needs no network."""
     from ..config.files import write_bytes
     from ..record import read_record
 
     path = output or files[0].with_name(f"{'-'.join(file.stem for file in files)}.html")
-    animated = path.suffix in (".gif", ".webp")
-    if len(files) > 2 or (animated and len(files) > 1):
-        raise ValueError(f"a page shows at most two records, an animation one, given {len(files)}")
+    animated, written = path.suffix in (".gif", ".webp"), path.suffix == ".md"
+    if len(files) > (1 if animated or written else 2):
+        raise ValueError(f"a page shows at most two records, an animation or a protocol one, given {len(files)}")
     if path.suffix in _VIDEOS:
         raise ValueError(f"{path}: videos are not made; name a .gif or .webp, which other programs convert")
     if path.exists() and not force:
@@ -136,6 +137,10 @@ def replay(
         from ..render.animation import animation
 
         content = animation(records[0], path.suffix[1:], trust)
+    elif written:
+        from ..render.protocol import protocol
+
+        content = protocol(records[0], trust).encode()
     else:
         from ..render.replay_page import comparison_page, replay_page
 

@@ -5,7 +5,8 @@
 Every optimizer has the same hidden worlds (split ``test``) and all 24 vessels of each, two at a time. After every
 experiment, the recipe with the best measured value so far is recommended. Its regret is its distance from the oracle,
 1 - (value - random) / (oracle - random): values without noise; the oracle is the best recipe that a search with the
-hidden parameters finds, random the mean of recipes drawn uniformly. ``--figure`` draws the curves.
+hidden parameters finds, random the mean of recipes drawn uniformly. The tables of
+``docs/chemist/campaign.md`` are written, and ``--figure`` draws the curves.
 """
 
 from __future__ import annotations
@@ -23,8 +24,11 @@ from random_search import drawn
 from scipy import stats
 
 from chemlab.campaign import Campaign, Choice
+from chemlab.config.files import replace_between
 
-OPTIMIZERS = ("random_search", "scripted", "scipy_evolution", "optuna_tpe", "baybe_gp", "ax_client")
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "chemist" / "campaign.md"
+
+OPTIMIZERS = ("random_search", "scripted", "scipy_evolution", "optuna_tpe", "baybe_gp", "ax_client", "learned")
 _ROUNDS, _DRAWN, _KEPT = 7, 200, 20
 
 
@@ -68,6 +72,39 @@ def regrets(optimizer: str, seed: int, ends: tuple[float, float]) -> tuple[list[
     return [round(float(value), 4) for value in found], round(campaign.finish(), 4)
 
 
+def fixed(ends: list[Any]) -> dict[str, list[float]]:
+    """Return regrets in every world of fixed recipes, the best of many by their mean value in as many training worlds.
+
+    ``no measurement``: one recipe. ``catalyst measured``: the same conditions with the best catalyst of the world.
+    """
+    rng, space = np.random.default_rng(1), Campaign().space["catalyst"]
+    assert isinstance(space, Choice), "it is a category"
+    conditions = [drawn(Campaign(), rng) for _ in range(_DRAWN)]
+    recipes = [{**recipe, "catalyst": name} for recipe in conditions for name in space.options]
+    seen = [Campaign(seed=seed).true_values(recipes).reshape(_DRAWN, -1) for seed in range(len(ends))]
+    one, any_of = int(np.mean(seen, axis=(0, 2)).argmax()), int(np.max(seen, axis=2).mean(axis=0).argmax())
+    found: dict[str, list[float]] = {"no measurement": [], "catalyst measured": []}
+    for seed, (best, random) in enumerate(ends):
+        campaign = Campaign(seed=seed, split="test")
+        for name, which, chosen in (("no measurement", one, np.mean), ("catalyst measured", any_of, np.max)):
+            values = campaign.true_values([{**conditions[which], "catalyst": c} for c in space.options])
+            found[name].append(round(float(1.0 - (chosen(values) - random) / (best - random)), 4))
+    return found
+
+
+def fixed_table(found: dict[str, Any]) -> list[str]:
+    """Return the regrets of fixed recipes, and of the best optimizer, as a Markdown table."""
+    ends = {name: np.array(curves)[:, -1] for name, curves in found["regret"].items()}
+    best = min(ends, key=lambda name: ends[name].mean())
+    named = {
+        "the best fixed recipe": found["fixed"]["no measurement"],
+        "the best fixed conditions, with the best catalyst of each world": found["fixed"]["catalyst measured"],
+        f"`{best}`, 24 measured experiments": ends[best],
+    }
+    rows = ["| recipes | regret |", "| --- | --: |"]
+    return rows + ["| {} | {:.2f} ({:.2f} to {:.2f}) |".format(name, *interval(x)) for name, x in named.items()]
+
+
 def interval(values: Any) -> tuple[float, float, float]:
     """Return mean and 95 % confidence interval (Student's t)."""
     values = np.asarray(values)
@@ -77,13 +114,14 @@ def interval(values: Any) -> tuple[float, float, float]:
 
 def table(found: dict[str, Any]) -> list[str]:
     """Return the results as a Markdown table."""
-    rows = ["| optimizer | regret after 8 | after 16 | after 24 | better than random search by | raw score |"]
-    rows += ["| --- | --: | --: | --: | --: | --: |"]
+    rows = ["| optimizer | worlds | regret after 8 | after 16 | after 24 | better than random search by | raw score |"]
+    rows += ["| --- | --: | --: | --: | --: | --: | --: |"]
     random = np.array(found["regret"]["random_search"])[:, -1]
     for name, curves in found["regret"].items():
         curve = np.array(curves)
-        cells = ["{:.2f} ({:.2f} to {:.2f})".format(*interval(curve[:, n - 1])) for n in (8, 16, 24)]
-        gain = "{:+.2f} ({:+.2f} to {:+.2f})".format(*interval(random - curve[:, -1]))
+        cells = [str(len(curve))]
+        cells += ["{:.2f} ({:.2f} to {:.2f})".format(*interval(curve[:, n - 1])) for n in (8, 16, 24)]
+        gain = "{:+.2f} ({:+.2f} to {:+.2f})".format(*interval(random[: len(curve)] - curve[:, -1]))
         cells.append("" if name == "random_search" else gain)
         cells.append("{:.2f} ({:.2f} to {:.2f})".format(*interval(found["score"][name])))
         rows.append(f"| `{name}` | {' | '.join(cells)} |")
@@ -115,23 +153,34 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=20, help="number of worlds")
     parser.add_argument("--only", nargs="*", default=OPTIMIZERS, choices=OPTIMIZERS, help="optimizers to run")
-    parser.add_argument("--out", type=Path, help="JSON file; results of other optimizers in it are kept")
+    parser.add_argument("--out", type=Path, help="JSON file; only worlds that it lacks are run")
+    parser.add_argument("--fixed", action="store_true", help="judge fixed recipes as well")
     parser.add_argument("--figure", type=Path, help="draw the file of --out")
     given = parser.parse_args()
     warnings.filterwarnings("ignore")
-    found: dict[str, Any] = {"seeds": given.seeds, "ends": [], "regret": {}, "score": {}}
+    found: dict[str, Any] = {"ends": [], "regret": {}, "score": {}}
     if given.out is not None and given.out.is_file():
         found = json.loads(given.out.read_text(encoding="utf-8"))
     if len(found["ends"]) < given.seeds:
-        found["ends"] = [oracle(Campaign(seed=seed, split="test")) for seed in range(given.seeds)]
+        seeds = range(len(found["ends"]), given.seeds)
+        found["ends"] += [oracle(Campaign(seed=seed, split="test")) for seed in seeds]
     for name in given.only:
-        print(name, file=sys.stderr, flush=True)
-        pairs = [regrets(name, seed, tuple(found["ends"][seed])) for seed in range(given.seeds)]
-        found["regret"][name], found["score"][name] = [list(part) for part in zip(*pairs, strict=True)]
+        curves, scores = found["regret"].setdefault(name, []), found["score"].setdefault(name, [])
+        for seed in range(len(curves), given.seeds):
+            print(name, seed, file=sys.stderr, flush=True)
+            curve, score = regrets(name, seed, tuple(found["ends"][seed]))
+            curves.append(curve)
+            scores.append(score)
+            if given.out is not None:
+                given.out.write_text(json.dumps(found) + "\n", encoding="utf-8")
+    if given.fixed:
+        found["fixed"] = fixed(found["ends"])
         if given.out is not None:
             given.out.write_text(json.dumps(found) + "\n", encoding="utf-8")
     found["regret"] = {name: found["regret"][name] for name in OPTIMIZERS if name in found["regret"]}
-    print("\n".join(table(found)))
+    replace_between(PAGE, "regret", table(found))
+    if "fixed" in found:
+        replace_between(PAGE, "fixed", fixed_table(found))
     if given.figure is not None:
         figure(found, given.figure)
 

@@ -182,6 +182,27 @@ def test_an_unfinished_record_has_a_page(episode: Path, tmp_path: Path) -> None:
     assert runner.invoke(app, ["replay", str(output)]).exit_code == 2
 
 
+def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
+    """Every action is in it, and all that was taken from the stock."""
+    output = tmp_path / "protocol.md"
+    assert runner.invoke(app, ["replay", str(episode), "-o", str(output)]).exit_code == 0
+    text = output.read_text(encoding="utf-8")
+    steps = [line for line in text.splitlines() if line.startswith("- tick ")]
+    times = [int(found[1]) if (found := re.search(r" \((\d+) times\)\.", line)) else 1 for line in steps]
+    whole = read_record(episode)
+    assert sum(times) == sum(len(turn["play"]) for turn in whole.turns)
+    replay = Replay(whole)
+    labs, before = replay.laboratories, replay.laboratories.shelf.stock[0].copy()
+    for turn in whole.turns:
+        replay.play(turn)
+    for name, used in zip(labs.shelf.layout.materials, (before - labs.shelf.stock[0]).tolist(), strict=True):
+        amounts = [float(mol) for line in steps for mol in re.findall(rf"([\d.e-]+) mol `{re.escape(name)}`", line)]
+        assert sum(amounts) == pytest.approx(used, rel=1e-4, abs=1e-6)
+    assert f"- score {float(labs.result(labs.members)[0]):.4f}" in text
+    assert any(" Read: " in line for line in steps) == any(" measure " in line for line in steps)
+    assert re.search(r"Then \d+\.\d K, \d\.\d+ L\.", text)
+
+
 def test_a_record_that_cannot_go_on(episode: Path, tmp_path: Path) -> None:
     """The page shows what can be played, and says so."""
     lines = episode.read_text().splitlines()

@@ -1,0 +1,90 @@
+"""A record as a protocol in Markdown: vessels, steps of every agent with what they added, readings, outcome."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..lab.describe import amount_words
+from ..lab.engine import Laboratories
+from ..lab.text import action_words, reading_words
+from ..physics.chemistry import TEMPERATURE
+from ..record import Record
+from .history import Move, RecordReplay
+
+__all__ = ["protocol"]
+
+_TRACE_MOL = 1e-9
+
+
+@dataclass
+class _Step:
+    """Equal actions of one agent that follow each other."""
+
+    tick: int
+    agent: str
+    words: str
+    times: int = 0
+    added: Counter[str] = field(default_factory=Counter)
+    after: str = ""
+
+    def line(self) -> str:
+        times = f" ({self.times} times)" if self.times > 1 else ""
+        added = f" Added: {amount_words(self.added)}." if self.added else ""
+        return f"- tick {self.tick}, {self.agent}: {self.words}{times}.{added}{self.after}"
+
+
+def protocol(record: Record, trust: bool = False) -> str:
+    """Return the procedure of an episode as Markdown.
+
+    Args:
+        record: a record, finished or not.
+        trust: allow imports of code that the record names.
+
+    Raises:
+        RecordError: the record cannot be replayed here.
+    """
+    replay = RecordReplay(record, trust)
+    labs = replay.laboratories
+    spec, steps, latest = labs.scenario, list[_Step](), dict[str, _Step]()
+    lines = [f"# {spec.title}", "", f"{spec.summary} Simulated by chemlab {record.header.get('chemlab')}: scenario"]
+    lines[-1] += f" `{spec.name}`, seed {record.header.get('seed')}."
+    lines += ["", "## Vessels at the beginning", ""]
+    for slot in range(spec.shelf.slots):
+        held = {name: mol for name, mol in labs.shelf.vessel(0, slot).amounts(-1.0).items() if mol > _TRACE_MOL}
+        lines += [f"- slot {slot}: {amount_words(held)}"] if held else []
+    stock = labs.shelf.stock[0].copy()
+    for move in replay.moves():
+        for play in move.plays:
+            agent, words = labs.agents[play.agent], action_words(labs, play.agent, play.action)
+            step = latest.get(agent)
+            if step is None or step.words != words or move.manager or move.begun == agent:
+                step = latest[agent] = _Step(move.tick, agent, words)
+                steps.append(step)
+            step.times += 1
+            step.after = _after(labs, move, agent)
+        used, stock = stock - labs.shelf.stock[0], labs.shelf.stock[0].copy()
+        step.added.update({labs.shelf.layout.materials[i]: float(used[i]) for i in np.flatnonzero(used > _TRACE_MOL)})
+    lines += ["", "## Procedure", "", *(step.line() for step in steps), "", "## Result", ""]
+    lines += [f"- score {float(labs.result(labs.members)[0]):.4f}, after {int(labs.state.ticks[0])} ticks"]
+    lines += [f"- cost of {item}: {cost:.4g}" for item, cost in labs.costs().items() if cost]
+    return "\n".join(lines) + "\n"
+
+
+def _after(labs: Laboratories, move: Move, agent: str) -> str:
+    """Describe what followed from an action: a reading, or the vessel at the bench."""
+    if agent in move.lost:
+        return " Invalid: it had no effect."
+    if move.manager and move.manager[0] == "measure":
+        _, slot, instrument = move.manager
+        return f" Read: {reading_words(labs, int(slot), str(instrument))}."
+    if agent in move.scores:
+        return f" The experiment is over: {move.scores[agent]:+.3f}."
+    if move.manager or agent not in labs.bench_agents:
+        return ""
+    bench = labs.bench_agents.index(agent)
+    before = sum(len(role.workplace.positions) for role in labs.bench_roles[:bench])
+    vessel = labs.shelf.vessel(0, labs.scenario.shelf.slots + before)
+    return f" Then {float(vessel.row[TEMPERATURE]):.1f} K, {vessel.volume_l:.3f} L."
