@@ -106,8 +106,8 @@ class Campaign:
         percent = 100.0 * min(most[name] for name in names)
         self.space: dict[str, Range | Choice] = {
             "catalyst": Choice(tuple(names)),
-            "percent": Range(_LEAST * percent, percent),
-            "equivalents": Range(_LEAST * most[self._reagent], most[self._reagent]),
+            "percent": Range(round(_LEAST * percent, 9), percent),
+            "equivalents": Range(round(_LEAST * most[self._reagent], 9), most[self._reagent]),
             "temperature_k": Range(options.temperature_k.low, options.temperature_k.high),
             "minutes": Range(1.0, float(bench.spec.step_limit), 1),
         }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib.util
 import itertools
 import math
@@ -22,8 +23,8 @@ from chemlab.sandbox import Flask
 
 ROOT = Path(__file__).parent.parent
 MOLECULES = {path.stem: load_materials([path])[path.stem] for path in sorted(FOLDER.glob("[!_]*.toml"))}
-STUDY: Any = script("studies/physics/everyday.py")
-NAMES = STUDY.names()
+with (ROOT / "studies" / "physics" / "everyday.csv").open(encoding="utf-8", newline="") as _file:
+    NAMES = [row["name"] for row in csv.DictReader(_file)]
 
 BOILS_ELSEWHERE = {
     "N,N-diisopropylethylamine": "399.7 K by two compilations; 387 K is an old value",
@@ -99,13 +100,21 @@ def test_mistakes_are_answered(made: Callable[[], object], message: str) -> None
 # -- data -------------------------------------------------------------------------------------------------------------
 
 
-def test_flasks_boil_where_the_handbook_says() -> None:
+def everyday(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """The study of a hundred names."""
+    pytest.importorskip("thermo")
+    monkeypatch.syspath_prepend(str(ROOT / "studies" / "physics"))
+    return script("studies/physics/everyday.py")
+
+
+def test_flasks_boil_where_the_handbook_says(monkeypatch: pytest.MonkeyPatch) -> None:
     chemicals: Any = pytest.importorskip("chemicals")
+    study: Any = everyday(monkeypatch)
     everything = {**MOLECULES, **{key: m for key, m in shipped_materials().items() if m.role in ("solvent", "solute")}}
     off = {}
     for key, material in everything.items():
         if material.cas and "CRC_ORG" in chemicals.Tb_methods(material.cas):
-            off[key] = STUDY.boiling_point(key) - float(chemicals.Tb(material.cas, method="CRC_ORG"))
+            off[key] = study.boiling_point(key) - float(chemicals.Tb(material.cas, method="CRC_ORG"))
     assert len(off) > 125
     assert {key for key, kelvin in off.items() if not abs(kelvin) < 1.5} == set(BOILS_ELSEWHERE)
     assert float(np.median(np.abs(list(off.values())))) < 0.2
@@ -129,11 +138,11 @@ def test_liquids_are_as_dense_as_the_other_compilation_says() -> None:
     assert {key for key, share in off.items() if abs(share) > 0.03} == set()
 
 
-def test_mixtures_by_lot_boil_as_the_table_says() -> None:
+def test_mixtures_by_lot_boil_as_the_table_says(monkeypatch: pytest.MonkeyPatch) -> None:
     """Three of the page's ten mixtures, misses included."""
-    pytest.importorskip("thermo")
+    study = everyday(monkeypatch)
     page = (ROOT / "docs" / "chemist" / "distillation.md").read_text(encoding="utf-8")
-    for one, other, most, mean in itertools.islice(STUDY.trial(), 3):
+    for one, other, most, mean in itertools.islice(study.trial(), 3):
         assert f"| {one} and {other} | {most:+.1f} | {mean:+.1f} |".replace("_", " ") in page
 
 

@@ -62,19 +62,19 @@ def rows() -> Iterator[Row]:
         flask = Flask({"Water": 30.0, name: 0.1})  # "Water", so that the name may be "water"
         held = [key for key, mol in flask.amounts.items() if mol > 0.0 and key != "water"]
         key = "water" if flask.amounts["water"] > 30.05 else held[0]
-        cas = Flask.material(key).cas or ""
+        material = Flask.material(key)
+        cas = material.cas or ""
         boils = chemicals.Tb(cas, method="CRC_ORG") if cas and "CRC_ORG" in chemicals.Tb_methods(cas) else None
+        other = (material.melting_point_k or 0.0) < 298.15 and "[VDI_PPDS]" not in material.source["density_kg_l"]
         liquid: Any = thermo.VolumeLiquid(CASRN=cas)
-        dense = liquid.calculate(298.15, "VDI_PPDS") if "VDI_PPDS" in liquid.all_methods else None
+        dense = liquid.calculate(298.15, "VDI_PPDS") if other and "VDI_PPDS" in liquid.all_methods else None
         yield Row(
             name,
             key if len(held) < 2 else " + ".join(held),
             boiling_point(key) if boils else math.nan,
             boils or math.nan,
-            1.0 / Flask({key: 1000.0 / Flask.material(key).molar_mass_g_mol}, capacity_l=3.0).volume_l
-            if dense
-            else math.nan,
-            Flask.material(key).molar_mass_g_mol / dense / 1e6 if dense else math.nan,
+            1.0 / Flask({key: 1000.0 / material.molar_mass_g_mol}, capacity_l=3.0).volume_l if dense else math.nan,
+            material.molar_mass_g_mol / dense / 1e6 if dense else math.nan,
         )
 
 
