@@ -107,9 +107,8 @@ def replay(
         typer.Option(
             "--output",
             "-o",
-            help="Output file: a page (.html), or of one record an animation (.gif, .webp; needs the extra `plot`) or a "
-            "protocol of its procedure (.md). "
-            "Default: the record's name with .html.",
+            help="Output file: a page (.html), or of one record an animation (.gif, .webp; needs the extra `plot`) or "
+            "a protocol of its procedure (.md). Default: the record's name with .html.",
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing page.")] = False,
