@@ -66,7 +66,12 @@ def protocol(record: Record, trust: bool = False) -> str:
             step.times += 1
             step.after = _after(labs, move, agent)
         used, stock = stock - labs.shelf.stock[0], labs.shelf.stock[0].copy()
-        step.added.update({labs.shelf.layout.materials[i]: float(used[i]) for i in np.flatnonzero(used > _TRACE_MOL)})
+        if used.max() > _TRACE_MOL:
+            if len(move.plays) > 1:  # in a round, the stock does not tell who has taken what
+                steps.append(_Step(move.tick, "benches", "all have acted", 1))
+            taker = steps[-1] if len(move.plays) > 1 else latest[labs.agents[move.plays[0].agent]]
+            taken = np.flatnonzero(used > _TRACE_MOL).tolist()
+            taker.added.update({labs.shelf.layout.materials[i]: float(used[i]) for i in taken})
     lines += ["", "## Procedure", "", *(step.line() for step in steps), "", "## Result", ""]
     lines += [f"- score {float(labs.result(labs.members)[0]):.4f}, after {int(labs.state.ticks[0])} ticks"]
     lines += [f"- cost of {item}: {cost:.4g}" for item, cost in labs.costs().items() if cost]
