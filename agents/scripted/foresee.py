@@ -25,7 +25,8 @@ from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationA
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench, channel_slices
 
-from .script import ScriptedManager, Setting, cheapest, likelihood
+from .belief import Belief, BeliefManager, first_reading, first_worth, noiseless
+from .script import Setting, cheapest, likelihood
 
 __all__ = ["ForeseeingManager", "foresees", "run_experiment"]
 
@@ -37,8 +38,7 @@ If a scenario has both kinds, fewer draws of the second kind are used.
 _OWN_OF_COMMON = 32
 _MOST_RUNS = 12
 """Maximum number of experiments of a reaction bench on one vessel."""
-_SAMPLES = 32
-"""Readings sampled to estimate the value of one measurement."""
+_INSTRUMENTS = ("gas_chromatograph", "hplc", "uv_vis")
 _MODEL_ERROR = 0.006
 """Standard deviation of readings besides their noise: true worlds lie between the simulated ones."""
 _SURPRISE = 1e-9
@@ -115,33 +115,25 @@ class _Foresight:
 
 
 @dataclass
-class _Belief:
-    """The manager's belief in one episode with V vessels.
+class _Vessels(Belief):
+    """The manager's belief about V vessels; it fills the first order next.
 
     Attributes:
         likelihood: [V, S, O] likelihood of all readings of each vessel.
         filled: [V, S, O] likelihood of the initial fill levels.
-        slots: the vessels' slots.
         stage: [V] stage of each vessel.
         looks: [V] number of measurements of each vessel at its stage.
         gone: submitted vessels.
-        order: the order to be filled next.
-        asked: vessel that is being measured, or -1.
-        running: vessel and bench agent of the running experiment, or None.
     """
 
-    likelihood: FloatArray
-    filled: FloatArray
-    slots: list[int]
-    stage: list[int]
-    looks: list[int]
+    likelihood: FloatArray = field(default_factory=lambda: np.zeros(0))
+    filled: FloatArray = field(default_factory=lambda: np.zeros(0))
+    stage: list[int] = field(default_factory=list)
+    looks: list[int] = field(default_factory=list)
     gone: set[int] = field(default_factory=set)
-    order: int = 0
-    asked: int = -1
-    running: tuple[int, str] | None = None
 
 
-class ForeseeingManager(ScriptedManager[_Belief]):
+class ForeseeingManager(BeliefManager[_Vessels]):
     """Measures vessels, processes the most promising one, and measures again where the information is worth the price.
 
     Args:
@@ -151,103 +143,90 @@ class ForeseeingManager(ScriptedManager[_Belief]):
     """
 
     def __init__(self, setting: Setting, remember: bool = True, *, script: Callable[[Bench], Policy]) -> None:
-        super().__init__(setting)
-        scenario, careful, skip = setting.scenario, setting.careful, setting.skip
+        super().__init__(setting, _INSTRUMENTS, _MODEL_ERROR)
+        scenario = setting.scenario
         self._remember = remember
-        specs = scenario.instruments
-        chosen = cheapest(scenario, ("gas_chromatograph", "hplc", "uv_vis"))
+        chosen = cheapest(scenario, _INSTRUMENTS)
         # A budget below the price of one measurement is equivalent to no instrument.
-        affordable = chosen is not None and specs[chosen].price <= scenario.limits.budget
-        self._instrument = chosen if careful and affordable else None
+        self._instrument = self._instrument if self._price <= scenario.limits.budget else None
+        skip = tuple(sorted(setting.skip))
         self._foresight = {
-            goal: _foreseen(_public(scenario), goal, chosen, tuple(sorted(skip)), script) for goal in scenario.lab_goals
+            goal: _foreseen(_public(scenario), goal, chosen, skip, script) for goal in scenario.lab_goals
         }
         self._shape = _sizes(scenario)
-        self._noise = float(np.hypot(specs[chosen].noise, _MODEL_ERROR)) if chosen is not None else 1.0
-        self._price = specs[chosen].price if chosen is not None else 0.0
         self._fill_noise = float(np.hypot(scenario.shelf.gauge / np.sqrt(12.0), _MODEL_ERROR))
-        # Fixed random numbers for every decision: worlds, spread over all likely ones, and noise.
-        self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
-        size = next(iter(self._foresight.values())).readings.shape[2]
-        self._errors = np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, size))
+        self._error = self._errors(next(iter(self._foresight.values())).readings.shape[2])
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
     def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        if step == 0:
-            self._kept[member] = self._begin(observation)
+        super()._see(observation, step, member)
         belief = self._kept[member]
-        if belief.running is not None and self._value(observation, f"{belief.running[1]}_busy") < 0.5:
-            belief.running = None
-        if belief.asked >= 0:
-            v, belief.asked = belief.asked, -1
-            reading = observation[self._slices[f"slot_{belief.slots[v]}_{self._instrument}"]]
-            self._learn(belief, v, reading, self._goal(observation, belief))
-        if belief.running is None and belief.gone and len(belief.gone) == len(belief.slots):
+        if not belief.running and belief.gone and len(belief.gone) == len(belief.slots):
             # The episode continues although the manager submitted: another policy has acted in its place. Read the
             # shelf again.
             self._kept[member] = self._begin(observation)
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        kind, slot, more = self._taken_apart(action)
-        if slot not in belief.slots or belief.slots.index(slot) in belief.gone:
-            return
-        v = belief.slots.index(slot)
-        if kind == "start":
-            agent, goal = more[:2]
-            stages = next(iter(self._foresight.values())).stages
-            wanted = (*stages[belief.stage[v]], (agent, goal))
-            belief.running = v, agent
-            if wanted in stages:
-                belief.stage[v], belief.looks[v] = stages.index(wanted), 0
-            else:
-                belief.gone.add(v)  # the resulting stage was not simulated
-        elif kind == "measure":
-            if more[0] == self._instrument:
-                belief.asked, belief.looks[v] = v, belief.looks[v] + 1
-        else:
-            belief.gone.add(v)
-            if kind == "submit":
-                self._submitted(belief)
+        slot = self._taken_apart(action)[1]
+        if slot in belief.slots and belief.slots.index(slot) not in belief.gone:
+            self._update(belief, action)
 
-    def _submitted(self, belief: _Belief) -> None:
-        belief.order += 1
+    def _started(self, belief: _Vessels, agent: str, slot: int, more: list[Any]) -> None:
+        v, stages = belief.slots.index(slot), next(iter(self._foresight.values())).stages
+        wanted = (*stages[belief.stage[v]], (agent, more[0]))
+        belief.running = {agent: slot}
+        if wanted in stages:
+            belief.stage[v], belief.looks[v] = stages.index(wanted), 0
+        else:
+            belief.gone.add(v)  # the resulting stage was not simulated
+
+    def _measured(self, belief: _Vessels, slot: int) -> None:
+        belief.looks[belief.slots.index(slot)] += 1
+
+    def _removed(self, belief: _Vessels, slot: int) -> None:
+        belief.gone.add(belief.slots.index(slot))
+
+    def _submitted(self, belief: _Vessels, order: int) -> None:
+        belief.orders = belief.orders[1:]
         if not self._remember:
             belief.likelihood[list(belief.gone)] = 1.0
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         belief = self._kept[member]
         wait = self._actions.encode("wait")
-        if belief.running is not None or not belief.slots:
+        if belief.running or not belief.slots:
             return wait
-        goal = self._goal(observation, belief)
+        goal = self._next_goal(observation, belief)
         promises = self._promises(belief, goal)
         look = self._next_look(belief, goal, promises, mask)
         if look is not None:
-            belief.asked, belief.looks[look] = look, belief.looks[look] + 1
-            return self._actions.encode("measure", belief.slots[look], str(self._instrument))
+            return self._update(belief, self._actions.encode("measure", belief.slots[look], str(self._instrument)))
         v = int(np.argmax(promises.max(axis=1)))
         stage = int(promises[v].argmax())
         if stage != belief.stage[v]:
             return self._go_on(observation, mask, belief, v, goal, stage)
         return self._submit(mask, belief, v)
 
-    def _begin(self, observation: ObservationArray) -> _Belief:
+    def _begin(self, observation: ObservationArray) -> _Vessels:
         slots = self._occupied(observation)
         foresight = next(iter(self._foresight.values()))
         found = np.ones((len(slots), *self._shape))
         for v, slot in enumerate(slots):
             fill = np.array([self._value(observation, f"slot_{slot}_fill")])
             found[v] = likelihood(fill, foresight.fills[:, None], self._fill_noise, _SURPRISE).reshape(self._shape)
-        return _Belief(found, found.copy(), slots, [0] * len(slots), [0] * len(slots))
+        none = [0] * len(slots)
+        return _Vessels(slots, list(range(len(self._orders))), None, {}, found, found.copy(), none, none.copy())
 
-    def _goal(self, observation: ObservationArray, belief: _Belief) -> str:
-        channel = self._orders[min(belief.order, len(self._orders) - 1)]
-        return self._scenario.goals[int(observation[self._slices[channel]].argmax())]
+    def _next_order(self, belief: _Vessels) -> int:
+        return belief.orders[0] if belief.orders else len(self._orders) - 1
+
+    def _next_goal(self, observation: ObservationArray, belief: _Vessels) -> str:
+        return self._goal(observation, self._next_order(belief))
 
     def _go_on(
-        self, observation: ObservationArray, mask: MaskArray, belief: _Belief, v: int, goal: str, stage: int
+        self, observation: ObservationArray, mask: MaskArray, belief: _Vessels, v: int, goal: str, stage: int
     ) -> int:
         """Return the next experiment on the way to a stage; free a slot for the returned vessels first."""
         done, wanted = (self._foresight[goal].stages[k] for k in (belief.stage[v], stage))
@@ -260,13 +239,11 @@ class ForeseeingManager(ScriptedManager[_Belief]):
                     return discard
             return self._submit(mask, belief, v)
         belief.stage[v] = self._foresight[goal].stages.index(wanted[: len(done) + 1])
-        belief.looks[v], belief.running = 0, (v, step[0])
+        belief.looks[v], belief.running = 0, {step[0]: belief.slots[v]}
         return start
 
-    def _submit(self, mask: MaskArray, belief: _Belief, v: int) -> int:
-        submit = self._encode_submit(belief.slots[v], belief.order)
-        belief.gone.add(v)
-        self._submitted(belief)
+    def _submit(self, mask: MaskArray, belief: _Vessels, v: int) -> int:
+        submit = self._update(belief, self._encode_submit(belief.slots[v], self._next_order(belief)))
         return submit if mask[submit] else int(mask.argmax())
 
     # -- belief -----------------------------------------------------------------------------------------------
@@ -275,8 +252,9 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         """Return [..., S * O] likelihoods of readings [..., R] of a vessel at a stage."""
         return likelihood(readings, self._foresight[goal].readings[:, stage], self._noise, _SURPRISE)
 
-    def _learn(self, belief: _Belief, v: int, reading: ObservationArray, goal: str) -> None:
-        likely = self._likely(reading.astype(np.float64), goal, belief.stage[v])
+    def _learn(self, belief: _Vessels, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
+        v = belief.slots.index(slot)
+        likely = self._likely(reading, self._next_goal(observation, belief), belief.stage[v])
         if not self._remember:
             belief.likelihood[v] = belief.filled[v]
         belief.likelihood[v] *= likely.reshape(self._shape)
@@ -293,7 +271,7 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         weights = weights.reshape(*weights.shape[:-2], math.prod(weights.shape[-2:]))
         return np.asarray(weights / weights.sum(axis=-1, keepdims=True))
 
-    def _promises(self, belief: _Belief, goal: str) -> FloatArray:
+    def _promises(self, belief: _Vessels, goal: str) -> FloatArray:
         """Return [V, K] expected value of each vessel at each stage, less the remaining costs.
 
         Stages that cannot be reached and submitted vessels have -inf.
@@ -317,13 +295,13 @@ class ForeseeingManager(ScriptedManager[_Belief]):
         best = np.sort(np.maximum(bests, 0.0), axis=-1)
         return np.asarray(best[..., -orders:].sum(axis=-1))
 
-    def _next_look(self, belief: _Belief, goal: str, promises: FloatArray, mask: MaskArray) -> int | None:
+    def _next_look(self, belief: _Vessels, goal: str, promises: FloatArray, mask: MaskArray) -> int | None:
         """Return the vessel with the highest value of a measurement net of its price, or None if no value is
         positive.
         """
         if self._instrument is None:
             return None
-        orders = max(len(self._orders) - belief.order, 1)
+        orders = max(len(belief.orders), 1)
         bests, posterior = promises.max(axis=-1), self._posterior(belief.likelihood)
         now = float(self._total(bests, orders))
         best, most = None, self._price
@@ -343,21 +321,20 @@ class ForeseeingManager(ScriptedManager[_Belief]):
                 best, most = v, gain
         return best
 
-    def _after_look(self, belief: _Belief, goal: str, v: int, known: FloatArray, bests: FloatArray) -> FloatArray:
-        """Return [_SAMPLES, V] expected values of the vessels after another measurement of one of them."""
-        worlds = np.searchsorted(np.cumsum(known), self._shares).clip(0, len(known) - 1)
-        readings = self._foresight[goal].readings[worlds, belief.stage[v]] + self._errors
+    def _after_look(self, belief: _Vessels, goal: str, v: int, known: FloatArray, bests: FloatArray) -> FloatArray:
+        """Return [samples, V] expected values of the vessels after another measurement of one of them."""
+        readings = self._foresight[goal].readings[self._sampled(known), belief.stage[v]] + self._error
         likely = self._likely(readings, goal, belief.stage[v])
-        after = np.repeat(bests[None], _SAMPLES, axis=0)
+        after = np.repeat(bests[None], len(readings), axis=0)
         if self._shape[0] > 1:
-            shared = (likely * belief.likelihood[v].ravel()).reshape(_SAMPLES, *self._shape).mean(axis=-1)
+            shared = (likely * belief.likelihood[v].ravel()).reshape(-1, *self._shape).mean(axis=-1)
             self._tell_others(belief, goal, v, shared, after)
         posterior = known * likely
         posterior /= posterior.sum(axis=1, keepdims=True)
         after[:, v] = self._promise(posterior, goal, belief.stage[v]).max(axis=-1)
         return after
 
-    def _tell_others(self, belief: _Belief, goal: str, v: int, shared: FloatArray, after: FloatArray) -> None:
+    def _tell_others(self, belief: _Vessels, goal: str, v: int, shared: FloatArray, after: FloatArray) -> None:
         """Fill in the other vessels' expected values [B, V] after a reading of one vessel.
 
         The reading changes the probabilities ``shared`` [B, S] of the shared parameters; the other vessels' values
@@ -392,9 +369,8 @@ def _is_own(scenario: Scenario, name: str) -> bool:
 
 def _public(scenario: Scenario) -> Scenario:
     """Return the scenario for simulations: without noise, and with a budget for every measurement."""
-    exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
     limits = scenario.limits.model_copy(update={"budget": 1e6})
-    return scenario.model_copy(update={"instruments": exact, "limits": limits})
+    return noiseless(scenario).model_copy(update={"limits": limits})
 
 
 def _stages(steps: Sequence[tuple[Step, int]]) -> Iterator[tuple[Step, ...]]:
@@ -449,7 +425,7 @@ def _foreseen(
     begun = labs.charges(members).sum(axis=1)
     kept: dict[tuple[Step, ...], list[npt.NDArray[Any]]] = {(): labs.snapshot()}
     stages = list(_stages(steps))
-    readings, worth, costs = [], [], []
+    readings, worth, costs, ordered = [], [], [], scenario.goals.index(goal)
     for stage in stages:
         if stage:
             labs.restore(kept[stage[:-1]])
@@ -457,9 +433,9 @@ def _foreseen(
             run_experiment(labs, policies, stage[-1], members)
             if any(other[: len(stage)] == stage and other != stage for other in stages):
                 kept[stage] = labs.snapshot()
-        worth.append(_worth(labs, goal) if stage or not scenario.hides else np.full(len(members), _UNWORKED))
+        worth.append(first_worth(labs, ordered) if stage or not scenario.hides else np.full(len(members), _UNWORKED))
         costs.append(labs.charges(members).sum(axis=1) - begun)
-        readings.append(_reading(labs, instrument))
+        readings.append(first_reading(labs, instrument))
     after = [
         np.array([k for k, other in enumerate(stages) if other[: len(stage)] == stage], dtype=np.int64)
         for stage in stages
@@ -495,24 +471,3 @@ def _make_room(labs: Laboratories, step: Step, members: IntArray) -> None:
         some = members[(mask[:, start] == 0) & (mask[:, discard] != 0)]
         if len(some):
             labs.act(labs.manager.index, some, np.full(len(some), discard))
-
-
-def _worth(labs: Laboratories, goal: str) -> FloatArray:
-    """Return [N] the raw score that a submission of the first slot would add."""
-    rules, g = labs.rules.arrays, labs.scenario.goals.index(goal)
-    amounts = labs.shelf.amounts[:, 0]
-    made, all_there = amounts[:, rules.parts[g, 0]], amounts @ rules.counts[g]
-    purity = made / np.maximum(all_there, 1e-12)
-    met = (purity >= rules.least_purity[g]) & (made >= rules.least_amount[g])
-    return np.asarray(met * made * purity / rules.maximum[g] / labs.scenario.orders)
-
-
-def _reading(labs: Laboratories, instrument: str | None) -> FloatArray:
-    """Return [N, R] the instrument's reading of the first slot."""
-    if instrument is None:
-        return np.zeros((len(labs.members), 1))
-    table, members = labs.instruments, labs.members
-    number, zeros = table.names.index(instrument), np.zeros(len(members), dtype=np.int64)
-    table.read(labs.shelf, labs.state.reading, labs.state.stream, members, zeros, zeros + number)
-    start, stop = table.start[number : number + 2]
-    return np.array(labs.state.reading[:, 0, start:stop])

@@ -18,6 +18,7 @@ from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.shelf import Shelf
 from chemlab.roles.instruments.table import InstrumentTable
 
+from .belief import noiseless
 from .router import SynthesisManager
 from .script import Setting, cheapest
 
@@ -121,8 +122,7 @@ class IdentifyingManager(SynthesisManager):
     def _readings(self, identity: Draw) -> FloatArray:
         """Return [V, O, T, size] noise-free readings of each vessel for each option and titre."""
         spec, count = self._scenario, len(self._options) * len(self._titres)
-        exact = {name: one.model_copy(update={"noise": 0.0}) for name, one in spec.instruments.items()}
-        known = spec.model_copy(update={"instruments": exact})
+        known = noiseless(spec)
         shelf = Shelf.empty(known, count, 1)
         table = InstrumentTable(known, shelf.chemistry)
         number = table.names.index(str(self._instrument))

@@ -21,8 +21,9 @@ from chemlab.roles.grades import REPORT
 from chemlab.roles.manager_actions import MEASURE
 from chemlab.roles.manager_view import terms_channels
 
+from .belief import Belief, BeliefManager
 from .foresee import run_experiment
-from .script import ScriptedManager, Setting, cheapest
+from .script import Setting
 
 __all__ = ["SchedulingManager", "has_orders_to_schedule"]
 
@@ -68,33 +69,29 @@ class _Order:
 
 
 @dataclass
-class _Shop:
-    """The manager's memory of one episode.
+class _Shop(Belief):
+    """The manager's belief.
 
     Attributes:
         titre: by slot, the measured titre.
         stage: by slot, the number of benches that the vessel has been at.
         serves: by slot, the order for which the vessel was started.
-        running: by bench agent, the slot of its vessel.
         grades: by slot, the numbers of the quality requirements of its runs.
         reported: by slot, the amount and the purity that the bench reported for its last run.
         rates: by stage, [L] the probability of each number that may be revealed to the stage's bench.
         seen: orders in the order of their arrival.
-        asked: the slot that is being measured.
     """
 
-    rates: list[FloatArray]
+    rates: list[FloatArray] = field(default_factory=list)
     titre: dict[int, float] = field(default_factory=dict)
     stage: dict[int, int] = field(default_factory=dict)
     serves: dict[int, int] = field(default_factory=dict)
-    running: dict[str, int] = field(default_factory=dict)
     grades: dict[int, list[int]] = field(default_factory=dict)
     reported: dict[int, tuple[float, float]] = field(default_factory=dict)
     seen: list[int] = field(default_factory=list)
-    asked: int | None = None
 
 
-class SchedulingManager(ScriptedManager[_Shop]):
+class SchedulingManager(BeliefManager[_Shop]):
     """Accepts the best paying orders that reagent and time allow, and ignores the others.
 
     An order is accepted if its price is among the highest ones for which there is reagent, counting known orders and
@@ -114,8 +111,8 @@ class SchedulingManager(ScriptedManager[_Shop]):
     def __init__(
         self, setting: Setting, schedule: bool = True, remember: bool = True, *, script: Callable[..., Policy]
     ) -> None:
-        super().__init__(setting)
-        scenario, channels, _, instruments, _, careful, skip, margin_k = setting
+        super().__init__(setting, ("gas_chromatograph",))
+        scenario, channels, _, instruments, _, _, skip, margin_k = setting
         self._schedule, self._remember = schedule, remember
         self._high = {channel.name: channel.high for channel in channels}
         self._stages = list(scenario.benches)
@@ -139,11 +136,9 @@ class SchedulingManager(ScriptedManager[_Shop]):
         prices = [draw for draw in scenario.world.draws.values() if draw.what == "price"]
         base = scenario.demand.order[0].price
         self._prices = base * quantiles(prices[0], shares) if prices else np.full(_GRID, base)
-        chosen = cheapest(scenario, ("gas_chromatograph",)) if careful else None
-        self._instrument = chosen
+        chosen = self._instrument
         self._analytes = instruments.analytes[instruments.names.index(chosen)] if chosen else ()
         self._noise = scenario.instruments[chosen].noise if chosen else 0.0
-        self._price = scenario.instruments[chosen].price if chosen else 0.0
 
     # -- observation ------------------------------------------------------------------------------------------
 
@@ -160,27 +155,22 @@ class SchedulingManager(ScriptedManager[_Shop]):
                 found.append(_Order(number, self._scenario.goals[int(goal.argmax())], *terms))
         return found
 
-    def _learn(self, shop: _Shop, observation: ObservationArray) -> None:
-        """Update the memory with a requested reading and with reports of benches."""
-        if shop.asked is not None:
-            reading = observation[self._slices[f"slot_{shop.asked}_{self._instrument}"]].astype(np.float64)
-            materials, volumes = self._scenario.materials, []
-            for name in (self._draw.material, self._draw.inert):
-                material = materials[str(name)]
-                litres = material.molar_mass_g_mol / material.density_kg_l
-                volumes.append(float(reading[self._analytes.index(str(name))]) * litres)
-            shop.titre[shop.asked] = volumes[0] / max(sum(volumes), 1e-9)
-            shop.asked = None
-        for agent, slot in list(shop.running.items()):
-            if self._value(observation, f"{agent}_busy") < 0.5:
-                del shop.running[agent]
-                stage, reports = shop.stage.get(slot, 0), [f"{agent}_reported_{what}" for what in REPORT[:2]]
-                if reports[0] in self._slices:
-                    said, pure = (self._value(observation, report) for report in reports)
-                    if self._remember and stage < len(self._stages):
-                        self._infer(shop, slot, stage, said, pure)
-                    shop.reported[slot] = said, pure
-                shop.stage[slot] = stage + 1
+    def _learn(self, belief: _Shop, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
+        materials, volumes = self._scenario.materials, []
+        for name in (self._draw.material, self._draw.inert):
+            material = materials[str(name)]
+            litres = material.molar_mass_g_mol / material.density_kg_l
+            volumes.append(float(reading[self._analytes.index(str(name))]) * litres)
+        belief.titre[slot] = volumes[0] / max(sum(volumes), 1e-9)
+
+    def _ended(self, belief: _Shop, agent: str, slot: int, observation: ObservationArray) -> None:
+        stage, reports = belief.stage.get(slot, 0), [f"{agent}_reported_{what}" for what in REPORT[:2]]
+        if reports[0] in self._slices:
+            said, pure = (self._value(observation, report) for report in reports)
+            if self._remember and stage < len(self._stages):
+                self._infer(belief, slot, stage, said, pure)
+            belief.reported[slot] = said, pure
+        belief.stage[slot] = stage + 1
 
     def _infer(self, shop: _Shop, slot: int, stage: int, said: float, pure: float) -> None:
         """Update the probabilities of the number that is revealed to a stage's bench, from its report."""
@@ -270,36 +260,33 @@ class SchedulingManager(ScriptedManager[_Shop]):
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        if step == 0:
-            count = self._made.shape[4]
-            self._kept[member] = _Shop([np.full(count, 1.0 / count) for _ in self._stages])
-        shop = self._kept[member]
+    def _begin(self, observation: ObservationArray) -> _Shop:
+        count = self._made.shape[4]
+        return _Shop([], [], rates=[np.full(count, 1.0 / count) for _ in self._stages])
+
+    def _pass_time(self, belief: _Shop, observation: ObservationArray) -> None:
         self._outcomes.clear()
-        self._learn(shop, observation)
-        shop.seen += [order.number for order in self._known(observation) if order.number not in shop.seen]
+        belief.orders = [order.number for order in self._known(observation)]
+        belief.seen += [number for number in belief.orders if number not in belief.seen]
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        super()._take_note(observation, action, member)
         shop = self._kept[member]
         kind, slot, more = self._taken_apart(action)
-        if kind == "start":
-            agent = more[0]
-            shop.running[agent] = slot
-            grade = self._names.index(more[2]) if self._scenario.grades else 0
-            shop.grades[slot] = [*shop.grades.get(slot, ()), grade]
+        if kind == "start" and more[0] in self._agents[self._stages[0]] and slot not in shop.serves:
             served = set(shop.serves.values())
             waiting = [order for order in self._known(observation) if order.number not in served]
-            if agent in self._agents[self._stages[0]] and slot not in shop.serves and waiting:
+            if waiting:
                 shop.serves[slot] = max(waiting, key=lambda order: order.price).number
-        elif kind in ("submit", "discard"):
-            self._part_with(shop, slot)
-        elif kind == "measure" and more[0] == self._instrument:
-            shop.asked = slot
 
-    def _part_with(self, shop: _Shop, slot: int) -> None:
-        for memory in (shop.stage, shop.serves, shop.titre, shop.reported, shop.grades):
+    def _started(self, belief: _Shop, agent: str, slot: int, more: list[Any]) -> None:
+        grade = self._names.index(more[1]) if self._scenario.grades else 0
+        belief.grades[slot] = [*belief.grades.get(slot, ()), grade]
+
+    def _removed(self, belief: _Shop, slot: int) -> None:
+        for memory in (belief.stage, belief.serves, belief.titre, belief.reported, belief.grades):
             memory.pop(slot, None)
-        shop.stage[slot] = len(self._stages) + 1  # the vessel was removed
+        belief.stage[slot] = len(self._stages) + 1
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         shop, orders = self._kept[member], self._known(observation)
@@ -319,11 +306,8 @@ class SchedulingManager(ScriptedManager[_Shop]):
                 chance = self._chance(shop, slot, order)
                 action = self._encode_submit(slot, order.number)
                 if order.left > 0.0 and chance > 0.3 and chance * order.price > worth and mask[action]:
-                    best, worth = (slot, action), chance * order.price
-        if best is None:
-            return None
-        self._part_with(shop, best[0])
-        return best[1]
+                    best, worth = action, chance * order.price
+        return None if best is None else self._update(shop, best)
 
     def _go_on(self, shop: _Shop, orders: list[_Order], observation: ObservationArray, mask: MaskArray) -> int | None:
         """Send a vessel in process to its next bench."""
@@ -343,8 +327,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
             if agent not in shop.running:
                 action = self._actions.encode("start", agent, slot, _goal(self._scenario, stage), *names)
                 if mask[action]:
-                    shop.running[agent], shop.grades[slot] = slot, [*shop.grades.get(slot, ()), grade]
-                    return action
+                    return self._update(shop, action)
         return None
 
     def _batches(self, observation: ObservationArray) -> int:
@@ -405,8 +388,7 @@ class SchedulingManager(ScriptedManager[_Shop]):
         for slot in fresh:
             action = self._actions.encode("measure", slot, self._instrument)
             if slot not in shop.titre and mask[action]:
-                shop.asked = slot
-                return action
+                return self._update(shop, action)
         return None
 
 

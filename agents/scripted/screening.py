@@ -10,11 +10,12 @@ import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Memory
-from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
 
-from .script import ScriptedManager, Setting, cheapest
+from .belief import Belief, BeliefManager
+from .script import Setting
 
 __all__ = ["ScreeningManager", "ScriptedScreening", "catalysts"]
 
@@ -75,18 +76,19 @@ class ScriptedScreening:
 
 
 @dataclass
-class _Batches:
-    """Batches of an episode: slots not tried yet, slots to measure, estimated worth by slot, open orders."""
+class _Batches(Belief):
+    """Batches of an episode; ``slots`` have not been tried yet.
 
-    fresh: list[int]
+    Attributes:
+        done: slots with an ended experiment.
+        worth: estimated worth by slot.
+    """
+
     done: list[int] = field(default_factory=list)
-    running: dict[str, int] = field(default_factory=dict)
     worth: dict[int, float] = field(default_factory=dict)
-    asked: int | None = None
-    orders: list[int] = field(default_factory=list)
 
 
-class ScreeningManager(ScriptedManager[_Batches]):
+class ScreeningManager(BeliefManager[_Batches]):
     """Runs every vessel on a free reaction bench, measures it, and submits the best ones.
 
     Args:
@@ -94,10 +96,9 @@ class ScreeningManager(ScriptedManager[_Batches]):
     """
 
     def __init__(self, setting: Setting) -> None:
-        super().__init__(setting)
+        super().__init__(setting, ("hplc", "gas_chromatograph"))
         spec = setting.scenario
         self._agents = [name for name in spec.bench_agents() if name.rpartition("_")[0] not in setting.skip]
-        self._instrument = cheapest(spec, ("hplc", "gas_chromatograph")) if setting.careful else None
         table, (goal, *_) = setting.instruments, spec.lab_goals
         names = table.analytes[table.names.index(self._instrument)] if self._instrument else ()
         terms = spec.specifications.get(goal)
@@ -105,60 +106,47 @@ class ScreeningManager(ScriptedManager[_Batches]):
         self._goal_column = list(names).index(goal) if names else 0
         self._counted = np.array([name in among for name in names], dtype=np.float64)
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        if step == 0:
-            self._kept[member] = _Batches(self._occupied(observation), orders=list(range(len(self._orders))))
-        batches = self._kept[member]
-        if batches.asked is not None:
-            shares = observation[self._slices[f"slot_{batches.asked}_{self._instrument}"]].astype(np.float64)
-            shares = shares[: len(self._counted)]
-            # In vessels that are alike, a share of all molecules is an amount.
-            made = shares[self._goal_column]
-            batches.worth[batches.asked] = float(made * made / max(shares @ self._counted, 1e-9))
-            batches.asked = None
-        for agent, slot in list(batches.running.items()):
-            if self._value(observation, f"{agent}_busy") < 0.5:
-                batches.done.append(slot)
-                del batches.running[agent]
+    def _begin(self, observation: ObservationArray) -> _Batches:
+        return _Batches(self._occupied(observation), list(range(len(self._orders))))
+
+    def _learn(self, belief: _Batches, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
+        shares = reading[: len(self._counted)]
+        # In vessels that are alike, a share of all molecules is an amount.
+        made = shares[self._goal_column]
+        belief.worth[slot] = float(made * made / max(shares @ self._counted, 1e-9))
+
+    def _ended(self, belief: _Batches, agent: str, slot: int, observation: ObservationArray) -> None:
+        belief.done.append(slot)
+
+    def _started(self, belief: _Batches, agent: str, slot: int, more: list[Any]) -> None:
+        self._removed(belief, slot)
+        belief.worth.pop(slot, None)
+
+    def _removed(self, belief: _Batches, slot: int) -> None:
+        for slots in (belief.slots, belief.done):
+            if slot in slots:
+                slots.remove(slot)
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         batches, wait = self._kept[member], self._actions.encode("wait")
         enough = self._instrument is None and len(batches.done) + len(batches.running) >= len(batches.orders)
         for agent in self._agents:
-            if agent in batches.running or not batches.fresh or enough:
+            if agent in batches.running or not batches.slots or enough:
                 continue
-            start = self._actions.encode("start", agent, batches.fresh[0], self._scenario.lab_goals[0])
+            start = self._actions.encode("start", agent, batches.slots[0], self._scenario.lab_goals[0])
             if mask[start]:
-                batches.running[agent] = batches.fresh.pop(0)
-                return start
+                return self._update(batches, start)
         for slot in batches.done:
             if self._instrument is None or slot in batches.worth:
                 continue
             measure = self._actions.encode("measure", slot, self._instrument)
             if mask[measure]:
-                batches.asked = slot
-                return measure
+                return self._update(batches, measure)
         if batches.running and mask[wait]:
             return wait
         for slot in sorted(batches.done, key=lambda slot: -batches.worth.get(slot, 0.0)):
             for order in batches.orders:
                 submit = self._encode_submit(slot, order)
                 if mask[submit]:
-                    batches.orders.remove(order)
-                    batches.done.remove(slot)
-                    return submit
+                    return self._update(batches, submit)
         return int(mask.argmax())
-
-    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
-        batches = self._kept[member]
-        kind, slot, more = self._taken_apart(action)
-        for slots in (batches.fresh, batches.done):
-            if kind in ("start", "submit", "discard") and slot in slots:
-                slots.remove(slot)
-        if kind == "start":
-            batches.running[more[0]] = slot
-            batches.worth.pop(slot, None)
-        elif kind == "measure":
-            batches.asked = slot if more[0] == self._instrument else None
-        elif kind == "submit" and more[0] in batches.orders:
-            batches.orders.remove(more[0])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -11,8 +12,9 @@ from chemlab.config.scenario import DriftSpec, Scenario, WearSpec
 from chemlab.kernels.arrays import FloatArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
 
+from .belief import Belief, BeliefManager
 from .exploration import foreseen
-from .script import ScriptedManager, Setting, apart, cheapest
+from .script import Setting, apart
 
 __all__ = ["UpkeepManager", "has_wearing_lines"]
 
@@ -70,32 +72,26 @@ class _Line:
 
 
 @dataclass
-class _Belief:
-    """The manager's belief in one episode.
+class _Lines(Belief):
+    """The manager's belief; ``slots`` have unused vessels.
 
     Attributes:
         lines: belief of each line, in the order of the benches.
-        fresh: slots of unused vessels.
         left: (slot, age [K]) of vessels removed from a broken line.
         rng: generator of the sampled readings; the same in every episode.
         bias, doubt: [size] mean and variance of the instrument's bias.
         known: tick at which these were valid.
-        orders: open orders.
-        asked: line whose vessel is being measured.
     """
 
-    lines: list[_Line]
-    fresh: list[int]
-    rng: np.random.Generator
-    bias: FloatArray
-    doubt: FloatArray
-    orders: list[int]
+    lines: list[_Line] = field(default_factory=list)
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    bias: FloatArray = field(default_factory=lambda: np.zeros(0))
+    doubt: FloatArray = field(default_factory=lambda: np.zeros(0))
     left: list[tuple[int, FloatArray]] = field(default_factory=list)
     known: int = 0
-    asked: _Line | None = None
 
 
-class UpkeepManager(ScriptedManager[_Belief]):
+class UpkeepManager(BeliefManager[_Lines]):
     """Works on a batch at every line and stops each batch at its highest expected value.
 
     The course of a batch is simulated on the public scenario beforehand. A particle filter tracks gain and batch
@@ -111,13 +107,11 @@ class UpkeepManager(ScriptedManager[_Belief]):
     """
 
     def __init__(self, setting: Setting, remember: bool = True) -> None:
-        super().__init__(setting)
-        scenario, actions, careful, skip = setting.scenario, setting.actions, setting.careful, setting.skip
+        super().__init__(setting, ("gas_chromatograph", "hplc", "uv_vis"), _MODEL_ERROR)
+        scenario, actions, skip = setting.scenario, setting.actions, setting.skip
         self._remember = remember
         self._benches = [agent for agent in actions.bench_agents if agent.rpartition("_")[0] not in skip]
-        self._instrument = cheapest(scenario, ("gas_chromatograph", "hplc", "uv_vis")) if careful else None
         spec = scenario.instruments.get(str(self._instrument))
-        self._price, self._noise = (spec.price, float(np.hypot(spec.noise, _MODEL_ERROR))) if spec else (0.0, 1.0)
         self._drift = (spec.drift if spec else None) or DriftSpec()
         self._steps = next(iter(scenario.benches.values())).step_limit
         self._foresee()
@@ -148,44 +142,58 @@ class UpkeepManager(ScriptedManager[_Belief]):
                 speed = drawn if draw.change == "value" else speed + drawn
         return speed
 
-    def _begin(self, observation: ObservationArray) -> _Belief:
-        rng = np.random.default_rng(0)
-        lines = []
+    def _begin(self, observation: ObservationArray) -> _Lines:
+        belief = _Lines(self._occupied(observation), list(range(len(self._orders))))
         for agent in self._benches:
             wear = self._scenario.benches[agent.rpartition("_")[0]].wear or WearSpec()
-            lines.append(_Line(agent, wear, self._first_speed(agent, wear, rng)))
+            belief.lines.append(_Line(agent, wear, self._first_speed(agent, wear, belief.rng)))
         size = len(self._shown)
-        doubt = np.full(size, self._drift.first**2)
-        return _Belief(lines, self._occupied(observation), rng, np.zeros(size), doubt, list(range(len(self._orders))))
+        belief.bias, belief.doubt = np.zeros(size), np.full(size, self._drift.first**2)
+        return belief
 
     def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        if step == 0:
-            self._kept[member] = self._begin(observation)
-        self._pass_time(self._kept[member], observation, self._left(observation))
+        super()._see(observation, step, member)
+        belief = self._kept[member]
+        for line in belief.lines:
+            if line.begun is not None and self._value(observation, f"{line.agent}_busy") < 0.5:
+                line.speed, line.age = self._worked(line, belief.known - line.begun, belief.rng)
+                line.begun, line.looked = None, 0
+
+    def _pass_time(self, belief: _Lines, observation: ObservationArray) -> None:
+        now = self._scenario.limits.ticks - self._left(observation)
+        belief.bias = belief.bias + self._drift.trend * (now - belief.known)
+        belief.doubt = belief.doubt + self._drift.walk**2 * (now - belief.known)
+        belief.known = now
+
+    def _learn(self, belief: _Lines, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
+        for line in belief.lines:
+            if line.slot == slot:
+                self._resample(belief, line, reading[self._shown])
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        kind, slot, more = self._taken_apart(action)
-        if kind == "start":
-            line = next(line for line in belief.lines if line.agent == more[0])
-            self._put_on(belief, line, slot)
-            line.begun = belief.known
-        elif kind == "measure" and more[0] == self._instrument:
-            for line in belief.lines:
-                if line.slot == slot:
-                    belief.asked, line.looked = line, line.looked + 1
-        elif kind in ("submit", "discard"):
-            self._take_away(belief, slot)
-            if kind == "submit":
-                belief.orders = [order for order in belief.orders if order != more[0]]
-        elif kind == "calibrate" and more[0] == self._instrument:
+        kind, _, more = self._taken_apart(action)
+        self._update(belief, action)
+        if kind == "calibrate" and more[0] == self._instrument:
             self._calibrated(belief)
         elif kind == "repair":
             for line in belief.lines:
                 if line.agent == more[0]:
                     line.speed = self._new_speed(line.wear, belief.rng)
 
-    def _put_on(self, belief: _Belief, line: _Line, slot: int) -> None:
+    def _started(self, belief: _Lines, agent: str, slot: int, more: list[Any]) -> None:
+        line = next(line for line in belief.lines if line.agent == agent)
+        self._put_on(belief, line, slot)
+        line.begun = belief.known
+
+    def _measured(self, belief: _Lines, slot: int) -> None:
+        for line in belief.lines:
+            line.looked += line.slot == slot
+
+    def _removed(self, belief: _Lines, slot: int) -> None:
+        self._take_away(belief, slot)
+
+    def _put_on(self, belief: _Lines, line: _Line, slot: int) -> None:
         """Update the belief after another policy has put a vessel on a line."""
         if line.slot == slot:
             return
@@ -194,7 +202,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
             belief.left.append((line.slot, line.age))
         line.slot, line.age, line.looked = slot, age, 0
 
-    def _take_away(self, belief: _Belief, slot: int) -> FloatArray:
+    def _take_away(self, belief: _Lines, slot: int) -> FloatArray:
         """Remove a vessel from the belief; return its age [K]."""
         age = np.zeros(_PARTICLES)
         for line in belief.lines:
@@ -203,10 +211,10 @@ class UpkeepManager(ScriptedManager[_Belief]):
         for other, own in belief.left:
             age = own if other == slot else age
         belief.left = [(other, own) for other, own in belief.left if other != slot]
-        belief.fresh = [other for other in belief.fresh if other != slot]
+        belief.slots = [other for other in belief.slots if other != slot]
         return age
 
-    def _calibrated(self, belief: _Belief) -> None:
+    def _calibrated(self, belief: _Lines) -> None:
         belief.bias[:], belief.doubt[:] = 0.0, self._drift.error**2
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
@@ -222,27 +230,12 @@ class UpkeepManager(ScriptedManager[_Belief]):
             return wait
         # No line can continue: submit the vessels as they are.
         standing = [line.slot for line in belief.lines if line.slot is not None] + [slot for slot, _ in belief.left]
-        for slot in [*standing, *belief.fresh]:
+        for slot in [*standing, *belief.slots]:
             submit = self._submit(belief, slot)
             if mask[submit]:
                 belief.orders = belief.orders[1:]
                 return submit
         return int(mask.argmax())
-
-    def _pass_time(self, belief: _Belief, observation: ObservationArray, left: int) -> None:
-        """Update the belief with events since the last decision: a reading, finished experiments, elapsed time."""
-        now = self._scenario.limits.ticks - left
-        belief.bias = belief.bias + self._drift.trend * (now - belief.known)
-        belief.doubt = belief.doubt + self._drift.walk**2 * (now - belief.known)
-        belief.known = now
-        if belief.asked is not None:
-            line, belief.asked = belief.asked, None
-            reading = observation[self._slices[f"slot_{line.slot}_{self._instrument}"]].astype(np.float64)
-            self._learn(belief, line, reading[self._shown])
-        for line in belief.lines:
-            if line.begun is not None and self._value(observation, f"{line.agent}_busy") < 0.5:
-                line.speed, line.age = self._worked(line, now - line.begun, belief.rng)
-                line.begun, line.looked = None, 0
 
     def _worked(self, line: _Line, ticks: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
         """Return particles of speed and age [K] after a number of ticks of work."""
@@ -250,7 +243,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         return line.speed + change, line.age + ticks / self._steps * np.exp(line.speed + 0.5 * change)
 
     def _attend(
-        self, belief: _Belief, line: _Line, observation: ObservationArray, mask: MaskArray, left: int
+        self, belief: _Lines, line: _Line, observation: ObservationArray, mask: MaskArray, left: int
     ) -> int | None:
         """Return the action for an idle line, or None."""
         if self._value(observation, f"{line.agent}_repair") > 0.0:
@@ -269,19 +262,19 @@ class UpkeepManager(ScriptedManager[_Belief]):
             return None
         return self._work(belief, line, mask, left)
 
-    def _next_batch(self, belief: _Belief, line: _Line) -> bool:
+    def _next_batch(self, belief: _Lines, line: _Line) -> bool:
         """Assign the next vessel to a line, used vessels before fresh ones."""
         if belief.left:
             line.slot, line.age = belief.left.pop(0)
             return True
-        if not belief.fresh:
+        if not belief.slots:
             return False
-        line.slot, line.age, line.looked = belief.fresh.pop(0), np.zeros(_PARTICLES), 0
+        line.slot, line.age, line.looked = belief.slots.pop(0), np.zeros(_PARTICLES), 0
         if not self._remember:
             line.speed = self._new_speed(line.wear, belief.rng)
         return True
 
-    def _wants_repair(self, belief: _Belief, line: _Line, broken: bool, left: int) -> bool:
+    def _wants_repair(self, belief: _Lines, line: _Line, broken: bool, left: int) -> bool:
         """Return True if a repaired line would gain more in the remaining time than the repair costs."""
         best = int(self._value_at.argmax())
         ticks = self._ages[best] * self._steps  # ticks of a batch at a gain of 1
@@ -296,7 +289,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         then = made(self._new_speed(line.wear, belief.rng), left - line.wear.repair_ticks)
         return then - now > line.wear.repair_price
 
-    def _work(self, belief: _Belief, line: _Line, mask: MaskArray, left: int) -> int | None:
+    def _work(self, belief: _Lines, line: _Line, mask: MaskArray, left: int) -> int | None:
         """Continue, measure or submit the line's batch."""
         assert line.slot is not None, "a working line has a vessel"
         runs = min(_MOST_RUNS, max(left - 1, 0) // self._steps)
@@ -314,22 +307,17 @@ class UpkeepManager(ScriptedManager[_Belief]):
                     if (better - gains[0]) * len(belief.orders) > self._drift.price:
                         self._calibrated(belief)
                         return calibrate
-                belief.asked, line.looked = line, line.looked + 1
-                return look
+                return self._update(belief, look)
             if max(gains[1:], default=0.0) - self._price > expected.max():
-                return self._start(belief, line, mask, left)
+                return self._start(belief, line, mask)
         if expected.argmax() > 0:
-            return self._start(belief, line, mask, left)
-        submit = self._submit(belief, line.slot)
-        line.slot, belief.orders = None, belief.orders[1:]
+            return self._start(belief, line, mask)
+        submit = self._update(belief, self._submit(belief, line.slot))
         return submit if mask[submit] else int(mask.argmax())
 
-    def _start(self, belief: _Belief, line: _Line, mask: MaskArray, left: int) -> int | None:
+    def _start(self, belief: _Lines, line: _Line, mask: MaskArray) -> int | None:
         start = self._actions.encode("start", line.agent, int(line.slot or 0), self._scenario.lab_goals[0])
-        if not mask[start]:
-            return None
-        line.begun = self._scenario.limits.ticks - left
-        return start
+        return self._update(belief, start) if mask[start] else None
 
     # -- prediction -------------------------------------------------------------------------------------------
 
@@ -347,7 +335,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         columns = [np.interp(ages, self._ages, column) for column in self._course.T]
         return np.stack(columns, axis=-1)
 
-    def _look(self, belief: _Belief, ages: FloatArray, worth: FloatArray, wait: int, doubt: FloatArray) -> float:
+    def _look(self, belief: _Lines, ages: FloatArray, worth: FloatArray, wait: int, doubt: FloatArray) -> float:
         """Return the expected value of the batch with a measurement after ``wait`` runs, before the price."""
         shown = self._shows(ages[:, wait])
         variance = self._noise**2 + doubt
@@ -357,7 +345,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
         costs = self._scenario.costs.tick * self._steps * np.arange(wait, worth.shape[1])
         return float((weights @ worth[:, wait:] - costs).max(axis=1).mean())
 
-    def _learn(self, belief: _Belief, line: _Line, reading: FloatArray) -> None:
+    def _resample(self, belief: _Lines, line: _Line, reading: FloatArray) -> None:
         """Update with a reading: resample the particles, and update the instrument's bias."""
         shown = self._shows(line.age)
         variance = self._noise**2 + belief.doubt
@@ -372,7 +360,7 @@ class UpkeepManager(ScriptedManager[_Belief]):
 
     # -- actions ----------------------------------------------------------------------------------------------
 
-    def _submit(self, belief: _Belief, slot: int) -> int:
+    def _submit(self, belief: _Lines, slot: int) -> int:
         return self._encode_submit(slot, belief.orders[0] if belief.orders else 0)
 
     def _encode_look(self, slot: int) -> int | None:

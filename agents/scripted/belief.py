@@ -1,0 +1,164 @@
+"""Belief of a scripted manager: what it knows of vessels, benches and orders, and simulations of the public scenario.
+
+:class:`BeliefManager` keeps a belief up to date with readings, ended experiments and actions. Each kind of scenario has
+an adaptor, a subclass that states what a reading means and decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
+
+import numpy as np
+
+from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import FloatArray, ObservationArray
+from chemlab.lab.engine import Laboratories
+
+from .script import ScriptedManager, Setting, cheapest
+
+__all__ = ["Belief", "BeliefManager", "first_reading", "first_worth", "noiseless"]
+
+_SAMPLES = 32
+"""Readings sampled to estimate the value of one measurement."""
+
+
+@dataclass
+class Belief:
+    """What a manager knows in one episode.
+
+    Attributes:
+        slots: slots of vessels.
+        orders: open orders.
+        asked: slot of the vessel that is being measured, or None.
+        running: by bench agent, the slot of its vessel.
+    """
+
+    slots: list[int]
+    orders: list[int]
+    asked: int | None = None
+    running: dict[str, int] = field(default_factory=dict)
+
+
+B = TypeVar("B", bound=Belief)
+
+
+class BeliefManager(ScriptedManager[B]):
+    """Keeps a belief up to date; subclasses add what they infer, and decide.
+
+    Args:
+        setting: the manager's laboratory; if not careful, it never measures.
+        kinds: kinds of instruments, of which the cheapest is used.
+        model_error: standard deviation of readings besides their noise.
+    """
+
+    def __init__(self, setting: Setting, kinds: Collection[str], model_error: float = 0.0) -> None:
+        super().__init__(setting)
+        self._instrument = cheapest(setting.scenario, kinds) if setting.careful else None
+        spec = setting.scenario.instruments.get(str(self._instrument))
+        self._price = spec.price if spec is not None else 0.0
+        self._noise = float(np.hypot(spec.noise, model_error)) if spec is not None else 1.0
+        # Fixed random numbers for every decision: worlds, spread over all likely ones, and noise.
+        self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+
+    def _errors(self, size: int) -> FloatArray:
+        """Return [_SAMPLES, size] errors of readings, which are the same for every decision."""
+        return np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, size))
+
+    def _sampled(self, weights: FloatArray) -> Any:
+        """Return [_SAMPLES] indices of worlds with probabilities ``weights`` [K]."""
+        return np.searchsorted(np.cumsum(weights), self._shares).clip(0, len(weights) - 1)
+
+    def _begin(self, observation: ObservationArray) -> B:
+        """Return the belief at the start of an episode."""
+        raise NotImplementedError
+
+    def _pass_time(self, belief: B, observation: ObservationArray) -> None:
+        """Update the belief with what an observation shows, before readings and ended experiments."""
+
+    def _learn(self, belief: B, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
+        """Update the belief with the reading [R] of a vessel."""
+        raise NotImplementedError
+
+    def _ended(self, belief: B, agent: str, slot: int, observation: ObservationArray) -> None:
+        """Update the belief after the end of an experiment."""
+
+    def _started(self, belief: B, agent: str, slot: int, more: list[Any]) -> None:
+        """Update the belief after the start of an experiment with a goal and perhaps a quality requirement."""
+
+    def _measured(self, belief: B, slot: int) -> None:
+        """Update the belief after a measurement has been requested."""
+
+    def _removed(self, belief: B, slot: int) -> None:
+        """Update the belief after a vessel has been submitted or discarded."""
+
+    def _submitted(self, belief: B, order: int) -> None:
+        """Update the belief after a vessel has been submitted for an order."""
+        belief.orders = [other for other in belief.orders if other != order]
+
+    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
+        if step == 0:
+            self._kept[member] = self._begin(observation)
+        belief = self._kept[member]
+        self._pass_time(belief, observation)
+        if belief.asked is not None:
+            slot, belief.asked = belief.asked, None
+            reading = observation[self._slices[f"slot_{slot}_{self._instrument}"]].astype(np.float64)
+            self._learn(belief, slot, reading, observation)
+        for agent, slot in list(belief.running.items()):
+            if self._value(observation, f"{agent}_busy") < 0.5:
+                del belief.running[agent]
+                self._ended(belief, agent, slot, observation)
+
+    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+        self._update(self._kept[member], action)
+
+    def _update(self, belief: B, action: int) -> int:
+        """Update the belief with an action; return the action."""
+        kind, slot, more = self._taken_apart(action)
+        if kind == "start":
+            agent, *terms = more
+            belief.running[agent] = slot
+            self._started(belief, agent, slot, terms)
+        elif kind == "measure" and more[0] == self._instrument:
+            belief.asked = slot
+            self._measured(belief, slot)
+        elif kind in ("submit", "discard"):
+            self._removed(belief, slot)
+            if kind == "submit":
+                self._submitted(belief, more[0])
+        return action
+
+    def _goal(self, observation: ObservationArray, order: int) -> str:
+        """Return the goal of an order."""
+        return self._scenario.goals[int(observation[self._slices[self._orders[order]]].argmax())]
+
+
+# -- simulation -------------------------------------------------------------------------------------------------------
+
+
+def noiseless(scenario: Scenario) -> Scenario:
+    """Return the scenario with instruments without noise."""
+    exact = {name: spec.model_copy(update={"noise": 0.0}) for name, spec in scenario.instruments.items()}
+    return scenario.model_copy(update={"instruments": exact})
+
+
+def first_worth(labs: Laboratories, goal: int) -> FloatArray:
+    """Return [N] the raw score that the first slot's vessel would add if submitted for one of the orders."""
+    rules, amounts = labs.rules.arrays, labs.shelf.amounts[:, 0]
+    made, all_there = amounts[:, rules.parts[goal, 0]], amounts @ rules.counts[goal]
+    purity = made / np.maximum(all_there, 1e-12)
+    met = (purity >= rules.least_purity[goal]) & (made >= rules.least_amount[goal])
+    return np.asarray(met * made * purity / rules.maximum[goal] / labs.scenario.orders)
+
+
+def first_reading(labs: Laboratories, instrument: str | None) -> FloatArray:
+    """Return [N, R] the instrument's reading of the first slot's vessel; zeros [N, 1] without an instrument."""
+    if instrument is None:
+        return np.zeros((len(labs.members), 1))
+    table, members = labs.instruments, labs.members
+    number, zeros = table.names.index(instrument), np.zeros(len(members), dtype=np.int64)
+    table.read(labs.shelf, labs.state.reading, labs.state.stream, members, zeros, zeros + number)
+    start, stop = table.start[number : number + 2]
+    return np.array(labs.state.reading[:, 0, start:stop])
