@@ -326,6 +326,38 @@ class Careless:
         return self._rng.choice(mask.shape[1], size=len(mask), p=chances / chances.sum())
 
 
+def record_episode(
+    path: Path,
+    scenario: Any = "wurtz_dodecane",
+    policy: str = "scripted",
+    seed: int = 3,
+    options: dict[str, Any] | None = None,
+    named: bool = False,
+    **more: Any,
+) -> Path:
+    """Record an episode of policies by name, or of careless ones.
+
+    Args:
+        path: the record.
+        scenario, more: arguments of ``raw_env``.
+        policy: a name, or ``careless``.
+        seed: of the episode and of the policies.
+        options: of ``reset``.
+        named: True puts the policy's name into the record.
+    """
+    from chemlab.agents.episodes import play_episode
+    from chemlab.agents.policies import make_policies
+    from chemlab.record import Recorder
+
+    env = raw_env(scenario, **more)
+    labs = env.laboratories
+    careless: Any = {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
+    policies = careless if policy == "careless" else make_policies(policy, labs, seed)
+    with Recorder(path, labs, policies=dict.fromkeys(labs.agents, policy) if named else None, force=True) as recorder:
+        play_episode(env, policies, seed, policy, options=options, recorder=recorder)
+    return path
+
+
 __all__ = [
     "CLOCK_WAS",
     "EVERY_SCENARIO",
@@ -338,6 +370,7 @@ __all__ = [
     "four_solvents",
     "molar_volume",
     "network_table",
+    "record_episode",
     "script",
     "slow_but",
 ]

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import Careless
+from helpers import record_episode
 from typer.testing import CliRunner
 
-from chemlab.agents.episodes import play_episode
-from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import CurvePoint, Evaluation, Run, RunConfig, to_text
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario, scenario_names
@@ -23,24 +21,10 @@ from chemlab.render.mole_balance import PLACES, mole_balance
 runner = CliRunner()
 
 
-def record(path: Path, scenario: str, policy: str = "scripted", seed: int = 3) -> Path:
-    """Record an episode."""
-    env = raw_env(scenario)
-    labs = env.laboratories
-    policies: Any = (
-        {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
-        if policy == "careless"
-        else make_policies(policy, labs, seed)
-    )
-    with Recorder(path, labs) as recorder:
-        play_episode(env, policies, seed, policy, recorder=recorder)
-    return path
-
-
 @pytest.fixture(scope="module")
 def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A record of a scripted episode."""
-    return record(tmp_path_factory.mktemp("plot") / "scripted.jsonl", "wurtz_dodecane")
+    return record_episode(tmp_path_factory.mktemp("plot") / "scripted.jsonl")
 
 
 # -- where the moles went -------------------------------------------------------------------------------------
@@ -51,7 +35,7 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_the_books_balance(name: str, policy: str, tmp_path: Path) -> None:
     """Of every group there is as much at each stage as the scenario's stock and vessels hold."""
     scenario = load_scenario(name)
-    balance = mole_balance(read_record(record(tmp_path / "one.jsonl", name, policy)))
+    balance = mole_balance(read_record(record_episode(tmp_path / "one.jsonl", name, policy)))
     start = np.array(
         [
             scenario.stock.get(material, 0.0) + sum(v.contents.get(material, 0.0) for v in scenario.shelf.vessel)
@@ -147,7 +131,7 @@ def overlaps(figure: Any, inside: float = 1.0) -> list[tuple[str, str]]:
 def test_no_text_covers_another(name: str, policy: str, tmp_path: Path) -> None:
     from chemlab.render.charts import draw_moles, draw_timeline
 
-    found = read_record(record(tmp_path / "one.jsonl", name, policy))
+    found = read_record(record_episode(tmp_path / "one.jsonl", name, policy))
     assert overlaps(draw_timeline(found)) == []
     assert overlaps(draw_moles(found)) == []
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import Careless, four_solvents, script, slow_but
+from helpers import four_solvents, record_episode, script, slow_but
 from typer.testing import CliRunner
 
 import chemlab
@@ -38,24 +38,10 @@ runner = CliRunner()
 Lines = list[dict[str, Any]]
 
 
-def play(path: Path, scenario: Any = "wurtz_dodecane", policy: str = "scripted", seed: int = 3, **more: Any) -> Path:
-    """Record an episode."""
-    env = raw_env(scenario)
-    labs = env.laboratories
-    policies: Any = (
-        {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
-        if policy == "careless"
-        else make_policies(policy, labs, seed)
-    )
-    with Recorder(path, labs) as recorder:
-        play_episode(env, policies, seed, policy, recorder=recorder, **more)
-    return path
-
-
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A record of a scripted episode, with a measurement in it."""
-    return play(tmp_path_factory.mktemp("honest") / "episode.jsonl")
+    return record_episode(tmp_path_factory.mktemp("honest") / "episode.jsonl")
 
 
 # -- honest records -------------------------------------------------------------------------------------------
@@ -65,7 +51,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("name", slow_but(SCENARIOS, "fictitious", "wurtz_safe", "wurtz_two_lines"))
 def test_honest_records_are_right(name: str, policy: str, tmp_path: Path) -> None:
     for seed in (1, 2):
-        path = play(tmp_path / f"{seed}.jsonl", name, policy, seed)
+        path = record_episode(tmp_path / f"{seed}.jsonl", name, policy, seed)
         result = verify_record(path)
         assert (result.status, result.exit_code) == ("ok", 0), result.message
         record = read_record(path)
@@ -112,7 +98,7 @@ def test_a_record_says_what_happened(tmp_path: Path) -> None:
 
 
 def test_the_same_episode_gives_the_same_bytes(honest: Path, tmp_path: Path) -> None:
-    assert play(tmp_path / "again.jsonl").read_bytes() == honest.read_bytes()
+    assert record_episode(tmp_path / "again.jsonl").read_bytes() == honest.read_bytes()
 
 
 @pytest.mark.parametrize("name", ["wurtz_dodecane", "relay"])
@@ -165,7 +151,7 @@ def test_records_are_small(honest: Path) -> None:
 
 
 def test_a_goal_that_was_asked_for(tmp_path: Path) -> None:
-    path = play(tmp_path / "a.jsonl", "wurtz_any", options={"goal": "NaCl"})
+    path = record_episode(tmp_path / "a.jsonl", "wurtz_any", options={"goal": "NaCl"})
     assert read_record(path).header["goals"] == ["NaCl"]
     assert verify_record(path).status == "ok"
 
@@ -229,7 +215,7 @@ def test_a_scenario_of_ones_own_needs_no_file(tmp_path: Path) -> None:
     shipped = Path(chemlab.scenarios.__path__[0]) / "salt_from_oil.toml"
     file = tmp_path / "mine.toml"
     file.write_text(shipped.read_text().replace('name = "salt_from_oil"', 'name = "mine"'))
-    path = play(tmp_path / "a.jsonl", file)
+    path = record_episode(tmp_path / "a.jsonl", file)
     file.unlink()
     result = verify_record(path)
     assert (result.status, result.exit_code) == ("foreign", 6)
@@ -465,7 +451,7 @@ CHANGED_SCENARIOS = sorted({name for name, _ in CONDITIONS.values()})
 def openings(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Lines]:
     """The first lines of a scripted episode of each."""
     folder = tmp_path_factory.mktemp("openings")
-    return {name: load(play(folder / f"{name}.jsonl", name))[:25] for name in CHANGED_SCENARIOS}
+    return {name: load(record_episode(folder / f"{name}.jsonl", name))[:25] for name in CHANGED_SCENARIOS}
 
 
 @pytest.mark.parametrize("what", CONDITIONS)
@@ -518,7 +504,7 @@ def test_what_no_record_can_prove_is_said(honest: Path, tmp_path: Path) -> None:
     result = verify_record(store(tmp_path / "a.jsonl", lines))
     assert result.status == "ok"
     assert result.notes == ["claims that genius\\x1b[31m played, which cannot be proved"]
-    play(tmp_path / "b.jsonl", "wurtz_any", options={"goal": "NaCl"})
+    record_episode(tmp_path / "b.jsonl", "wurtz_any", options={"goal": "NaCl"})
     assert any("NaCl" in note for note in verify_record(tmp_path / "b.jsonl").notes)
 
 
@@ -622,7 +608,7 @@ def test_a_right_record_on_an_easier_scenario_is_not_ok(tmp_path: Path) -> None:
     data = dump_scenario(shipped)
     data["scenario"]["theoretical_maximum_mol"] = {"dodecane": shipped.theoretical_maximum_mol["dodecane"] / 2}
     easier = restore_scenario(data, "test")
-    path = play(tmp_path / "a.jsonl", easier)
+    path = record_episode(tmp_path / "a.jsonl", easier)
     result = verify_record(path)
     assert (result.status, result.exit_code) == ("foreign", 6)
     assert result.score is not None
@@ -812,7 +798,7 @@ def test_a_full_disk_is_told_with_the_file(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(OSError, match=r"a\.jsonl\.part"):
-        play(path, "salt_from_oil")
+        record_episode(path, "salt_from_oil")
     assert [file.name for file in tmp_path.iterdir()] == ["a.jsonl.part"]
 
 
@@ -833,12 +819,8 @@ def test_names_of_any_bytes(tmp_path: Path) -> None:
 
 def in_a_world(path: Path, world: Any, seed: int = 3, split: str = "train", name: str = "unlabelled") -> Lines:
     """The lines of a scripted episode in a world that was asked for, or in its seed's."""
-    env = raw_env(name, split=split)
     options = None if world is None else {"world": world}
-    with Recorder(path, env.laboratories, force=True) as recorder:
-        policies = make_policies("scripted", env.laboratories, seed)
-        play_episode(env, policies, seed, options=options, recorder=recorder)
-    return load(path)
+    return load(record_episode(path, name, seed=seed, options=options, split=split))
 
 
 def test_a_world_that_was_asked_for_is_a_verdict_of_its_own(tmp_path: Path) -> None:
@@ -892,7 +874,7 @@ def test_a_world_is_its_numbers(split: str, tmp_path: Path) -> None:
 
 
 def test_a_goal_that_was_asked_for_is_the_goal(tmp_path: Path) -> None:
-    lines = load(play(tmp_path / "a.jsonl", "wurtz_any", options={"goal": "NaCl"}))
+    lines = load(record_episode(tmp_path / "a.jsonl", "wurtz_any", options={"goal": "NaCl"}))
     lines[0]["seed"] = None
     assert verify_record(store(tmp_path / "a.jsonl", lines)).status == "ok"
     lines[0]["goals"] = ["dodecane"]
@@ -1098,7 +1080,7 @@ def test_a_bench_of_ones_own_is_imported_only_on_trust(tmp_path: Path, monkeypat
     file.write_text(shipped.read_text().replace('name = "salt_from_oil"', 'name = "filtered"') + entry)
     with monkeypatch.context() as patch:
         patch.syspath_prepend(str(Path(__file__).parent / "bench"))
-        path = play(tmp_path / "a.jsonl", file, "random")
+        path = record_episode(tmp_path / "a.jsonl", file, "random")
         result = verify_record(path)
         assert result.status == "unchecked"
         assert "filtration_bench" in result.message
@@ -1244,7 +1226,7 @@ def test_committed_records_can_be_read() -> None:
 
 @pytest.mark.skipif(not COMMITTED, reason="not a checkout")
 def test_a_record_of_another_format_is_told_and_can_be_made_again(tmp_path: Path) -> None:
-    path = play(tmp_path / "a.jsonl", "salt_from_oil")
+    path = record_episode(tmp_path / "a.jsonl", "salt_from_oil")
     content, lines = path.read_bytes(), load(path)
     lines[0]["format"]["version"] = 2
     for line in lines[:-1]:

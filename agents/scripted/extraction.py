@@ -105,33 +105,29 @@ class ScriptedExtraction:
         if step == 0:
             self._phase[member] = DECANT if count_pixels(picture, self._metals) else ADD
             self._washes[member] = 0
-        phase = self._phase[member]
-        if phase == DECANT:
+        if self._phase[member] == DECANT:
             solid = count_pixels(picture, self._solids)
             if solid:
                 return self._drain(solid)
             # A remainder below one pixel may be invisible; draining one more pixel of liquid removes it.
             self._phase[member] = DONE
             return self._drains[-1][1]
-        if phase == ADD and (self._washes[member] >= self._most or not mask[self._add]):
-            phase = DONE
-        if phase == ADD:
-            self._phase[member] = MIX
-            return self._add
-        if phase == MIX:
-            self._phase[member] = SETTLE
-            return self._mix
-        if phase == SETTLE:
-            self._phase[member] = DRAIN
-            return self._settle
-        if phase == DRAIN:
-            lower = count_pixels(picture, [self._wash_shade])
-            if lower:
-                return self._drain(lower)
+        if self._phase[member] == DRAIN:
+            drain = self._drain_lower(picture, mask)
+            if drain is not None:
+                return drain
             self._phase[member] = ADD
             self._washes[member] += 1
-            return self._decide(picture, mask, step, member)
-        return self._end
+        phase = self._phase[member]
+        if phase == DONE or (phase == ADD and (self._washes[member] >= self._most or not mask[self._add])):
+            return self._end
+        self._phase[member] += 1
+        return {ADD: self._add, MIX: self._mix, SETTLE: self._settle}[phase]
+
+    def _drain_lower(self, picture: ObservationArray, mask: MaskArray) -> int | None:
+        """Return the action that drains the lower layer; None if it is drained."""
+        lower = count_pixels(picture, [self._wash_shade])
+        return self._drain(lower) if lower else None
 
 
 def _wash_volumes(bench: ExtractionBench, wash: str) -> tuple[int, FloatArray]:

@@ -13,7 +13,7 @@ from chemlab.roles.distillation_bench import DistillationBench
 from chemlab.roles.extraction_bench import ExtractionBench
 from chemlab.roles.reaction_bench import ReactionBench
 
-from .extraction import ADD, DRAIN, MIX, SETTLE, ScriptedExtraction
+from .extraction import ScriptedExtraction
 
 __all__ = ["ScriptedRealDistillation", "ScriptedRealExtraction", "ScriptedRealReaction"]
 
@@ -100,35 +100,17 @@ class ScriptedRealExtraction(ScriptedExtraction):
 
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         super().__init__(bench)
-        self._washes_wanted = _WASHES if careful else 1
+        self._metals, self._most = [], _WASHES if careful else 1
 
     def _boundary(self, picture: ObservationArray) -> int:
         """Return the number of pixels from the bottom up to the last aqueous one."""
         wet = np.flatnonzero(np.abs(picture - self._wash_shade) < _LOWER)
         return int(wet[-1]) + 1 if len(wet) else 0
 
-    def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        if step == 0:
-            self._phase[member], self._washes[member] = ADD, 0
-        phase = self._phase[member]
-        if phase == ADD:
-            if self._washes[member] >= self._washes_wanted or not mask[self._add]:
-                return self._end
-            self._phase[member] = MIX
-            return self._add
-        if phase == MIX:
-            self._phase[member] = SETTLE
-            return self._mix
-        if phase == SETTLE:
-            self._phase[member] = DRAIN
-            return self._settle
+    def _drain_lower(self, picture: ObservationArray, mask: MaskArray) -> int | None:
         percent = 100.0 * self._boundary(picture) / CAMERA_PIXELS
         chosen = next((action for magnitude, action in self._drains if magnitude <= percent + 1e-9), None)
-        if chosen is None or not mask[chosen]:
-            self._phase[member] = ADD
-            self._washes[member] += 1
-            return self._decide(picture, mask, step, member)
-        return chosen
+        return chosen if chosen is not None and mask[chosen] else None
 
 
 _KJ_PER_L_K = 1.8

@@ -135,7 +135,8 @@ class ScreeningManager(BeliefManager[_Batches]):
                 continue
             start = self._actions.encode("start", agent, batches.slots[0], self._scenario.lab_goals[0])
             if mask[start]:
-                return self._update(batches, start)
+                batches.running[agent] = batches.slots.pop(0)
+                return start
         for slot in batches.done:
             if self._instrument is None or slot in batches.worth:
                 continue

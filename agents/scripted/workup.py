@@ -85,7 +85,7 @@ class ScriptedWorkup(ScriptedRealExtraction):
             if all(keeps_apart(scenario, goal) for goal in bench.goals.names):
                 self._organic_shade = scenario.materials[bench.goals.names[0]].shade
                 # The goal is itself a solvent, which every wash removes in part: use a small volume, and one wash less.
-                self._add, self._washes_wanted = choose(added[WATER], 0.0), self._washes_wanted - 1
+                self._add, self._most = choose(added[WATER], 0.0), self._most - 1
             elif solvent is not None:
                 self._organic_shade = scenario.materials[solvent].shade
                 self._before = [choose(added[solvent], _SOLVENT_L)]

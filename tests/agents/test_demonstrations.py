@@ -10,11 +10,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import Careless
+from helpers import record_episode
 from typer.testing import CliRunner
 
 from chemlab.agents.demonstrations import demonstrations, write_datasets
-from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
@@ -27,24 +26,10 @@ from chemlab.render.history import RecordReplay
 runner = CliRunner()
 
 
-def record(path: Path, scenario: Any = "wurtz_dodecane", policy: str = "scripted", seed: int = 3, **more: Any) -> Path:
-    """Record an episode."""
-    env = raw_env(scenario, **more)
-    labs = env.laboratories
-    policies: Any = (
-        {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
-        if policy == "careless"
-        else make_policies(policy, labs, seed)
-    )
-    with Recorder(path, labs, policies=dict.fromkeys(labs.agents, policy)) as recorder:
-        play_episode(env, policies, seed, policy, recorder=recorder)
-    return path
-
-
 @pytest.fixture(scope="module")
 def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A record of a scripted episode."""
-    return record(tmp_path_factory.mktemp("demonstrations") / "scripted.jsonl")
+    return record_episode(tmp_path_factory.mktemp("demonstrations") / "scripted.jsonl", named=True)
 
 
 # -- what is in them ------------------------------------------------------------------------------------------
@@ -63,7 +48,7 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_nothing_earned_is_lost(scenario: str, policy: str, more: Any, tmp_path: Path) -> None:
     """Rewards of an agent's episodes add up to the record's; turns and costs likewise."""
-    found = read_record(record(tmp_path / "one.jsonl", scenario, policy, 5, **more))
+    found = read_record(record_episode(tmp_path / "one.jsonl", scenario, policy, 5, **more, named=True))
     told = demonstrations(found)
     assert found.end is not None
     for agent, episodes in told.items():
@@ -100,7 +85,7 @@ def test_semi_markov_time(scripted: Path) -> None:
 
 def test_agents_saw_this(tmp_path: Path) -> None:
     """Observations, masks and elapsed ticks are those of the AEC environment, where the same actions are played."""
-    path = record(tmp_path / "one.jsonl", "wurtz_two_lines", "careless", 8)
+    path = record_episode(tmp_path / "one.jsonl", "wurtz_two_lines", "careless", 8, named=True)
     found = read_record(path)
     env = raw_env("wurtz_two_lines")
     env.reset(seed=8)
@@ -123,7 +108,7 @@ def test_agents_saw_this(tmp_path: Path) -> None:
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "wurtz_dodecane_direct"])
 def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: Path) -> None:
     """From the vessel that came to it, the single-bench environment shows and pays the same, to the last step."""
-    found = read_record(record(tmp_path / "one.jsonl", scenario))
+    found = read_record(record_episode(tmp_path / "one.jsonl", scenario, named=True))
     told = demonstrations(found)
     waiting = {agent: list(episodes) for agent, episodes in told.items()}
     replay = RecordReplay(found)
@@ -208,7 +193,7 @@ def minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def test_datasets_replay_in_the_environment_they_name(minari: Any, scripted: Path, tmp_path: Path) -> None:
     """The manager's, loaded: reset with its seed, its environment shows and pays the same for the same actions."""
-    second = record(tmp_path / "second.jsonl", seed=4)
+    second = record_episode(tmp_path / "second.jsonl", seed=4, named=True)
     written = write_datasets([scripted, second], "tests/wurtz")
     assert [dataset.agent for dataset in written] == ["manager_0", "rxn_0", "ext_0", "dit_0"]
     dataset = minari.load_dataset("tests/wurtz/manager_0-v0")
@@ -265,7 +250,7 @@ def test_datasets_of_environments_with_scenarios_of_ones_own_name_them(minari: A
 
 
 def test_datasets_of_records_of_scenarios_of_ones_own_name_their_environment(minari: Any, tmp_path: Path) -> None:
-    path = record(tmp_path / "mine.jsonl", scenario=mine(tmp_path))
+    path = record_episode(tmp_path / "mine.jsonl", scenario=mine(tmp_path), named=True)
     mine(tmp_path).unlink()  # the record has all of it
     write_datasets([path], "tests/mine", agents=["manager_0"])
     dataset = minari.load_dataset("tests/mine/manager_0-v0")
@@ -320,7 +305,7 @@ def test_what_did_not_happen_is_no_demonstration(minari: Any, scripted: Path, tm
     edited.write_text("".join([text[0], changed, *text[2:]]))
     with pytest.raises(ValueError, match="cannot serve as a demonstration"):
         write_datasets([edited], "tests/edited")
-    other = record(tmp_path / "other.jsonl", "salt_from_oil")
+    other = record_episode(tmp_path / "other.jsonl", "salt_from_oil", named=True)
     with pytest.raises(ValueError, match="another scenario"):
         write_datasets([scripted, other], "tests/both")
     with pytest.raises(ValueError, match="unknown agent chef"):

@@ -9,6 +9,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+from helpers import record_episode
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate.play import Target
@@ -19,7 +20,7 @@ from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env, raw_env
-from chemlab.record import Recorder, scenario_hash, verify_record
+from chemlab.record import scenario_hash, verify_record
 from chemlab.roles.discrete import Discretised
 from chemlab.roles.kinds import discretised_twin
 
@@ -88,12 +89,8 @@ def test_every_view_takes_it_and_the_laboratory_goes_on_as_it_would() -> None:
 
 
 def test_records_of_it_are_verified(tmp_path: Path) -> None:
-    env = raw_env(actions="discrete")
-    path = tmp_path / "episode.jsonl"
-    with Recorder(path, env.laboratories) as recorder:
-        policies = make_policies("scripted,rxn=random", env.laboratories, 1)
-        play_episode(env, policies, 1, recorder=recorder)
-    assert verify_record(path, env.scenario).status == "ok"
+    path = record_episode(tmp_path / "episode.jsonl", policy="scripted,rxn=random", seed=1, actions="discrete")
+    assert verify_record(path, raw_env(actions="discrete").scenario).status == "ok"
     assert verify_record(path).status == "foreign"  # the shipped scenario has the numbers
     assert '"actions":"discrete"' in path.read_text()
 
