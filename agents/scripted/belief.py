@@ -62,7 +62,7 @@ class BeliefManager(ScriptedManager[B]):
         # Fixed random numbers for every decision: worlds, spread over all likely ones, and noise.
         self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
 
-    def _errors(self, size: int) -> FloatArray:
+    def _errors_of(self, size: int) -> FloatArray:
         """Return [_SAMPLES, size] errors of readings, which are the same for every decision."""
         return np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, size))
 

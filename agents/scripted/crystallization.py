@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -16,6 +15,8 @@ from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationA
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.crystallization_bench import CrystallizationBench
+
+from .script import Remembering
 
 __all__ = ["ScriptedCrystallization", "solubility"]
 
@@ -96,7 +97,7 @@ class _Batch:
     """remaining steps to wait for complete dissolution"""
 
 
-class ScriptedCrystallization:
+class ScriptedCrystallization(Remembering):
     """Collects, washes and dries crystals; recrystallizes a crude product first.
 
     Crystals in liquor are collected, washed and dried. A crude product is dissolved in as much hot solvent as the
@@ -107,6 +108,8 @@ class ScriptedCrystallization:
         bench: the bench.
         careful: False skips hot filtration and seeding.
     """
+
+    _MEMORY = ("_memory",)
 
     def __init__(self, bench: CrystallizationBench, careful: bool = True) -> None:
         self._bench, self._careful = bench, careful
@@ -157,14 +160,6 @@ class ScriptedCrystallization:
             action = self._decide(self._memory[i], read["temperature"], read["volume"], read["solids"], m)
             chosen.append(action if mask is not None and m[action] else self._bench.end_action)
         return np.array(chosen, dtype=np.int64)
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return copy.deepcopy(self._memory)
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._memory = copy.deepcopy(memory)
 
     def _read(self, observation: ObservationArray, name: str) -> float:
         gauge = self._gauges[name]

@@ -6,7 +6,6 @@ be boiled off, it swaps the receiver and distils the goal over.
 
 from __future__ import annotations
 
-import copy
 import math
 from bisect import bisect_right
 from typing import Any, NamedTuple
@@ -18,7 +17,7 @@ from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.roles.bench import CAMERA_PIXELS, Channel, channel_slices
 from chemlab.roles.distillation_bench import DistillationBench
 
-from .script import SAME_SHADE, count_pixels
+from .script import SAME_SHADE, Remembering, count_pixels
 
 __all__ = ["ScriptedDistillation"]
 
@@ -45,7 +44,7 @@ class _Seen(NamedTuple):
     litres: float
 
 
-class ScriptedDistillation:
+class ScriptedDistillation(Remembering):
     """Heats in steps that cannot overshoot, guided by thermometer and fill level; uses the layers once lighter
     materials left.
 
@@ -54,6 +53,8 @@ class ScriptedDistillation:
         careful: True stops before the vessel boils to dryness if the scenario prices accidents; False heats with full
             power.
     """
+
+    _MEMORY = ("_phase", "_memory")
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
         self._careful = careful
@@ -107,14 +108,6 @@ class ScriptedDistillation:
         shown = observation[:, self._slices[channel.name]][:, 0].astype(np.float64)
         numbers: list[float] = (channel.low + shown * (channel.high - channel.low)).tolist()
         return numbers
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return copy.deepcopy((self._phase, self._memory))
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._phase, self._memory = copy.deepcopy(memory)
 
     def _heat(self, kilojoules: float) -> int:
         """Return the largest heating step of at most ``kilojoules``, or else the smallest."""

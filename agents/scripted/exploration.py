@@ -78,7 +78,7 @@ class CampaignManager(BeliefManager[_Rates]):
         self._expected, self._worth = _foreseen(
             scenario, drawn, tuple(self._numbers.tolist()), self._instrument, self._rxn
         )
-        self._error = self._errors(self._expected.shape[2])
+        self._errors = self._errors_of(self._expected.shape[2])
 
     def _begin(self, observation: ObservationArray) -> _Rates:
         return _Rates(self._occupied(observation) or [0], list(range(len(self._orders))))
@@ -151,7 +151,7 @@ class CampaignManager(BeliefManager[_Rates]):
         if self._instrument is None or runs == 0 or not mask[self._actions.encode("measure", slot, self._instrument)]:
             return False
         left = len(belief.orders) - 1 if self._remember else 0
-        readings = self._expected[self._sampled(belief.weights), runs] + self._error
+        readings = self._expected[self._sampled(belief.weights), runs] + self._errors
         after = self._prospect(self._updated(belief.weights, readings, runs), runs, left).mean()
         return bool(after - self._prospect(belief.weights, runs, left) > max(self._price, _LEAST_GAIN))
 

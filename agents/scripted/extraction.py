@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ from chemlab.lab.sampling import quantiles
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 from chemlab.roles.extraction_bench import ExtractionBench
 
-from .script import count_pixels
+from .script import Remembering, count_pixels
 
 __all__ = ["ScriptedExtraction"]
 
@@ -26,7 +25,7 @@ _MARGIN_K = 8.0
 DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
 
 
-class ScriptedExtraction:
+class ScriptedExtraction(Remembering):
     """Drains solids off if metal lies at the bottom; otherwise washes.
 
     Metal must not meet water, so after draining the experiment ends with the product in B1. Washing adds the first
@@ -41,6 +40,8 @@ class ScriptedExtraction:
         careful: False washes in any case.
         margin_k: habit of the team, see :class:`.reaction.ScriptedReaction`: washes are the smaller, the larger it is.
     """
+
+    _MEMORY = ("_phase", "_washes")
 
     wash_l = 0.05
     """Volume of one wash in litres."""
@@ -88,14 +89,6 @@ class ScriptedExtraction:
             told = np.rint(observation[:, self._told] * (len(self._adds) - 1)).astype(np.int64)
             actions = np.where(actions == self._add, np.array(self._adds)[told], actions)
         return actions
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return copy.deepcopy((self._phase, self._washes))
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._phase, self._washes = copy.deepcopy(memory)
 
     def _drain(self, pixels: int) -> int:
         percent = 100.0 * pixels / CAMERA_PIXELS

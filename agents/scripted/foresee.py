@@ -155,7 +155,7 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         }
         self._shape = _sizes(scenario)
         self._fill_noise = float(np.hypot(scenario.shelf.gauge / np.sqrt(12.0), _MODEL_ERROR))
-        self._error = self._errors(next(iter(self._foresight.values())).readings.shape[2])
+        self._errors = self._errors_of(next(iter(self._foresight.values())).readings.shape[2])
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
@@ -323,7 +323,7 @@ class ForeseeingManager(BeliefManager[_Vessels]):
 
     def _after_look(self, belief: _Vessels, goal: str, v: int, known: FloatArray, bests: FloatArray) -> FloatArray:
         """Return [samples, V] expected values of the vessels after another measurement of one of them."""
-        readings = self._foresight[goal].readings[self._sampled(known), belief.stage[v]] + self._error
+        readings = self._foresight[goal].readings[self._sampled(known), belief.stage[v]] + self._errors
         likely = self._likely(readings, goal, belief.stage[v])
         after = np.repeat(bests[None], len(readings), axis=0)
         if self._shape[0] > 1:

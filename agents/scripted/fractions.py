@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.roles.distillation_bench import DistillationBench
 
 from .real import ScriptedRealDistillation
+from .script import Remembering
 
 __all__ = ["ScriptedFraction"]
 
@@ -31,7 +31,7 @@ _MORE = 1.2
 STRIP, COLLECT, DILUTE = range(3)
 
 
-class ScriptedFraction(ScriptedRealDistillation):
+class ScriptedFraction(Remembering, ScriptedRealDistillation):
     """Boils off the lighter materials; takes the goal over where a column can separate it from heavier ones.
 
     Before the goal fraction, the receiver is changed. The fraction ends halfway to the next boiling point. If the goal
@@ -43,6 +43,8 @@ class ScriptedFraction(ScriptedRealDistillation):
         bench: the bench.
         careful: False always heats with full power.
     """
+
+    _MEMORY = ("_phase", "_full")
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
         super().__init__(bench, careful)
@@ -109,11 +111,3 @@ class ScriptedFraction(ScriptedRealDistillation):
                 done = over or kelvin > max(until, self._solvent_k[goal])
             out.append(self._end if done or not legal[heat] else heat)
         return np.array(out, dtype=np.int64)
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return copy.deepcopy((self._phase, self._full))
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._phase, self._full = copy.deepcopy(memory)

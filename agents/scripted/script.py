@@ -18,7 +18,7 @@ from chemlab.roles.instruments.table import InstrumentTable
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_view import order_channels
 
-__all__ = ["SAME_SHADE", "ScriptedManager", "Setting", "apart", "cheapest", "count_pixels", "likelihood"]
+__all__ = ["SAME_SHADE", "Remembering", "ScriptedManager", "Setting", "apart", "cheapest", "count_pixels", "likelihood"]
 
 M = TypeVar("M")
 
@@ -93,6 +93,21 @@ def _likelihood(readings: FloatArray, expected: FloatArray, variance: float, lea
 def count_pixels(picture: ObservationArray, shades: Iterable[float]) -> int:
     """Count the pixels of a picture [pixels] whose grey value is one of ``shades``."""
     return sum(int(np.count_nonzero(np.abs(picture - shade) < SAME_SHADE)) for shade in shades)
+
+
+class Remembering:
+    """Scripted policy of a bench with a memory: dictionaries by environment index, in the attributes ``_MEMORY``."""
+
+    _MEMORY: tuple[str, ...] = ()
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.envs.players.Policy`."""
+        return copy.deepcopy([getattr(self, name) for name in self._MEMORY])
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.envs.players.Policy`."""
+        for name, kept in zip(self._MEMORY, copy.deepcopy(memory), strict=True):
+            setattr(self, name, kept)
 
 
 class Setting(NamedTuple):

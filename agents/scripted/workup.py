@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import math
-from typing import Any
 
 import numpy as np
 
@@ -50,6 +48,8 @@ class ScriptedWorkup(ScriptedRealExtraction):
         bench: the bench.
         careful: False washes once.
     """
+
+    _MEMORY = ("_phase", "_washes", "_done")
 
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         super().__init__(bench, careful)
@@ -102,16 +102,6 @@ class ScriptedWorkup(ScriptedRealExtraction):
         base = next((name for name, salt in salts.items() if salt.anion == HYDROXIDE), None)
         acid = next((name for name, salt in salts.items() if salt.anion in acids or salt.cation == PROTON), None)
         return base, acid
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return super().get_memory(), copy.deepcopy(self._done)
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        washing, done = memory
-        super().set_memory(washing)
-        self._done = copy.deepcopy(done)
 
     def _boundary(self, picture: ObservationArray) -> int:
         """Return the number of pixels from the bottom to the layer above the water.
