@@ -26,7 +26,7 @@ _SAMPLES = 32
 
 @dataclass
 class Belief:
-    """What a manager knows in one episode.
+    """Knowledge of a manager in one episode.
 
     Attributes:
         slots: slots of vessels.

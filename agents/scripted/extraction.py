@@ -41,7 +41,7 @@ class ScriptedExtraction(Remembering):
         margin_k: habit of the team, see :class:`.reaction.ScriptedReaction`: washes are the smaller, the larger it is.
     """
 
-    _MEMORY = ("_phase", "_washes")
+    _MEMORY: tuple[str, ...] = ("_phase", "_washes")
 
     wash_l = 0.05
     """Volume of one wash in litres."""
