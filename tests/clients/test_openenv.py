@@ -52,7 +52,17 @@ def test_an_episode(tmp_path: Path) -> None:
     assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
 
 
-def test_the_folder_is_valid() -> None:
-    command = [Path(sys.executable).with_name("openenv"), "validate", ROOT / "recipes" / "openenv", "--skip-build"]
+def validated(*arguments: Any) -> str:
+    command = [Path(sys.executable).with_name("openenv"), "validate", *arguments]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_folder_and_server_are_valid() -> None:
+    """What needs a container is skipped: nothing fails, and the server passes whole."""
+    report = validated(ROOT / "recipes" / "openenv", "--skip-build")
+    assert "PASS  static.manifest" in report
+    assert "FAIL" not in report
+    with served(seat_app(scenario="unlabelled")) as url:
+        assert "Verdict: PASS" in validated("--url", url, "--timeout", "60")
