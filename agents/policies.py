@@ -10,6 +10,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Policy, as_policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
@@ -48,6 +49,7 @@ __all__ = [
     "agent_policy",
     "as_policy",
     "bench_policy",
+    "has_memory",
     "is_scripted",
     "make_policies",
     "policy_names",
@@ -319,6 +321,20 @@ def scripted_bench(
     return RandomPolicy(_size(bench.action_space), seed)
 
 
+def has_memory(scenario: Scenario) -> bool:
+    """Return whether the scripted manager of a scenario keeps findings for later decisions."""
+    return (
+        (has_orders_to_schedule(scenario) and _has_reports(scenario))
+        or has_unknown_rate(scenario) is not None
+        or foresees(scenario)
+        or has_wearing_lines(scenario)
+    )
+
+
+def _has_reports(scenario: Scenario) -> bool:
+    return any(bench.report is not None for bench in scenario.benches.values())
+
+
 def scripted_manager(
     laboratories: Laboratories,
     careful: bool = True,
@@ -343,11 +359,12 @@ def scripted_manager(
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
     setting = Setting(labs.scenario, labs.channels, labs.actions, labs.instruments, positions, careful, skip, margin_k)
-    reports = any(bench.report is not None for bench in labs.scenario.benches.values())
-    if has_orders_to_schedule(labs.scenario) and (remember or reports):
+    if has_orders_to_schedule(labs.scenario) and (remember or _has_reports(labs.scenario)):
         return SchedulingManager(setting, schedule, remember, script=scripted_bench)
     if not schedule:
         raise ValueError(f"scripted:fifo: the scripted manager of {labs.scenario.name} has no orders to choose from")
+    if not (remember or has_memory(labs.scenario)):
+        raise ValueError(f"scripted:memoryless: the scripted manager of {labs.scenario.name} has nothing to forget")
     if has_unknown_rate(labs.scenario) is not None:
         return CampaignManager(setting, remember=remember)
     if catalysts(labs.scenario) and remember:
@@ -356,8 +373,6 @@ def scripted_manager(
         return ForeseeingManager(setting, remember=remember, script=scripted_bench)
     if has_wearing_lines(labs.scenario):
         return UpkeepManager(setting, remember=remember)
-    if not remember:
-        raise ValueError(f"scripted:memoryless: the scripted manager of {labs.scenario.name} has nothing to forget")
     return (IdentifyingManager if has_unlabelled_vessels(labs.scenario) else SynthesisManager)(setting)
 
 

@@ -33,6 +33,7 @@ from chemlab.agents.evaluate.leaderboard import leaderboard_lines, write_leaderb
 from chemlab.agents.evaluate.statistics import interquartile_mean, interval_text, mean, paired_improvement
 from chemlab.agents.runs import find_runs
 from chemlab.config.files import replace_between, write_text
+from chemlab.lab.describe import hidden_words
 from chemlab.record import read_record
 
 __all__ = [
@@ -48,6 +49,7 @@ __all__ = [
     "markdown",
     "overall",
     "shipped",
+    "standings",
     "table",
     "tasks",
 ]
@@ -75,16 +77,6 @@ _EVERYWHERE = {f"{folder} (best)": name for folder, name in LEARNERS.items() if 
 _KINDS = ("best", "last")
 _SEED = re.compile(r"/seed-\d+(?= \()")
 _SHIPPED = ("pretrained", "trained")
-_HIDDEN = {
-    "identity": "which material a vessel holds",
-    "titre": "strength of the feeds",
-    "amount": "contents of the vessels",
-    "pre_exponential": "rate constants",
-    "formation": "heat of reaction",
-    "gain": "condition of the equipment",
-    "arrives": "orders to come",
-}
-"""Hidden parameters by kind, in README's words; kinds drawn together with another kind have no entry."""
 REPLAYED = ("random", "scripted", *_SHIPPED)
 """Rows that can be replayed without training or search."""
 
@@ -161,8 +153,7 @@ def tasks() -> list[str]:
     rows = []
     for name in scored():
         scenario = load_scenario(name)
-        kinds = {draw.what for draw in scenario.world.draws.values()}
-        hidden = "; ".join(words for kind, words in _HIDDEN.items() if kind in kinds)
+        hidden = "; ".join(hidden_words(scenario))
         found = {words: lines[name, row] for row, words in learners.items() if (name, row) in lines}
         best = max(found, key=lambda words: found[words]["value"])
         scores = [f"{line['value']:.2f}" for line in (lines[name, "plan"], lines[name, "scripted"], found[best])]
@@ -170,6 +161,21 @@ def tasks() -> list[str]:
     heads = ["scenario", "benches", "what is hidden", "open-loop", "scripted", "best learned", "which"]
     words = ["---", "---", "---", "--:", "--:", "--:", "---"]
     return [f"| {' | '.join(row)} |" for row in (heads, words, *rows)]
+
+
+def standings() -> dict[str, list[tuple[str, float, str]]]:
+    """Return (policy, normalized score, the score with its interval) of each scenario with rows, best first."""
+    lines = _lines()
+    names = {"oracle": "oracle", "random": "random legal play", **_SCRIPTED, **{name: name for name in _SHIPPED}}
+    found = {}
+    for scenario in scored():
+        rows = [
+            (words, float(lines[scenario, row]["value"]), _cell(lines[scenario, row]))
+            for row, words in {**names, **_EVERYWHERE}.items()
+            if lines.get((scenario, row), {}).get("value") is not None
+        ]
+        found[scenario] = sorted(rows, key=lambda row: -row[1])
+    return found
 
 
 def overall() -> list[str]:

@@ -7,6 +7,7 @@ and action tables that build the spaces, texts from docstrings, and scenarios fr
 from __future__ import annotations
 
 import ast
+import html
 import importlib.util
 import inspect
 import json
@@ -22,11 +23,13 @@ from typing import Any
 import gymnasium
 import pydantic
 import typer
+from baselines import standings
 from sphinx.application import Sphinx
 from sphinx.pycode import ModuleAnalyzer
 
 import chemlab
 from chemlab.agents.evaluate.audit import measure_rows
+from chemlab.agents.policies import has_memory
 from chemlab.cli import app as command
 from chemlab.cli.evaluation import RESULT_COLUMNS
 from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
@@ -229,8 +232,7 @@ def _chemistry(spec: Scenario) -> str:
     rows = [
         (
             _code(name),
-            m.formula,
-            m.cas or "",
+            ", ".join(filter(None, (m.formula, m.cas))),
             m.role,
             f"{m.molar_mass_g_mol:.2f}",
             f"{m.density_kg_l:.3g}",
@@ -239,7 +241,7 @@ def _chemistry(spec: Scenario) -> str:
         )
         for name, m in spec.materials.items()
     ]
-    head = ("material", "formula", "CAS", "role", "g/mol", "kg/L", "boils (K)", "polarity")
+    head = ("material", "formula, CAS", "role", "g/mol", "kg/L", "boils (K)", "polarity")
     reactions = [
         (_code(equation(step)), f"{step.pre_exponential:g}", f"{step.activation_energy_j_mol / 1000:g}")
         for step in spec.family.reaction
@@ -249,7 +251,7 @@ def _chemistry(spec: Scenario) -> str:
         "",
         "Each number's source is in the material's file.",
         "",
-        _table(head, rows, right=range(4, 8)),
+        _table(head, rows, right=range(3, 7)),
     ]
     parts += [_table(("reaction", "A", "Ea (kJ/mol)"), reactions, right=(1, 2))]
     if spec.family.salt:
@@ -262,6 +264,57 @@ def _chemistry(spec: Scenario) -> str:
 
 
 AUDITS = HERE / "results" / "audits"
+PICTURES = HERE / "_static" / "scenarios"
+
+
+def _picture(spec: Scenario) -> str:
+    return f"_static/scenarios/{spec.name}.webp"
+
+
+def _pictured(spec: Scenario) -> str:
+    return f"A scripted episode of {spec.name}"
+
+
+def _gallery(specs: Sequence[Scenario]) -> str:
+    """Return a card for each scenario: its animation, its task, and what it hides."""
+    cards = []
+    for spec in specs:
+        hides = "; ".join(facts.hidden_words(spec))
+        picture = f'<img src="{_picture(spec)}" alt="{_pictured(spec)}" loading="lazy" width="640" height="360">'
+        secret = f"<em>Hidden: {html.escape(hides)}.</em>" if hides else "<em>Nothing is hidden.</em>"
+        cards += [
+            f'<a class="scenario" href="generated/scenarios/{spec.name}.html">',
+            f"{picture if (PICTURES / f'{spec.name}.webp').is_file() else ''}<strong>{spec.name}</strong>",
+            f"<span>{html.escape(spec.title)}. {html.escape(_first_clause(spec.summary))}</span>{secret}</a>",
+        ]
+    return "\n".join(["```{raw} html", '<div class="gallery">', *cards, "</div>", "```", ""])
+
+
+def _first_clause(summary: str) -> str:
+    """Return the part of a summary before its first colon, as a sentence."""
+    return summary.partition(":")[0].rstrip(".") + "."
+
+
+def feature_rows(specs: Sequence[Scenario]) -> list[tuple[str, ...]]:
+    """Return the features of scenarios: agents, backend, hidden parameters, orders, memory and horizon."""
+    rows = []
+    for spec in specs:
+        arriving = len(spec.demand.order)
+        orders = f"{spec.orders}{' over time' if arriving else ''}"
+        rows.append(
+            (
+                f"[`{spec.name}`]({spec.name}.md)",
+                ", ".join(
+                    ["manager", *(f"{b.count} {key}" if b.count > 1 else key for key, b in spec.benches.items())]
+                ),
+                spec.physics,
+                "; ".join(facts.hidden_words(spec)) or "nothing",
+                orders,
+                "yes" if has_memory(spec) else "no",
+                f"{spec.limits.ticks} ticks, {spec.limits.manager_actions} decisions",
+            )
+        )
+    return rows
 
 
 def _audit(spec: Scenario) -> dict[str, Any] | None:
@@ -300,13 +353,44 @@ def _audit_cells(spec: Scenario) -> tuple[str, str, str]:
     return tuple(f"{found[key]['value']:.2f}" for key in ("open_loop", "reference", "value_of_information"))  # type: ignore[return-value]
 
 
+def _replay(spec: Scenario) -> list[str]:
+    """Return the replay page of a scenario's scripted episode, or its animation where the page has not been made."""
+    if (HERE / "_static" / "replays" / f"{spec.name}.html").is_file():
+        title = f"Replay of the scripted episode of {spec.name}, seed 0"
+        page = f"../../_static/replays/{spec.name}.html"
+        frame = f'<iframe class="replay" src="{page}" title="{title}" loading="lazy"></iframe>'
+        text = f'<p class="replay"><a href="{page}">Open the replay on a page of its own</a></p>'
+    elif (PICTURES / f"{spec.name}.webp").is_file():
+        frame, text = f'<img class="replay" src="../../{_picture(spec)}" alt="{_pictured(spec)}">', ""
+    else:
+        return []
+    return ["```{raw} html", frame, text, "```", ""]
+
+
 def _scenario_page(spec: Scenario) -> str:
     labs = Laboratories(spec)
     results = _results().get(spec.name, [])
+    hides = facts.hidden_words(spec)
     parts = [
         f"# {spec.name}",
         "",
         f"**{spec.title}.** {spec.summary}",
+        "",
+        f"Hidden from the agents: {'; '.join(hides)}." if hides else "No hidden parameters.",
+        "",
+        *_replay(spec),
+        "```console",
+        f"chemlab run {spec.argument}",
+        f"chemlab serve {spec.argument}",
+        "```",
+        "",
+        "```python",
+        "from chemlab import env",
+        "",
+        f'laboratory = env("{spec.argument}", render_mode="ansi")',
+        "laboratory.reset(seed=0)",
+        "print(laboratory.render())",
+        "```",
         "",
         *facts.goal_words(spec),
         "",
@@ -372,9 +456,6 @@ def _scenarios() -> dict[str, str]:
     rows = [
         (
             f"[`{s.name}`]({s.name}.md)",
-            s.summary,
-            ", ".join(f"{b.count} {key}" if b.count > 1 else key for key, b in s.benches.items()),
-            len(s.lab_goals),
             scores.get(s.name, {}).get("scripted", ""),
             scores.get(s.name, {}).get("random", ""),
             *_audit_cells(s),
@@ -389,22 +470,16 @@ def _scenarios() -> dict[str, str]:
             "prices, limits and rewards. Play one with `chemlab run NAME`; write your own as described in",
             "[Write a scenario](../../how-to/scenario.md).",
             "",
+            _table(("scenario", "agents", "backend", "hidden", "orders", "memory", "horizon"), feature_rows(specs)),
+            "*Memory*: the scripted manager keeps what it has found out, so that `scripted:memoryless` is another",
+            "policy. The other columns are [terms of the glossary](../../glossary.md#terms).",
+            "",
+            "## Scores",
+            "",
             _table(
-                (
-                    "scenario",
-                    "description",
-                    "benches",
-                    "goals",
-                    "scripted score",
-                    "random score",
-                    "open-loop",
-                    "reference",
-                    "value of information",
-                ),
-                rows,
-                range(3, 9),
+                ("scenario", "scripted", "random", "open-loop", "reference", "value of information"), rows, range(1, 6)
             ),
-            "The first scores are raw scores, means of 100 episodes ([table](../../results/scripted.md)). The last",
+            "The first two are raw scores, means of 100 episodes ([table](../../results/scripted.md)). The last",
             "three are normalized scores of an [audit](../../worlds.md#audit): where the open-loop policy comes close",
             "to the scripted one, observations are not needed.",
             "[What a score means](../../glossary.md#what-a-score-means).",
@@ -437,6 +512,31 @@ def _scenarios() -> dict[str, str]:
         ]
     )
     return found
+
+
+# -- leaderboard ------------------------------------------------------------------------------------------------------
+
+
+def _bar(value: float) -> str:
+    """Return a bar from 0 to 1; a score below 0 has none."""
+    width = f"{100 * min(max(value, 0.0), 1.0):.0f}%"
+    return f'<span class="score" role="img" aria-label="{value:.2f}"><span style="width:{width}"></span></span>'
+
+
+def _leaderboard() -> str:
+    parts = [
+        "# Leaderboard",
+        "",
+        "Normalized scores in the split `test`, with 95 % intervals: 0 is random legal play, 1 the oracle",
+        "([what a score means](../glossary.md#what-a-score-means)). In parentheses: training runs. The",
+        "[protocol](../protocol.md#baselines) has effort and generalization, and says how to add a row. The scores are",
+        "for version 1 of the scenarios.",
+        "",
+    ]
+    for name, rows in standings().items():
+        cells = [(policy, _bar(value), text) for policy, value, text in rows]
+        parts += [f"## {name}", "", _table(("policy", "0 to 1", "score"), cells, right=(2,))]
+    return "\n".join(parts)
 
 
 # -- keys of data files -----------------------------------------------------------------------------------------------
@@ -683,6 +783,10 @@ def pages() -> dict[str, str]:
     """Return every generated page as {path below ``docs/generated``: Markdown}."""
     found = {f"environments/{name}.md": text for name, text in _environments().items()}
     found |= {f"scenarios/{name}.md": text for name, text in _scenarios().items()}
+    found |= {
+        "gallery.md": _gallery([load_scenario(name) for name in scenario_names()]),
+        "leaderboard.md": _leaderboard(),
+    }
     found |= {f"api/{name}.md": text for name, text in _interface().items()}
     return {**found, "keys.md": _keys_page(), "command.md": _command_page()}
 

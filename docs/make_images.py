@@ -1,8 +1,8 @@
-"""Make the pictures of README and documentation: ``python docs/make_images.py``.
+"""Make the pictures of README and documentation: ``python docs/make_images.py [SCENARIO ...]``.
 
-They show one scripted episode of wurtz_dodecane (seed 0), drawn by ``render()``: a still from its middle and an
-animation of the whole episode; and the pages of ``chemlab serve``. Needs the extras ``plot`` and ``test``, and
-Chromium.
+Of each scenario, the scripted episode with seed 0 as an animation (``_static/scenarios``) and as a replay page
+(``_static/replays``, which is not committed; the scenario's page embeds it); and the pages of ``chemlab serve``. Needs
+the extras ``plot``, ``live`` and ``test``, and Chromium.
 """
 
 from __future__ import annotations
@@ -13,44 +13,40 @@ import tempfile
 import threading
 import time
 from pathlib import Path
-from typing import Any
 
-import numpy as np
-import numpy.typing as npt
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from chemlab import load_scenario, raw_env
-from chemlab.agents.episodes import PlayedTurn, play_episode
+from chemlab.agents.episodes import play_episode
 from chemlab.agents.live import Live, live_app, live_server
 from chemlab.agents.policies import make_policies
+from chemlab.config.files import write_bytes, write_text
+from chemlab.config.loading import campaign_names, scenario_names, synthesis_names
+from chemlab.record import Recorder, read_record
+from chemlab.render.animation import animation
+from chemlab.render.replay_page import replay_page
 
-FRAMES, WIDTH, HEIGHT = 40, 640, 360
-Frame = npt.NDArray[np.uint8]
-
-
-def record(scenario: str, seed: int) -> tuple[list[Frame], list[PlayedTurn]]:
-    """Return the picture after every turn of a scripted episode, and the turns."""
-    env = raw_env(scenario, render_mode="rgb_array")
-    frames: list[Frame] = []
-    turns: list[PlayedTurn] = []
-
-    def watch(turn: PlayedTurn) -> None:
-        frame: Any = env.render()
-        frames.append(frame)
-        turns.append(turn)
-
-    env.reset(seed=seed)
-    play_episode(env, make_policies("scripted", env.laboratories, seed), seed, watch=watch)
-    return frames, turns
+FRAMES, SIZE = 16, (640, 360)
+HERE = Path(__file__).parent
+GALLERY, REPLAYS, IMAGES = HERE / "_static" / "scenarios", HERE / "_static" / "replays", HERE / "images"
 
 
-def animation(frames: list[Frame], path: Path) -> None:
-    """Write evenly chosen frames as an animated WebP; the first and the last are shown longer."""
-    chosen = [frames[round(i)] for i in np.linspace(0, len(frames) - 1, FRAMES)]
-    images = [Image.fromarray(frame).resize((WIDTH, HEIGHT), Image.Resampling.LANCZOS) for frame in chosen]
-    milliseconds = [1500, *[300] * (FRAMES - 2), 4000]
-    images[0].save(path, save_all=True, append_images=images[1:], duration=milliseconds, loop=0, quality=70, method=6)
+def episode(name: str) -> None:
+    """Record the scripted episode of a scenario; write its animation and its replay page."""
+    laboratory = raw_env(name)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{name}.jsonl"
+        policies = make_policies("scripted", laboratory.laboratories, 0)
+        with Recorder(
+            path, laboratory.laboratories, policies=dict.fromkeys(laboratory.possible_agents, "scripted")
+        ) as recorder:
+            play_episode(laboratory, policies, 0, "scripted", recorder=recorder)
+        record = read_record(path)
+    write_bytes(GALLERY / f"{name}.webp", animation(record, "webp", frames=FRAMES, size=SIZE))
+    write_text(REPLAYS / f"{name}.html", replay_page(record))
+    if name == "wurtz_dodecane":  # of README
+        write_bytes(IMAGES / "episode.webp", animation(record, "webp", frames=40, size=(960, 540)))
 
 
 def live(folder: Path, port: int = 8766) -> None:
@@ -83,21 +79,16 @@ def live(folder: Path, port: int = 8766) -> None:
 def main() -> None:
     """Write the pictures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path(__file__).parent / "images", help="folder of the pictures")
-    parser.add_argument("--scenario", default="wurtz_dodecane", help="scenario to play")
-    parser.add_argument("--seed", type=int, default=0, help="the episode's seed")
-    arguments = parser.parse_args()
-    arguments.out.mkdir(parents=True, exist_ok=True)
-    frames, turns = record(arguments.scenario, arguments.seed)
-    # Show a vessel with two layers: the state after the last settling, else the middle of the episode.
-    settled = [i for i, turn in enumerate(turns) if turn.meaning.startswith("settle")]
-    middle = settled[-1] if settled else len(frames) // 2
-    still = Image.fromarray(frames[middle]).quantize(128, dither=Image.Dither.NONE)
-    still.save(arguments.out / "laboratory.png", optimize=True)
-    animation(frames, arguments.out / "episode.webp")
-    live(arguments.out)
-    for file in sorted(arguments.out.iterdir()):
-        print(f"{file}: {file.stat().st_size / 1000:.0f} kB")
+    parser.add_argument("scenarios", nargs="*", help="scenarios to play; default: all, and the live page")
+    names = parser.parse_args().scenarios
+    for folder in (GALLERY, REPLAYS):
+        folder.mkdir(parents=True, exist_ok=True)
+    for name in names or [*scenario_names(), *campaign_names(), *synthesis_names()]:
+        episode(name)
+        sizes = [(file.stat().st_size / 1000) for file in (GALLERY / f"{name}.webp", REPLAYS / f"{name}.html")]
+        print(f"{name}: animation {sizes[0]:.0f} kB, replay {sizes[1]:.0f} kB", flush=True)
+    if not names:
+        live(IMAGES)
 
 
 if __name__ == "__main__":

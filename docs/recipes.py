@@ -49,7 +49,7 @@ def _rows(path: Path) -> list[str]:
     head = f"`{path.name}`: {_paradigm(path)}"
     kept = RECIPES / "results" / f"{path.stem}.json"
     if not kept.is_file():
-        return [head, "", "not run yet", *[""] * 5]
+        return [head, "", "not run yet", *[""] * 4]
     found = json.loads(kept.read_text(encoding="utf-8"))
     outcomes = found["outcomes"]
     first, *others = (f"{who} {_cell(one)}" for who, one in outcomes.items() if who not in _LAST)
@@ -59,8 +59,7 @@ def _rows(path: Path) -> list[str]:
         "; ".join([first, *others]),
         *(_cell(outcomes.get(who)) for who in _LAST),
         _gain(outcomes),
-        _steps(outcomes),
-        f"{found['seeds']} x {found['episodes']}",
+        f"{_steps(outcomes)}; {found['seeds']} x {found['episodes']}",
     ]
 
 
@@ -75,7 +74,7 @@ def _gain(outcomes: dict[str, Any]) -> str:
 
 def table() -> list[str]:
     """Return the recipes' results as a Markdown table."""
-    heads = ["recipe", "where", "scored", *_LAST, "gained over PPO", "steps", "seeds x episodes"]
+    heads = ["recipe", "where", "scored", *_LAST, "gained over PPO", "steps; seeds x episodes"]
     rows = [heads, ["---"] * 3 + ["--:"] * (len(heads) - 3), *(_rows(path) for path in recipes())]
     return [f"| {' | '.join(row)} |" for row in rows]
 

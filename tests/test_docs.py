@@ -21,9 +21,10 @@ import pytest
 import typer
 from helpers import script, slow_but
 
+from chemlab import __version__
 from chemlab.cli import app
 from chemlab.cli.options import DefaultGroup
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import load_materials, read_toml
 from chemlab.config.reactions import ReactionFamily
 
@@ -303,9 +304,42 @@ def test_the_map_leads_to_files() -> None:
 
 def test_pictures_are_small() -> None:
     """What everybody downloads with the repository."""
-    images = DOCS / "images"
-    assert (images / "laboratory.png").stat().st_size < 60_000
-    assert (images / "episode.webp").stat().st_size < 400_000
+    assert (DOCS / "images" / "episode.webp").stat().st_size < 400_000
+    gallery = {path.stem: path.stat().st_size for path in (DOCS / "_static" / "scenarios").glob("*")}
+    assert set(gallery) <= {*scenario_names(), *campaign_names(), *synthesis_names()}
+    assert sum(gallery.values()) < 5_000_000
+
+
+WIDE = {
+    "how-to/language-agent.md": 1,
+    "performance.md": 2,
+    "protocol.md": 4,
+    "results.md": 3,
+    "results/laboratory.md": 9,
+    "results/scripted.md": 1,
+    "results/summary.md": 2,
+    "syntheses.md": 1,
+    "training.md": 1,
+}
+"""Tables of more than seven columns, which commands of ``studies/`` make from runs; there must not be more."""
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_tables_are_narrow_and_say_what_a_score_is(page: Path) -> None:
+    """A table has at most seven columns; a page with a table of scores links their definition."""
+    text = page.read_text(encoding="utf-8")
+    heads = re.findall(r"^\|(.*)\|\n\|[\s:|-]+\|$", text, re.M)
+    assert sum(head.count("|") > 6 for head in heads) == WIDE.get(page.relative_to(DOCS).as_posix(), 0)
+    if any(re.search(r"\b(score|scored|scripted)\b", head) for head in heads) and page.name not in MADE:
+        assert "#what-a-score-means" in text or page.name == "glossary.md"
+
+
+MADE = ("laboratory.md", "summary.md")
+"""Pages of results that are written whole by the commands of ``studies/``."""
+
+
+def test_the_citation_names_this_version() -> None:
+    assert f"{{{__version__}}}" in (DOCS / "about.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: str(page.relative_to(ROOT)))
@@ -346,24 +380,36 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_no_text_leaves_its_cell(built: Path, browser: Any) -> None:
-    """On a desktop's and a telephone's screen, no text of a table is printed over the next cell's."""
+    """On a desktop's and a telephone's screen, no text of a table is printed over the next cell's, and no label, button
+    or heading is cut. Pages neither complain nor ask a host.
+    """
     page = browser.new_page()
-    outside = {}
+    outside, complaints, asked = {}, [], set()
+    page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("request", lambda request: asked.add(request.url.partition(":")[0]))
     for width in (1280, 390):
         page.set_viewport_size({"width": width, "height": 900})
         for file in sorted(built.rglob("*.html")):
             page.goto(file.as_uri())
             found = page.evaluate(
-                """() => [...document.querySelectorAll("td, th")].filter(cell => {
-                    const text = document.createRange();
-                    text.selectNodeContents(cell);
-                    return text.getBoundingClientRect().right > cell.getBoundingClientRect().right + 2;
-                }).map(cell => cell.textContent.trim().slice(0, 60))"""
+                """() => [...document.querySelectorAll("td, th, article button, label, a.scenario, h1, h2, h3")]
+                .filter(part => {
+                    const text = document.createRange(), box = part.getBoundingClientRect();
+                    text.selectNodeContents(part);
+                    const scrolls = part.closest(".table-wrapper, pre, .sidebar-drawer, .toc-drawer");
+                    const cut = box.width && !scrolls && box.right > innerWidth + 1;
+                    return cut || text.getBoundingClientRect().right > box.right + 2;
+                }).map(part => part.textContent.trim().slice(0, 60))"""
             )
             if found:
                 outside[f"{file.relative_to(built)} at {width} px"] = found
+            if page.evaluate("document.documentElement.scrollWidth > innerWidth + 1"):
+                outside[f"{file.relative_to(built)} at {width} px"] = "the page scrolls sideways"
     page.close()
     assert not outside
+    assert complaints == []
+    assert asked <= {"file", "data"}
 
 
 @pytest.mark.slow
@@ -382,9 +428,19 @@ def test_pages_build_without_warnings(built: Path) -> None:
     commands = (pages / "command.html").read_text(encoding="utf-8")
     for name in COMMAND.commands:
         assert f"chemlab {name}" in commands
-    for name in ("laboratory", "parallel", "focal", "benches", "batched"):
+    for name in ("laboratory", "parallel", "role", "batched"):
         assert (pages / "environments" / f"{name}.html").exists()
-    check_tables((DOCS / "generated" / "environments" / "benches.md").read_text(encoding="utf-8"))
+    check_tables((DOCS / "generated" / "environments" / "role.md").read_text(encoding="utf-8"))
+    home = (built / "index.html").read_text(encoding="utf-8")
+    features = (DOCS / "generated" / "scenarios" / "index.md").read_text(encoding="utf-8")
+    for name in scenario_names():
+        assert home.count(f"<strong>{name}</strong>") == 1
+        row = next(line for line in features.splitlines() if line.startswith(f"| [`{name}`]"))
+        cells = [cell.strip() for cell in row.strip("|").split("|")]
+        scenario = load_scenario(name)
+        assert len(cells) == 7
+        assert (cells[2], cells[3] == "nothing") == (scenario.physics, not scenario.world.draws)
+    assert "normalized score" in (pages / "leaderboard.html").read_text(encoding="utf-8").lower()
 
 
 def check_tables(page: str) -> None:
