@@ -75,7 +75,7 @@ nitpick_ignore_regex = [
     # Private modules without a page.
     (
         r"py:(class|obj)",
-        r"chemlab\..*\.(_\w+|A|F|M|T|Arguments|Declared|Header|Environment|Drawn|Chemistry\w+Fields)",
+        r"chemlab\..*\.(_\w+|A|B|F|M|T|Arguments|Declared|Header|Environment|Drawn|Chemistry\w+Fields)",
     ),
     (r"py:class", r"chemlab\.agents\.executors\.(J|Value)"),  # type variables
 ]

@@ -223,7 +223,7 @@ def check(block: Block, page: Path, folder: Path) -> str:
     elif block.language == "toml":
         check_data(block, folder)
     else:
-        assert block.language in ("text",), f"{block.where}: what is {block.language}?"
+        assert block.language in ("text", "bibtex"), f"{block.where}: what is {block.language}?"
     return ""
 
 
