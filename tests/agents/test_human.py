@@ -219,7 +219,7 @@ def test_the_manager_sees_outsides_and_readings_only(env: raw_env) -> None:
     turn(env, policy, 1)
     later = " ".join(shown.getvalue().split())
     assert "gas_chromatograph at tick 0" in later
-    assert "diethyl_ether 100%" in later
+    assert "diethyl_ether" in later
     assert "instruments 0.0100" in later
     assert "59 actions" in later
 

@@ -172,7 +172,7 @@ def test_an_unfinished_record_has_a_page(episode: Path, tmp_path: Path) -> None:
     output = tmp_path / "page.html"
     result = runner.invoke(app, ["replay", str(part), "-o", str(output)])
     assert result.exit_code == 0, result.output
-    assert "shows the available turns" in result.output
+    assert "the available turns are shown" in result.output
     data = json.loads(output.read_text().split('type="application/json">')[1].split("</script>")[0])
     assert len(data["turns"]) == 30
     assert data["verified"]["status"] == "torn"
