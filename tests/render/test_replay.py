@@ -534,7 +534,7 @@ def test_a_record_as_an_animation(episode: Path, tmp_path: Path, suffix: str) ->
     ("output", "extra", "said"),
     [
         ("a.mp4", (), "videos are not made"),
-        ("a.gif", ("b",), "an animation one"),
+        ("a.gif", ("b",), "an animation or a protocol one"),
         ("a.html", ("b", "c"), "at most two"),
     ],
 )
