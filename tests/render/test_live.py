@@ -17,7 +17,9 @@ from chemlab.cli.doors import _free_port
 from chemlab.config.loading import load_scenario
 from chemlab.record import read_record, verify_record
 
-live = pytest.importorskip("chemlab.agents.live", reason="needs starlette and uvicorn (extra live)")
+pytest.importorskip("starlette", reason="needs the extra live")
+pytest.importorskip("uvicorn", reason="needs the extra live")
+live = pytest.importorskip("chemlab.agents.live")
 
 NAME = "wurtz_dodecane_direct"
 
