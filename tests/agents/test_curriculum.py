@@ -309,7 +309,7 @@ def test_a_clone_of_rounds_knows_what_to_do_after_its_own_mistakes() -> None:
         imitate(model, task.batch(16), task.policy("scripted"), 4000, 0, rounds=rounds)
         scores.append(task.returns(as_policy(model), 100, 0))
     gained = scores[1] - scores[0]
-    assert gained.mean() > 2.0 * gained.std(ddof=1) / len(gained) ** 0.5
+    assert gained.mean() > 2.0 * gained.std(ddof=1) / gained.size**0.5
 
 
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
