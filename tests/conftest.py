@@ -32,6 +32,29 @@ _FLAGS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "
 _FLAGS += ["--disable-component-update", "--disable-sync"]
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption(
+        "--passed", type=Path, help="a file of tests that passed before: left out, and those of this run added"
+    )
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Leave out what has passed before."""
+    file = config.getoption("--passed")
+    passed = set(file.read_text("utf-8").splitlines()) if file and file.exists() else set()
+    config.hook.pytest_deselected(items=[item for item in items if item.nodeid in passed])
+    items[:] = [item for item in items if item.nodeid not in passed]
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Note what has passed (not in a process of xdist's: they send theirs to the first)."""
+    file = session.config.getoption("--passed")
+    if file and not hasattr(session.config, "workerinput"):
+        reports = session.config.pluginmanager.get_plugin("terminalreporter").stats.get("passed", [])
+        with file.open("a", encoding="utf-8") as lines:
+            lines.writelines(f"{report.nodeid}\n" for report in reports if report.when == "call")
+
+
 @pytest.fixture(scope="module")
 def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """A headless Chromium with a profile of its own."""

@@ -8,6 +8,7 @@ The record is replayed on the simulator, so that records stay small. The page dr
 from __future__ import annotations
 
 import base64
+import dataclasses
 import hashlib
 import html
 import json
@@ -25,7 +26,7 @@ from ..physics.transfer import liquid_volume
 from ..record import Play, Record, RecordError, Replay, verify_record
 from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_ITEMS
-from .scene import laboratory_scene
+from .scene import Camera, Scene, laboratory_scene
 
 __all__ = ["MOST_TURNS", "Film", "comparison_page", "filled_page", "replay_data", "replay_page", "side_by_side"]
 
@@ -47,8 +48,9 @@ _EVENT_WORDS = {
 
 
 class _Pool:
-    """Pool of distinct values; ``pack`` returns a reference and stores equal values once.
+    """Pool of distinct values; equal ones are stored once.
 
+    Long lists of numbers are stored in thousandths, mixtures in hundredths, other numbers with :data:`_DIGITS` digits.
     A number or a string represents itself; ``[-2, i]`` is entry i; ``[-1, ...]`` is a list; ``[s, ...]`` is an object
     with the keys ``shapes[s]``.
     """
@@ -58,19 +60,45 @@ class _Pool:
         self.entries: list[list[Any]] = []
         self._shape_of: dict[tuple[str, ...], int] = {}
         self._entry_of: dict[str, int] = {}
+        self._before: dict[Any, Any] = {}
+        self._now: dict[Any, Any] = {}
 
-    def pack(self, value: Any) -> Any:
-        """Return the packed form of a JSON value."""
-        if isinstance(value, dict):
-            keys = tuple(value)
-            shape = self._shape_of.setdefault(keys, len(self.shapes))
-            if shape == len(self.shapes):
-                self.shapes.append(list(keys))
-            packed = [shape, *map(self.pack, value.values())]
-        elif isinstance(value, list):
-            packed = [-1, *map(self.pack, value)]
-        else:
+    def frame(self, parts: Mapping[str, Any]) -> Any:
+        """Return the packed form of a frame; pictures that the frame before had, too, cost next to nothing."""
+        self._before, self._now = self._now, {}
+        return self._object(parts)
+
+    def _pack(self, value: Any) -> Any:
+        """Return the packed form of a picture, a tuple, a list, a number or a text."""
+        if isinstance(value, float):
+            return float(f"{value:.{_DIGITS}g}")
+        if isinstance(value, (tuple, list)):
+            if len(value) >= _LONG and all(isinstance(item, (int, float)) for item in value):
+                return self._reference([-1, *[round(1000 * item) for item in value]])
+            return self._reference([-1, *map(self._pack, value)])
+        if not dataclasses.is_dataclass(value):
             return value
+        packed = self._now.get(value) or self._before.get(value)
+        if packed is None:
+            packed = self._object({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+        self._now[value] = packed
+        return packed
+
+    def _object(self, parts: Mapping[str, Any]) -> Any:
+        keys = tuple(parts)
+        shape = self._shape_of.setdefault(keys, len(self.shapes))
+        if shape == len(self.shapes):
+            self.shapes.append(list(keys))
+        return self._reference(
+            [shape, *(self._hundredths(v) if k == "mixture" else self._pack(v) for k, v in parts.items())]
+        )
+
+    def _hundredths(self, mixture: Sequence[Sequence[float]]) -> Any:
+        slices = (self._reference([-1, *[round(100 * share) for share in part]]) for part in mixture)
+        return self._reference([-1, *slices])
+
+    def _reference(self, packed: list[Any]) -> list[Any]:
+        """Return the packed value itself if it is short, otherwise a reference to its entry."""
         text = json.dumps(packed)
         if len(text) <= _INLINE:
             return packed
@@ -78,31 +106,6 @@ class _Pool:
         if entry == len(self.entries):
             self.entries.append(packed)
         return [-2, entry]
-
-
-def _compact(value: Any) -> Any:
-    """Store long lists of numbers in thousandths and mixtures in hundredths."""
-    if isinstance(value, dict):
-        return {
-            key: [[round(100 * share) for share in part] for part in item] if key == "mixture" else _compact(item)
-            for key, item in value.items()
-        }
-    if isinstance(value, list):
-        if len(value) >= _LONG and all(isinstance(item, (int, float)) for item in value):
-            return [round(1000 * item) for item in value]
-        return [_compact(item) for item in value]
-    return value
-
-
-def _frame(labs: Laboratories) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the parts of the current frame and the whole scene."""
-    scene = laboratory_scene(labs).as_dict(_DIGITS)
-    frame = {key: value for key, value in scene.items() if key not in _STATIC}
-    rows, chem = labs.shelf.vessels[0], labs.shelf.chem()
-    # Spectra are drawn from amounts per litre of liquid; the volume is stored because amounts alone do not determine
-    # it.
-    frame["liquid_l"] = [float(f"{liquid_volume(row, chem):.4g}") for row in rows]
-    return _compact(frame), scene
 
 
 def _outcome(labs: Laboratories, turn: dict[str, Any], plays: Sequence[Play]) -> str:
@@ -128,13 +131,13 @@ def _managed(labs: Laboratories, plays: Sequence[Play]) -> str:
     return str(labs.actions.decode(int(plays[0].action))[0]) if plays[0].agent == labs.manager.index else ""
 
 
-def _materials(labs: Laboratories, scene: dict[str, Any]) -> list[dict[str, Any]]:
+def _materials(labs: Laboratories, scene: Scene) -> list[dict[str, Any]]:
     """Return the legend and the materials' absorption spectra."""
     found = []
-    for picture in scene["materials"]:
-        material = labs.scenario.materials[picture["name"]]
+    for picture in scene.materials:
+        material = labs.scenario.materials[picture.name]
         peaks = [[peak.height_l_mol, peak.center_nm, peak.width_nm] for peak in material.absorption]
-        found.append({**picture, "peaks": peaks})
+        found.append({**vars(picture), "peaks": peaks})
     return found
 
 
@@ -178,13 +181,26 @@ class Film:
 
     def __init__(self, laboratories: Laboratories) -> None:
         self._labs, self._pool = laboratories, _Pool()
-        frame, scene = _frame(laboratories)
-        self._first = scene
-        self._frames = [self._pool.pack(frame)]
-        self._costs, self._results = [self._spent()], [scene["result"]]
+        self._camera = Camera(laboratories.scenario, laboratories.shelf)
+        self._first = laboratory_scene(laboratories, camera=self._camera)
+        self._frames: list[Any] = []
+        self._costs: list[list[float]] = []
+        self._results: list[float] = []
         self._turns: list[dict[str, Any]] = []
         self._experiments: list[dict[str, Any]] = []
         self._running: dict[str, dict[str, Any]] = {}
+        self._show(self._first)
+
+    def _show(self, scene: Scene) -> None:
+        """Add a scene."""
+        labs, chem = self._labs, self._labs.shelf.chem()
+        frame = {field.name: getattr(scene, field.name) for field in dataclasses.fields(scene)}
+        # Spectra are drawn from amounts per litre of liquid; the volume is stored because amounts alone do not
+        # determine it.
+        frame["liquid_l"] = [liquid_volume(row, chem) for row in labs.shelf.vessels[0]]
+        self._frames.append(self._pool.frame({key: part for key, part in frame.items() if key not in _STATIC}))
+        self._costs.append(self._spent())
+        self._results.append(float(f"{scene.result:.{_DIGITS}g}"))
 
     def _spent(self) -> list[float]:
         return [float(f"{cost:.4g}") for cost in self._labs.costs().values()]
@@ -200,19 +216,17 @@ class Film:
         shown = [[play.agent, action_words(labs, play.agent, play.action)] for play in plays]
         kind, outcome = _managed(labs, plays), _outcome(labs, turn, plays)
         self._turns.append({"tick": tick, "plays": shown, "kind": kind, "outcome": outcome, **turn})
-        frame, scene = _frame(labs)
-        self._frames.append(self._pool.pack(frame))
-        self._costs.append(self._spent())
+        scene = laboratory_scene(labs, camera=self._camera)
         for agent, score in turn.get("scores", {}).items():
             if agent in self._running:
                 self._running.pop(agent).update(end=number, score=score)
-        for bench in scene["benches"]:
-            agent = bench["agent"]
-            if bench["busy"] and agent not in self._running:
-                began = {"agent": agent, "start": number, "end": None, "goal": bench["goal"], "score": None}
+        for bench in scene.benches:
+            agent = bench.agent
+            if bench.busy and agent not in self._running:
+                began = {"agent": agent, "start": number, "end": None, "goal": bench.goal, "score": None}
                 self._running[agent] = began
                 self._experiments.append(began)
-        self._results.append(scene["result"])
+        self._show(scene)
 
     @property
     def turns(self) -> int:
@@ -230,7 +244,7 @@ class Film:
             "agents": labs.agents,
             "limits": {"ticks": scenario.limits.ticks, "manager_actions": scenario.limits.manager_actions},
             "materials": _materials(labs, scene),
-            "largest_capacity_l": scene["largest_capacity_l"],
+            "largest_capacity_l": float(f"{scene.largest_capacity_l:.{_DIGITS}g}"),
             "wavelengths_nm": [float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), len(WAVELENGTHS_NM)],
             "analytes": {
                 name: [*analytes, kind.rest]

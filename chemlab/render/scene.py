@@ -3,7 +3,7 @@ them.
 
 A :class:`Scene` contains the true state. Agents observe only ``BenchPicture.seen`` and ``SlotPicture.readings``;
 :func:`visible_scene` keeps what a person in the laboratory would see. Pictures and pages are drawn from scenes only;
-a replay only stores ``as_dict()``.
+a replay page stores scenes only.
 
 Layers have true proportions. ``VesselPicture.layers`` lists them with their volumes from the bottom up; the rest of the
 vessel is air. If the contents are not separated, ``VesselPicture.mixture`` holds the share of every liquid in equal
@@ -38,6 +38,7 @@ __all__ = [
     "MIXTURE_SLICES",
     "BenchPicture",
     "BottlePicture",
+    "Camera",
     "ChannelPicture",
     "LayerPicture",
     "MaterialPicture",
@@ -247,21 +248,6 @@ class Scene:
     temperature_range_k: tuple[float, float]
     """common range of all thermometers in kelvin"""
 
-    def as_dict(self, digits: int = 5) -> dict[str, Any]:
-        """Return the fields as JSON-compatible values, with floats rounded to ``digits`` significant digits."""
-        plain: dict[str, Any] = _plain(self, digits)
-        return plain
-
-
-def _plain(value: Any, digits: int) -> Any:
-    if isinstance(value, float):
-        return float(f"{value:.{digits}g}")
-    if isinstance(value, tuple):
-        return [_plain(item, digits) for item in value]
-    if dataclasses.is_dataclass(value):
-        return {field.name: _plain(getattr(value, field.name), digits) for field in dataclasses.fields(value)}
-    return value
-
 
 def _tags(names: Iterable[str]) -> dict[str, str]:
     """Return a short unique tag for every name.
@@ -287,13 +273,19 @@ def material_pictures(scenario: Scenario) -> tuple[MaterialPicture, ...]:
     return tuple(MaterialPicture(name, tags[name], m.color.lower(), m.role) for name, m in shown.items())
 
 
-class _Camera:
-    """Makes pictures of the vessels of one shelf; holds the scratch arrays."""
+class Camera:
+    """Makes pictures of the vessels of one shelf; a vessel that has not changed keeps its picture.
+
+    Args:
+        scenario: of the shelf.
+        shelf: with the vessels.
+    """
 
     def __init__(self, scenario: Scenario, shelf: Shelf) -> None:
         self.shelf, self.known = shelf, shelf.known()
         columns = shelf.layout.fluid_columns
         self.colors = [material.color.lower() for material in scenario.materials.values()]
+        self._latest: dict[tuple[int, int], tuple[bytes, VesselPicture]] = {}
         self._layers: IntArray = np.zeros(columns + 1, dtype=np.int64)
         self._shares: FloatArray = np.zeros((columns, CAMERA_PIXELS))
         self._work: FloatArray = np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS)))
@@ -315,12 +307,17 @@ class _Camera:
                 experiments.profile[member, role],
                 experiments.image[member, role],
             )
+            state = b"".join(array.tobytes() for array in (vessel.row, layers, shares, image))
         else:
-            layers, shares = self._layers, self._shares
+            layers, shares, state = self._layers, self._shares, vessel.row.tobytes()
+        before, picture = self._latest.get((member, place), (b"", None))
+        if before == state:
+            return picture
+        if layers is self._layers:
             profile(vessel.row, self.shelf.chem(), layers, shares, self._work)
         volume, amounts = vessel.volume_l, vessel.amounts(_SHOWN_MOL)
         listed, mixture = self._layered(vessel.row, amounts, layers, shares, max(vessel.capacity_l, volume))
-        return VesselPicture(
+        picture = VesselPicture(
             position=position,
             capacity_l=vessel.capacity_l,
             volume_l=volume,
@@ -331,6 +328,8 @@ class _Camera:
             contents=tuple(amounts.items()),
             camera=tuple(image.tolist()),
         )
+        self._latest[member, place] = state, picture
+        return picture
 
     def _layered(
         self, row: FloatArray, amounts: dict[str, float], layers: IntArray, shares: FloatArray, total_l: float
@@ -414,7 +413,7 @@ def _events(row: FloatArray, scenario: Scenario) -> tuple[tuple[str, float], ...
 
 
 def _bench(
-    camera: _Camera, bench: Bench, experiments: Experiments, member: int, places: Sequence[int], turn: bool
+    camera: Camera, bench: Bench, experiments: Experiments, member: int, places: Sequence[int], turn: bool
 ) -> BenchPicture:
     busy = bool(experiments.busy[member])
     vessels = [camera.take(member, places[p], name, experiments, p) for p, name in enumerate(bench.positions)]
@@ -472,15 +471,16 @@ def _waste_l(shelf: Shelf, member: int) -> float:
     return float(shelf.waste[member] @ (chem.molar_volume * (chem.role != ROLE_GAS)))
 
 
-def laboratory_scene(laboratories: Laboratories, member: int = 0) -> Scene:
+def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera | None = None) -> Scene:
     """Return the scene of one laboratory.
 
     Args:
         laboratories: Laboratories after a reset; they are not changed.
         member: Environment index.
+        camera: of the laboratories' shelf, which has the pictures of earlier scenes.
     """
     labs, state, scenario = laboratories, laboratories.state, laboratories.scenario
-    camera = _Camera(scenario, labs.shelf)
+    camera = camera or Camera(scenario, labs.shelf)
     status, turn = int(state.status[member]), labs.turn(member)
     running = status == RUNNING
     slots = scenario.shelf.slots
@@ -545,7 +545,7 @@ def _orders(labs: Laboratories, member: int) -> tuple[OrderPicture, ...]:
     return tuple(pictures)
 
 
-def _slot(labs: Laboratories, camera: _Camera, member: int, s: int) -> SlotPicture:
+def _slot(labs: Laboratories, camera: Camera, member: int, s: int) -> SlotPicture:
     state, table, scenario = labs.state, labs.instruments, labs.scenario
     vessel = camera.take(member, s, f"slot {s}")
     holder, kind = int(state.reserved[member, s]), int(state.last_bench[member, s])
@@ -630,7 +630,7 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
     """
     scenario, shelf, experiments = batch.scenario, batch.shelf, batch.experiments
     picture = _bench(
-        _Camera(scenario, shelf),
+        Camera(scenario, shelf),
         batch.bench,
         experiments,
         member,
@@ -671,7 +671,7 @@ def vessel_scene(scenario: Scenario, shelf: Shelf, member: int = 0, place: int =
         shelf: Shelf of the vessel.
         member, place: Environment index and position.
     """
-    vessel = _Camera(scenario, shelf).take(member, place, "")
+    vessel = Camera(scenario, shelf).take(member, place, "")
     _, temperatures = _ranges(scenario, [], shelf, member)
     return Scene(
         kind="vessel",

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 
 import numpy as np
 import pytest
 from helpers import EVERY_SCENARIO, laboratory, manager, mapping, molar_volume
-from moments import EVERY_BENCH, crowd, episode, experiment, filled
+from moments import EVERY_BENCH, episode, filled
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
@@ -183,7 +182,6 @@ def test_a_single_vessel_has_a_scene() -> None:
     assert vessel is not None
     assert [layer.material for layer in vessel.layers] == ["aqueous", "organic"]
     assert sum(layer.volume_l for layer in vessel.layers) == pytest.approx(flask.volume_l, rel=1e-6)
-    json.dumps(scene.as_dict())
 
 
 def test_costs_stock_and_waste_are_the_laboratorys() -> None:
@@ -243,14 +241,6 @@ def test_a_look_at_a_bench_changes_nothing(name: str, key: str) -> None:
     bench_scene(batch)
     for array, kept in zip(batch.arrays(), before, strict=True):
         np.testing.assert_array_equal(array, kept)
-
-
-def test_scenes_are_json() -> None:
-    for scene in (episode("wurtz_dodecane")[4], experiment("wurtz_dodecane", "ext")[2], crowd(12, 2, 2, 3)[-1]):
-        told = json.loads(json.dumps(scene.as_dict(), allow_nan=False))
-        assert set(told) == set(vars(scene))
-        assert [slot["slot"] for slot in told["shelf"]] == list(range(len(scene.shelf)))
-        assert told["result"] == pytest.approx(scene.result, rel=1e-4)
 
 
 @pytest.mark.parametrize("name", EVERY_SCENARIO)
