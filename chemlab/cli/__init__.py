@@ -12,7 +12,6 @@ from . import (  # noqa: F401 - importing a module adds its commands
     benchmarking,
     check,
     chemicals,
-    doors,
     evaluation,
     exporting,
     laboratories,
@@ -20,6 +19,7 @@ from . import (  # noqa: F401 - importing a module adds its commands
     playing,
     plot,
     records,
+    servers,
     training,
 )
 from .options import app

@@ -1,4 +1,4 @@
-"""What the tests of doors share: the calls of a scripted episode, and the record that they make in this process."""
+"""What the tests of seats share: the calls of a scripted episode, and the record that they make in this process."""
 
 from __future__ import annotations
 

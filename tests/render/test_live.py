@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from chemlab.cli.doors import _free_port
+from chemlab.cli.servers import _free_port
 from chemlab.config.loading import load_scenario
 from chemlab.record import read_record, verify_record
 
