@@ -259,7 +259,7 @@ class Room:
         return Path(f"{self._stem}.jsonl")
 
     def report(self) -> dict[str, Any]:
-        """Score, and what stands beside it: calls, refused calls, characters of replies, tokens where they were reported."""
+        """Score, and beside it calls, refused calls, characters of replies, and tokens as far as they were told."""
         counts = {"calls": self._calls, "wrong": self._wrong, "characters": self._characters, "tokens": self._tokens}
         seats = {seat: {name: count[seat] for name, count in counts.items()} for seat in self.seats}
         return {"status": self._status, "score": self.score, "seats": seats, "condition": self._condition}
