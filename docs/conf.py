@@ -32,6 +32,7 @@ html_static_path = ["_static"]
 html_css_files = ["chemlab.css"]
 html_show_sphinx = False
 html_copy_source = False
+html_domain_indices = False
 
 # Docstrings: Google style, in which `this` is code.
 default_role = "code"
