@@ -719,7 +719,7 @@ class _Painter:
             taken = canvas.text(rect.right, y, words, 10.0, INK, "right", room=rect.width)
             canvas.text(rect.left, y, gauge.name, 10.0, SOFT, room=rect.width - taken - 4.0)
             y -= 13.0
-        if spectrum:
+        if any(spectrum):
             plot = _Rect(rect.left, rect.top + 14.0, rect.right, y - 14.0)
             canvas.text(rect.left, rect.top + 9.0, "absorption", 10.0, SOFT, room=rect.width)
             if plot.height > 14.0:
