@@ -39,7 +39,7 @@ def team(budget: Budget, algorithm: type[IPPO] = IPPO, **settings: Any) -> Outco
     """Train a team, and score it."""
     size: dict[str, Any] = {"envs": 64, "rollout": 32, "batch_size": 512}
     if budget.toy:
-        size = {"envs": 4, "rollout": 12, "bc_steps": 50, "bc_rounds": 1}
+        size = {"envs": 4, "rollout": 12, "bc": None}
     given = {**LEARNING, **ONCE, **size, **settings}
     arguments = algorithm(scenario=TARGET.scenario.name, seed=budget.seed, steps=budget.steps, **given)
     return score_run(train, arguments, TARGET, GOAL, budget)

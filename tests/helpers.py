@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import SAFETY_EVENTS, Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.kernels.arrays import declared
@@ -60,9 +60,8 @@ def script(path: str) -> ModuleType:
 
 
 FEATURED = ("crude", "failing", "recrystallization", "refine", "relay", "runaway", "unlabelled", "wurtz_two_lines")
-"""Shipped scenarios that together have every feature of them all: ``tests/test_scenario.py`` says which."""
-EVERY_SCENARIO = slow_but(scenario_names(), *FEATURED)
-"""Cases of a test of what holds in any scenario."""
+"""Shipped scenarios that together have every feature of them all (``tests/test_scenario.py`` says which): the cases of
+a test of what holds in any scenario. ``tests/test_conformance.py`` checks every scenario."""
 
 
 def mapping(name: str) -> dict[str, Any]:
@@ -360,7 +359,6 @@ def record_episode(
 
 __all__ = [
     "CLOCK_WAS",
-    "EVERY_SCENARIO",
     "FEATURED",
     "PIXELS",
     "TRACE",

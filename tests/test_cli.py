@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import EVERY_SCENARIO, mapping, slow_but
+from helpers import FEATURED, mapping, slow_but
 from rich.text import Text
 from typer.testing import CliRunner
 
@@ -333,7 +333,7 @@ def test_rounding_is_no_accident() -> None:
 # -- describe ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_a_scenario_is_described_as_it_is(name: str) -> None:
     """Observations index by index without a gap, actions by number: those of the laboratory itself."""
     told = json.loads(runner.invoke(app, ["describe", name, "--json"]).stdout)
@@ -365,7 +365,7 @@ def test_what_is_described_is_what_is_seen() -> None:
         np.testing.assert_allclose(seen[channels[name]["start"]], value, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", slow_but(scenario_names(), "crude", "failing", "wurtz_two_lines"))
+@pytest.mark.parametrize("name", ["crude", "failing", "wurtz_two_lines"])
 def test_descriptions_are_for_people(name: str) -> None:
     """80 columns hold every line, and each action of an agent has a line with its number."""
     labs = Laboratories(name)

@@ -6,10 +6,11 @@ import json
 from pathlib import Path
 
 import pytest
-from helpers import EVERY_SCENARIO
+from helpers import FEATURED, slow_but
 from typer.testing import CliRunner
 
 from chemlab.cli import app
+from chemlab.config.loading import scenario_names, synthesis_names
 from chemlab.conformance import CHECKS, check_scenario
 
 PARTS = Path(__file__).parent / "parts"
@@ -43,7 +44,7 @@ def written(folder: Path, old: str, new: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", slow_but([*scenario_names(), *synthesis_names()], *FEATURED))
 def test_bundled_scenarios_conform(name: str) -> None:
     results = list(check_scenario(name))
     assert [result.name for result in results] == list(CHECKS)

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import slow_but
 from scipy import stats
 
 from chemlab.agents.episodes import play_laboratory
@@ -212,16 +211,13 @@ def _parent(pid: int) -> int:
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux shows them")
-@pytest.mark.parametrize("times", slow_but([[9], [2, 9]]), ids=["once", "twice"])
-def test_an_audit_that_is_killed_goes_on(
-    times: list[int], unlabelled: tuple[dict[str, Any], Path], tmp_path: Path
-) -> None:
+@pytest.mark.slow
+def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
     """Killed, then finished: what was kept is whole and is not played again, and the findings are the same."""
     found, _ = unlabelled
     keep, out = tmp_path / "kept", tmp_path / "audit.json"
-    for least in times:
-        killed(["audit", "unlabelled", "--keep", str(keep), "--out", str(out), "--processes", "2"], keep, least)
-        assert not out.exists()
+    killed(["audit", "unlabelled", "--keep", str(keep), "--out", str(out), "--processes", "2"], keep, 9)
+    assert not out.exists()
     kept = {path: path.stat().st_mtime_ns for path in keep.glob("*.json")}
     assert all(json.loads(path.read_text()) for path in kept)
     assert audit("unlabelled", TINY, keep) == found

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import EVERY_SCENARIO, slow_but
+from helpers import FEATURED, slow_but
 
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode, play_laboratory
 from chemlab.agents.evaluate.search import best_in_episode
@@ -62,7 +62,7 @@ def test_random_actions_make_next_to_nothing() -> None:
     assert float(np.mean([result.submitted_mol * result.purity for result in found])) < 0.05
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", slow_but(scenario_names(), *FEATURED))
 def test_the_heuristic_is_clearly_better_than_chance(name: str) -> None:
     """In the mean over as many episodes as there are goals, and more, in worlds as those that audits play."""
     # Of a result that is 1 at best; where even a planner that knows the world is far from that, half of the planner's.
@@ -84,7 +84,7 @@ def test_there_are_worlds_with_nothing_to_sell(name: str, seed: int) -> None:
     assert best <= 0.0
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", slow_but(scenario_names(), *FEATURED))
 def test_scripted_chemists_are_safe(name: str) -> None:
     for result in results(name, "scripted", 21):
         assert result.safety_events.get("metal_in_water_mol", 0.0) == 0.0
@@ -99,7 +99,7 @@ def test_random_actions_are_not_safe() -> None:
     assert sum(result.safety_events.get("spill_l", 0.0) for result in found) > 1.0
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_heuristics_play_legal_actions_alone(name: str) -> None:
     env = raw_env(name)
     policies = make_policies("scripted", env.laboratories)
@@ -162,7 +162,7 @@ def recorded(name: str, seeds: range) -> list[list[Call]]:
     return found
 
 
-@pytest.mark.parametrize("name", slow_but(scenario_names(), "crude", "failing", "wurtz_two_lines"))
+@pytest.mark.parametrize("name", ["crude", "failing", "wurtz_two_lines"])
 def test_heuristics_need_no_laboratory(name: str) -> None:
     """Given what they were given, they decide the same when laboratory, shelf and experiments are gone."""
     episodes = recorded(name, range(3))
@@ -183,7 +183,7 @@ def test_heuristics_need_no_laboratory(name: str) -> None:
                 np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_acting_on_a_batch_is_acting_one_by_one(name: str) -> None:
     """Episodes side by side in one batch, whose members come and go, get the actions each gets alone."""
     episodes = recorded(name, range(4))
@@ -206,7 +206,7 @@ def test_acting_on_a_batch_is_acting_one_by_one(name: str) -> None:
     assert batched > 10
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_step_zero_makes_a_policy_forget(name: str) -> None:
     """Policies in the middle of an episode play the next one like fresh ones."""
     env = raw_env(name)

@@ -8,7 +8,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from helpers import EVERY_SCENARIO
+from helpers import FEATURED
 
 import chemlab
 from chemlab.agents.background import background_policies, role_env, role_vector_env
@@ -43,7 +43,7 @@ def chosen(background: Any, scenario: str = LINES) -> dict[str, Any]:
 # -- by id ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("scenario", EVERY_SCENARIO)
+@pytest.mark.parametrize("scenario", FEATURED)
 def test_ids_make_views_of_any_scenario(scenario: str) -> None:
     env = gymnasium.make("chemlab/LabManager-v1", scenario=scenario)
     assert isinstance(env.unwrapped, RoleEnv)

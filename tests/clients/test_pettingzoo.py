@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import EVERY_SCENARIO
+from helpers import FEATURED
 from pettingzoo.test import (
     api_test,
     bombardment_test,
@@ -59,21 +59,21 @@ def seed_spaces(env: Any) -> None:
 # -- its tests --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_api(name: str) -> None:
     env = laboratory_env(name)
     seed_spaces(env)
     api_test(env, num_cycles=200)
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_parallel_api(name: str) -> None:
     env = parallel_env(name)
     seed_spaces(env)
     parallel_api_test(env, num_cycles=200)
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_seeds(name: str) -> None:
     seed_test(lambda: laboratory_env(name), num_cycles=200)
     parallel_seed_test(lambda: parallel_env(name), num_cycles=200)
@@ -90,14 +90,14 @@ class StepReturnsObservation(BaseWrapper):
         return self.env.observe(self.env.agent_selection)
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_bombardment(name: str) -> None:
     env = StepReturnsObservation(laboratory_env(name))
     seed_spaces(env)
     bombardment_test(env, cycles=100)
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_render(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setitem(raw_env.metadata, "render_fps", 1000)  # mode "human" keeps to it
@@ -111,7 +111,7 @@ def test_render(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     render_test(make, custom_tests={"ansi": lambda text: all(agent in text for agent in agents)})
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_performance_benchmark(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     # It takes five seconds by its own clock, which here runs twenty times too fast. That it runs is what counts here;
     # studies/speed measures.
@@ -200,7 +200,7 @@ def assert_flat(infos: dict[str, dict[str, Any]], shapes: dict[str, dict[str, An
         assert shapes.setdefault(agent, found) == found
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_infos_are_flat_and_say_what_has_happened(name: str) -> None:
     rng = np.random.default_rng(0)
     env = raw_env(name)

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import EVERY_SCENARIO
+from helpers import FEATURED
 
 pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install ".[train]"')
 pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install ".[train]"')
@@ -77,7 +77,7 @@ def manager_batch(members: int, name: str = "wurtz_dodecane") -> ChemlabVecEnv:
 
 
 @pytest.mark.filterwarnings("error::UserWarning", "ignore:.*symmetric and normalized Box action space")
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_checker(name: str) -> None:
     check_env(gymnasium.make("chemlab/LabManager-v1", scenario=name).unwrapped, skip_render_check=True)
     for agent in load_scenario(name).bench_agents():

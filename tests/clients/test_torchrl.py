@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
-from helpers import EVERY_SCENARIO
+from helpers import FEATURED
 
 pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install torch==2.13.0 torchrl")
 
@@ -55,7 +55,7 @@ def played(api: str, rollout: TensorDictBase, env: PettingZooWrapper) -> dict[st
 
 
 @pytest.mark.parametrize("api", FACTORIES)
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_specs(name: str, api: str) -> None:
     env = wrapped(api, name, return_state=True)
     env.set_seed(0)
@@ -71,7 +71,7 @@ def test_specs(name: str, api: str) -> None:
 
 
 @pytest.mark.parametrize("api", FACTORIES)
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_rollouts_play_legal_actions_only(name: str, api: str) -> None:
     env = wrapped(api, name)
     env.set_seed(1)

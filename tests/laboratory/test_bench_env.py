@@ -24,7 +24,7 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from helpers import EVERY_SCENARIO
+from helpers import FEATURED
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
@@ -755,7 +755,7 @@ def test_any_integers_will_do(dtype: Any) -> None:
 # -- the generic id, starting states, rendering -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_any_bench_of_any_scenario(name: str) -> None:
     laboratories = Laboratories(name)
     for agent, bench in enumerate(laboratories.benches, start=1):

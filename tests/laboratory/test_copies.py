@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import EVERY_SCENARIO
+from helpers import FEATURED
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.config.loading import load_scenario
@@ -127,7 +127,7 @@ def begun(kind: str, scenario: str) -> tuple[list[Any], Callable[..., list[Any]]
 
 
 @pytest.mark.parametrize("kind", CLASSES)
-@pytest.mark.parametrize("scenario", EVERY_SCENARIO)
+@pytest.mark.parametrize("scenario", FEATURED)
 def test_copies_play_on_alike(scenario: str, kind: str) -> None:
     envs, play = begun(kind, scenario)
     for env in envs:
@@ -147,7 +147,7 @@ def test_copies_play_on_alike(scenario: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", CLASSES)
-@pytest.mark.parametrize("scenario", EVERY_SCENARIO)
+@pytest.mark.parametrize("scenario", FEATURED)
 def test_numpy_may_be_set_to_raise(scenario: str, kind: str) -> None:
     """``np.seterr(all="raise")`` is a common way to find a learner's NaN; nothing here may fail by it."""
     with np.errstate(all="raise"):

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import EVERY_SCENARIO
+from helpers import FEATURED
 
 from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
@@ -61,7 +61,7 @@ def played(name: str, seed: int, turns: int) -> raw_env:
     return env
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_it_is_true_by_name(name: str) -> None:
     # No experiment may be over.
     turns = min(4, *(bench.step_limit - 1 for bench in load_scenario(name).benches.values()))

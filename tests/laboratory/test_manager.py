@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import EVERY_SCENARIO, allowed, laboratory, litres, manager, mapping
+from helpers import FEATURED, allowed, laboratory, litres, manager, mapping
 
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -45,7 +45,7 @@ def occupied(env: raw_env) -> list[int]:
 # -- the action table -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_every_action_has_one_number_and_one_meaning(name: str) -> None:
     scenario = load_scenario(name)
     actions = ManagerActions.of(scenario)
@@ -503,7 +503,7 @@ def test_the_manager_sees_vessels_from_outside_alone() -> None:
         assert not alike(), f"{instrument} tells nothing"
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_no_number_of_a_vessels_inside_is_shown(name: str) -> None:
     """Whatever fills a vessel to the same height, and however it is spread over layers, the manager sees the same."""
     env = laboratory(name)

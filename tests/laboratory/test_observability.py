@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import EVERY_SCENARIO, litres, slow_but
+from helpers import FEATURED, litres
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.datafile import DataError
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
@@ -82,7 +82,7 @@ def waits_for_its_first_turn(labs: Laboratories, bench: int) -> bool:
 
 
 @pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_laboratories_that_differ_inside_look_alike(name: str, seed: int) -> None:
     """Whatever the manager does but measuring the disguised vessels, legal or not: equal observations, masks, costs."""
     scenario = load_scenario(name)
@@ -175,7 +175,7 @@ def test_submitting_and_discarding_others_tells_nothing() -> None:
     assert not np.array_equal(seen[0], seen[1])
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None:
     """In the middle of random play, with benches at work: exchange everything that is hidden; nothing changes."""
     labs = Laboratories(name)
@@ -216,7 +216,7 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
 # -- benches --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", slow_but(scenario_names(), "failing", "wurtz_two_lines"))
+@pytest.mark.parametrize("name", ["failing", "wurtz_two_lines"])
 def test_benches_see_nothing_but_their_own(name: str) -> None:
     """What is on the shelf, at other benches, ordered, measured or wasted makes no difference to a bench's view."""
     labs = Laboratories(name)
@@ -260,7 +260,7 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
     assert (looked > 0).all()
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_channels_are_all_there_is(name: str) -> None:
     """An observation is its declared channels and nothing else; the goal is the experiment's, one-hot, at the end."""
     labs = Laboratories(name)
@@ -358,7 +358,7 @@ def test_a_reading_goes_when_its_vessel_goes_to_a_bench(way: str) -> None:
         np.testing.assert_array_equal(reading(env, 1, instrument)[0], kept[instrument])
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_an_empty_slot_shows_nothing(name: str) -> None:
     """In random play: no vessel, no reading, no history."""
     rng = np.random.default_rng(0)

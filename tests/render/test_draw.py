@@ -14,10 +14,9 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import EVERY_SCENARIO, slow_but
+from helpers import FEATURED
 from moments import EVERY_BENCH, crowd, episode, experiment, filled
 
-from chemlab.config.loading import scenario_names
 from chemlab.envs.role_env import RoleEnv
 from chemlab.physics.shelf import T_MIX
 from chemlab.render import draw as drawing
@@ -77,7 +76,7 @@ def check_proportions(scene: Scene, width: int = 960, height: int = 540) -> int:
     return checked
 
 
-@pytest.mark.parametrize("name", slow_but(scenario_names(), "failing", "recrystallization", "wurtz_two_lines"))
+@pytest.mark.parametrize("name", ["failing", "recrystallization", "wurtz_two_lines"])
 def test_layers_are_as_high_as_their_volumes(name: str) -> None:
     # A short episode with few pictures.
     least = 3 if name == "recrystallization" else 5
@@ -129,7 +128,7 @@ def check_text(texts: Sequence[TextBox], width: int, height: int) -> None:
 
 
 @pytest.mark.parametrize("size", [(960, 540), (480, 270), (800, 800)])
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_no_text_overlaps_in_a_laboratory(name: str, size: tuple[int, int]) -> None:
     for scene in episode(name):
         check_text(paint(scene, *size).texts, *size)

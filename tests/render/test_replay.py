@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import slow_but
 from PIL import Image
 from typer.testing import CliRunner
 
@@ -21,7 +20,7 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.agents.seats import Room
 from chemlab.cli import app
-from chemlab.config.loading import dump_scenario, restore_scenario, scenario_names
+from chemlab.config.loading import dump_scenario, restore_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
@@ -117,7 +116,7 @@ def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
 
 
 @pytest.mark.parametrize("policy", ["scripted", "random"])
-@pytest.mark.parametrize("name", slow_but(scenario_names(), "fictitious", "wurtz_two_lines"))
+@pytest.mark.parametrize("name", ["fictitious", "wurtz_two_lines"])
 def test_pages_are_small(name: str, policy: str, tmp_path: Path) -> None:
     found = read_record(record(tmp_path / "a.jsonl", name, policy, 1))
     text = replay_page(found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import EVERY_SCENARIO, laboratory, manager, mapping, molar_volume
+from helpers import FEATURED, laboratory, manager, mapping, molar_volume
 from moments import EVERY_BENCH, episode, filled
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
@@ -92,7 +92,7 @@ def test_while_it_settles_every_liquid_keeps_its_volume_and_the_denser_one_sinks
         assert share > 0.5
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_layers_add_up_to_the_contents_throughout_an_episode(name: str) -> None:
     seen = 0
     for scene in episode(name):
@@ -216,7 +216,7 @@ def test_every_laboratory_has_a_scene_of_its_own() -> None:
 # -- nothing changes, everything can be told ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_a_look_changes_nothing(name: str) -> None:
     env = raw_env(name)
     env.reset(seed=3)
@@ -242,7 +242,7 @@ def test_a_look_at_a_bench_changes_nothing(name: str, key: str) -> None:
         np.testing.assert_array_equal(array, kept)
 
 
-@pytest.mark.parametrize("name", EVERY_SCENARIO)
+@pytest.mark.parametrize("name", FEATURED)
 def test_materials_have_tags_and_colours_of_their_own(name: str) -> None:
     scenario = load_scenario(name)
     pictures = material_pictures(scenario)
