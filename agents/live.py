@@ -43,6 +43,8 @@ SPEEDS = (1, 2, 6, 15, 40, 60)
 """Turns a second."""
 LOCAL = ("127.0.0.1", "localhost")
 """Names of this machine for itself."""
+_NEWS_S = 0.05
+"""Least time between two pieces of news for a page, in s: no eye follows more, and turns are told together."""
 _LARGEST_MESSAGE = 10_000
 """Bytes of a message to the server."""
 _HEADERS = {
@@ -310,6 +312,7 @@ async def _film(show: _Show, live: Live, mark: list[int], episode: int) -> Async
         if told != (now := show.status(live)):
             told = now
             yield _event("status", now)
+        await asyncio.sleep(_NEWS_S)
         heard = await show.wait(heard)
 
 
@@ -322,6 +325,7 @@ async def _seat(show: _Show, live: Live, agent: str) -> AsyncIterator[str]:
         if now != told:
             told = now
             yield _event("seat", now)
+        await asyncio.sleep(_NEWS_S)
         heard = await show.wait(heard)
 
 

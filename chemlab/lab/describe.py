@@ -134,7 +134,7 @@ def manager_action_table(labs: Laboratories) -> FactTable:
     rows, at = [], 0
     for kind, group in groupby(range(len(labs.actions)), key=lambda action: labs.actions.decode(action)[0]):
         numbers = list(group)
-        words = [labs.actions.action_meanings[n] for n in (numbers[0], numbers[-1])]
+        words = [labs.actions.words(n) for n in (numbers[0], numbers[-1])]
         rows.append((_span(at, len(numbers)), _code(kind), len(numbers), " ... ".join(dict.fromkeys(words))))
         at += len(numbers)
     return _facts(("action", "kind", "number", "meaning"), rows, (2,))

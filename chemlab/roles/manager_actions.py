@@ -147,21 +147,21 @@ class ManagerActions:
             return "submit", arguments[0], arguments[1]
         return (KINDS[kind], arguments[0]) if kind in (DISCARD, SUBMIT) else (KINDS[kind],)
 
+    def words(self, action: int) -> str:
+        """An action in words."""
+        kind, *arguments = self.decode(action)
+        return {
+            "start": "start {} on slot {}, goal {}" + (", grade {}" if self.grades else ""),
+            "measure": "measure slot {} with {}",
+            "discard": "discard slot {}",
+            "submit": "submit slot {} for order {}" if self.orders > 1 else "submit slot {}",
+            "recall": "recall {}",
+            "wait": "wait for the benches",
+            "calibrate": "calibrate {}",
+            "repair": "have {} repaired",
+        }[str(kind)].format(*arguments)
+
     @property
     def action_meanings(self) -> list[str]:
         """Description of every action."""
-        meanings = []
-        for action in range(len(self)):
-            kind, *arguments = self.decode(action)
-            words = {
-                "start": "start {} on slot {}, goal {}" + (", grade {}" if self.grades else ""),
-                "measure": "measure slot {} with {}",
-                "discard": "discard slot {}",
-                "submit": "submit slot {} for order {}" if self.orders > 1 else "submit slot {}",
-                "recall": "recall {}",
-                "wait": "wait for the benches",
-                "calibrate": "calibrate {}",
-                "repair": "have {} repaired",
-            }[str(kind)]
-            meanings.append(words.format(*arguments))
-        return meanings
+        return [self.words(action) for action in range(len(self))]

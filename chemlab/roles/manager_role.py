@@ -65,7 +65,7 @@ class Manager:
 
     def action_words(self, action: Any) -> str:
         """An action in words."""
-        return self.action_meanings[int(action)]
+        return self.actions.words(int(action))
 
     def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
         """The action as an array of one member, or ``ValueError`` if it is outside the action space."""
