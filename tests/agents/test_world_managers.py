@@ -348,7 +348,7 @@ def team_scores(scenario: str, policy: str, episodes: int = 100) -> FloatArray:
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "role"),
-    [("relay", "rxn"), ("relay", "fin"), ("refine", "ext")],
+    [("relay", "rxn"), ("relay", "fin"), ("refine", "rxn"), ("refine", "ext")],
 )
 def test_a_cooperative_scenario_needs_each_member(scenario: str, role: str) -> None:
     """With one member random, at least 0.3 of what the team gains over random play is lost."""
