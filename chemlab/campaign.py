@@ -169,16 +169,29 @@ class Campaign:
 
     def true_values(self, recipes: Sequence[Mapping[str, float | str]]) -> Any:
         """Return [n] values without noise; see :meth:`true_value`."""
-        checked = [self._checked(recipe, "") for recipe in recipes]
-        labs = Laboratories(self.scenario, len(checked))
+        labs = Laboratories(self.scenario, len(recipes))
         labs.reset(labs.members, world=self._labs.worlds.values(0))
+        return self.values_in(labs, recipes)
+
+    def values_in(self, laboratories: Laboratories, recipes: Sequence[Mapping[str, float | str]], slot: int = 0) -> Any:
+        """Return [n] values without noise of one recipe in each of n laboratories of this scenario, each in its own
+        world; for training optimizers.
+
+        Args:
+            laboratories: whose first bench is idle; it runs the recipes.
+            recipes: one for each laboratory.
+            slot: with the vessel that is used.
+        """
+        labs, checked = laboratories, [self._checked(recipe, "") for recipe in recipes]
         before = labs.shelf.stock.copy()
-        number = labs.agents.index(labs.bench_agents[0])
-        for action in (labs.actions.encode("start", labs.bench_agents[0], 0, self._goal), labs.actions.encode("wait")):
+        bench = labs.bench_agents[0]
+        for action in (labs.actions.encode("start", bench, slot, self._goal), labs.actions.encode("wait")):
             labs.act(labs.manager.index, labs.members, np.full(len(checked), action))
         for turn in range(self._bench.spec.step_limit):
-            labs.act(number, labs.members, np.stack([self._control(recipe, turn) for recipe in checked]))
-        amounts, rules = labs.shelf.amounts[:, 0], labs.rules.arrays
+            labs.act(
+                labs.agents.index(bench), labs.members, np.stack([self._control(recipe, turn) for recipe in checked])
+            )
+        amounts, rules = labs.shelf.amounts[:, slot], labs.rules.arrays
         goal = self.scenario.goals.index(self._goal)
         made, counted = amounts[:, rules.parts[goal, 0]], amounts @ rules.counts[goal]
         spent = (before - labs.shelf.stock) @ rules.stock_price

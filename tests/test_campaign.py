@@ -17,6 +17,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.campaign import Campaign, Choice, Range
 from chemlab.config.loading import campaign_names, load_scenario
 from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
 
 RECIPES = Path(__file__).parent.parent / "recipes" / "campaigns"
 GOOD: dict[str, Any] = {
@@ -133,6 +134,19 @@ def test_wrong_recipes_change_nothing(change: dict[str, Any], message: str) -> N
     assert campaign.left == 24
     for one, other in zip(before, campaign._labs.snapshot(), strict=True):
         np.testing.assert_array_equal(one, other)  # NaN is NaN
+
+
+def test_values_in_many_worlds_are_those_of_each() -> None:
+    """Whichever vessel is used, and however many there were before."""
+    labs = Laboratories("optimize_coupling", 3)
+    for member in labs.members:
+        labs.seed(int(member), np.random.SeedSequence(int(member)))
+    labs.reset(labs.members)
+    campaign, other = Campaign(), {**GOOD, "catalyst": "catalyst_a"}
+    campaign.values_in(labs, [other] * 3, 4)
+    values = campaign.values_in(labs, [GOOD, other, GOOD], 23)
+    alone = [Campaign(seed=n).true_value(**recipe) for n, recipe in enumerate((GOOD, other, GOOD))]
+    np.testing.assert_allclose(values, alone, rtol=1e-12)
 
 
 def test_other_scenarios_are_refused() -> None:
