@@ -68,6 +68,8 @@ from chemlab.roles.bench import Bench
 __all__ = ["pages", "setup_pages"]
 
 HERE = Path(__file__).parent
+NOTEBOOKS = ("tutorials/class.md", "tutorials/first-team.md", "chemist/distillation.md")
+"""Pages that are also made as notebooks."""
 OUT = "generated"
 EXAMPLE = "wurtz_dodecane"
 _NEVER_PUBLIC = ("chemlab.cli", "chemlab.record.", "chemlab.openchem")  # the package itself exports all of its names
@@ -791,9 +793,24 @@ def pages() -> dict[str, str]:
     return {**found, "keys.md": _keys_page(), "command.md": _command_page()}
 
 
+def notebook(page: str) -> str:
+    """Return a page as a Jupyter notebook: its Python blocks and commands are cells to run, its files are written."""
+    cells = []
+    for part in re.split(r"^(```(?:python|bash|toml)\n.*?^```\n)", page, flags=re.S | re.M):
+        found = re.fullmatch(r"```(\w+)\n(?:# file: (\S+)\n)?(.*)```\n", part, re.S)
+        cell = {"cell_type": "code" if found else "markdown", "metadata": {}, "source": part.strip()}
+        if found:
+            head = f"%%writefile {found[2]}\n" if found[2] else "%%bash\n" if found[1] == "bash" else ""
+            cell |= {"source": head + found[3].rstrip(), "outputs": [], "execution_count": None}
+        if cell["source"]:
+            cells.append(cell)
+    return json.dumps({"cells": cells, "metadata": {}, "nbformat": 4, "nbformat_minor": 4}, indent=1) + "\n"
+
+
 def _write_pages(app: Sphinx) -> None:
     folder = HERE / OUT
     made = pages()
+    made |= {f"notebooks/{Path(p).stem}.ipynb": notebook((HERE / p).read_text(encoding="utf-8")) for p in NOTEBOOKS}
     for path in sorted(folder.rglob("*.md")) if folder.exists() else []:
         if str(path.relative_to(folder)) not in made:
             path.unlink()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
+import json
 import io
 import re
 import shlex
@@ -354,6 +355,17 @@ def test_code_is_in_plain_words() -> None:
     checked = words.code()
     assert len(checked) > 80
     assert [line for path in checked for line in words.findings(path)] == []
+
+
+def test_notebooks_run_what_their_pages_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("sphinx", reason="needs the extra docs")
+    monkeypatch.syspath_prepend(str(DOCS))
+    from generate import NOTEBOOKS, notebook
+
+    for name in NOTEBOOKS:
+        cells = json.loads(notebook((DOCS / name).read_text(encoding="utf-8")))["cells"]
+        shown = [block.text.rstrip() for block in blocks_of(DOCS / name) if block.language in ("python", "bash")]
+        assert [c["source"].removeprefix("%%bash\n") for c in cells if c["cell_type"] == "code"] == shown
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="needs bash")
