@@ -44,7 +44,7 @@ SPEEDS = (1, 2, 6, 15, 40, 60)
 LOCAL = ("127.0.0.1", "localhost")
 """Names of this machine for itself."""
 _NEWS_S = 0.05
-"""Least time between two pieces of news for a page, in s: no eye follows more, and turns are told together."""
+"""Least time between two messages to a page, in s; one message has all turns since the last."""
 _LARGEST_MESSAGE = 10_000
 """Bytes of a message to the server."""
 _HEADERS = {

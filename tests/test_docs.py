@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import importlib
 import importlib.util
-import json
 import io
+import json
 import re
 import shlex
 import shutil
