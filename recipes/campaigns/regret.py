@@ -28,7 +28,7 @@ from chemlab.config.files import replace_between
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "chemist" / "campaign.md"
 
-OPTIMIZERS = ("random_search", "scripted", "scipy_evolution", "optuna_tpe", "baybe_gp", "ax_client", "learned")
+OPTIMIZERS = ("random_search", "scripted", "scipy_evolution", "optuna_tpe", "baybe_gp", "ax_client", "learned", "ppo")
 _ROUNDS, _DRAWN, _KEPT = 7, 200, 20
 
 
