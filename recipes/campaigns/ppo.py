@@ -156,7 +156,9 @@ def training_envs(count: int, seed: int) -> Any:
             reward, end = (self.true - before).astype(np.float32), self.true
             observation = self.notes.observation
             if done:
-                infos = [{"terminal_observation": seen, "value": float(v)} for seen, v in zip(observation, end, strict=True)]
+                infos = [
+                    {"terminal_observation": seen, "value": float(v)} for seen, v in zip(observation, end, strict=True)
+                ]
                 observation = self.reset()
             return observation, reward, np.full(count, done), infos
 
