@@ -1,6 +1,6 @@
 """Reinforcement learning: a policy that proposes recipes, trained by PPO on training worlds.
 
-    python recipes/campaigns/ppo.py --steps 1000000     # writes ppo.safetensors
+    python recipes/campaigns/ppo.py --steps 1500000     # writes ppo.safetensors
 
 An episode is a campaign of 24 experiments, two at a time, in a world of the split ``train``. The policy observes, for
 each catalyst, the best recipe so far and its measured value, and chooses a catalyst and a level of each number. The
@@ -217,7 +217,7 @@ def train(steps: int, envs: int = 256) -> dict[str, Any]:
 def main() -> None:
     """Train and write the weights."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--steps", type=int, default=1_000_000, help="experiments")
+    parser.add_argument("--steps", type=int, default=1_500_000, help="experiments")
     save_file(train(parser.parse_args().steps), _FILE)
 
 
