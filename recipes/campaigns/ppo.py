@@ -27,7 +27,7 @@ _EXPERIMENTS, _AT_ONCE, _NOISE = 24, 2, 0.02
 
 
 class Notes:
-    """What policies know of n campaigns.
+    """Knowledge of policies about n campaigns.
 
     Args:
         count: n.
