@@ -37,10 +37,10 @@ LEARNING: dict[str, Any] = {
 
 def team(budget: Budget, algorithm: type[IPPO] = IPPO, **settings: Any) -> Outcome:
     """Train a team, and score it."""
-    size: dict[str, Any] = {"envs": 64, "rollout": 32, "batch_size": 512}
-    if budget.toy:
-        size = {"envs": 4, "rollout": 12, "bc": None}
-    given = {**LEARNING, **ONCE, **size, **settings}
+    given: dict[str, Any] = {**LEARNING, "envs": 64, "rollout": 32, "batch_size": 512}
+    if budget.toy:  # without demonstrations
+        given = {"rewards": "mixed", "envs": 4, "rollout": 12}
+    given = {**given, **ONCE, **settings}
     arguments = algorithm(scenario=TARGET.scenario.name, seed=budget.seed, steps=budget.steps, **given)
     return score_run(train, arguments, TARGET, GOAL, budget)
 

@@ -8,6 +8,7 @@ import json
 import re
 import time
 from collections.abc import Iterator
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from chemlab.render.animation import animation
 from chemlab.render.draw import draw
 from chemlab.render.replay_page import replay_data, replay_page
 from chemlab.render.scene import laboratory_scene
+from chemlab.roles.manager_actions import KINDS
 
 runner = CliRunner()
 
@@ -113,6 +115,12 @@ def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
     assert decisions[0]["plays"] == [[0, "start rxn_0 on slot 0, goal dodecane"]]
     assert re.search(r"\d\.\d{3} mol dodecane at purity", decisions[-1]["outcome"])
     assert any("dodecane" in turn["outcome"] for turn in decisions if turn["kind"] == "measure")
+
+
+def test_every_kind_of_the_managers_actions_has_a_mark_on_the_timeline() -> None:
+    page = files("chemlab.render").joinpath("replay.html").read_text(encoding="utf-8")
+    marks = page.partition("const MARKS = {")[2].partition("};")[0]
+    assert [kind for kind in KINDS if f'{kind}: ["M' not in marks] == []
 
 
 @pytest.mark.parametrize("policy", ["scripted", "random"])
