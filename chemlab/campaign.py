@@ -181,16 +181,21 @@ class Campaign:
             laboratories: whose first bench is idle; it runs the recipes.
             recipes: one for each laboratory.
             slot: with the vessel that is used.
+
+        Raises:
+            ValueError: a parameter is missing, unknown or out of bounds, or there is not one recipe for each
+                laboratory; nothing has happened.
         """
         labs, checked = laboratories, [self._checked(recipe, "") for recipe in recipes]
+        if len(checked) != len(labs.members):
+            raise ValueError(f"recipes: give one for each of {len(labs.members)} laboratories; given {len(checked)}")
         before = labs.shelf.stock.copy()
         bench = labs.bench_agents[0]
+        number = labs.agents.index(bench)
         for action in (labs.actions.encode("start", bench, slot, self._goal), labs.actions.encode("wait")):
             labs.act(labs.manager.index, labs.members, np.full(len(checked), action))
         for turn in range(self._bench.spec.step_limit):
-            labs.act(
-                labs.agents.index(bench), labs.members, np.stack([self._control(recipe, turn) for recipe in checked])
-            )
+            labs.act(number, labs.members, np.stack([self._control(recipe, turn) for recipe in checked]))
         amounts, rules = labs.shelf.amounts[:, slot], labs.rules.arrays
         goal = self.scenario.goals.index(self._goal)
         made, counted = amounts[:, rules.parts[goal, 0]], amounts @ rules.counts[goal]

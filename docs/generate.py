@@ -65,7 +65,7 @@ from chemlab.roles import operation_bench as operations
 from chemlab.roles import reaction_bench as reaction
 from chemlab.roles.bench import Bench
 
-__all__ = ["pages", "setup_pages"]
+__all__ = ["NOTEBOOKS", "notebook", "pages", "setup_pages"]
 
 HERE = Path(__file__).parent
 NOTEBOOKS = ("tutorials/class.md", "tutorials/first-team.md", "chemist/distillation.md")

@@ -147,6 +147,8 @@ def test_values_in_many_worlds_are_those_of_each() -> None:
     values = campaign.values_in(labs, [GOOD, other, GOOD], 23)
     alone = [Campaign(seed=n).true_value(**recipe) for n, recipe in enumerate((GOOD, other, GOOD))]
     np.testing.assert_allclose(values, alone, rtol=1e-12)
+    with pytest.raises(ValueError, match="one for each of 3 laboratories; given 1"):
+        campaign.values_in(labs, [GOOD])
 
 
 def test_other_scenarios_are_refused() -> None:

@@ -47,6 +47,10 @@ _EVENT_WORDS = {
 }
 
 
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")
+
+
 class _Pool:
     """Pool of distinct values; equal ones are stored once.
 
@@ -71,7 +75,7 @@ class _Pool:
     def _pack(self, value: Any) -> Any:
         """Return the packed form of a picture, a tuple, a list, a number or a text."""
         if isinstance(value, float):
-            return float(f"{value:.{_DIGITS}g}")
+            return _rounded(value)
         if isinstance(value, (tuple, list)):
             if len(value) >= _LONG and all(isinstance(item, (int, float)) for item in value):
                 return self._reference([-1, *[round(1000 * item) for item in value]])
@@ -200,10 +204,10 @@ class Film:
         frame["liquid_l"] = [liquid_volume(row, chem) for row in labs.shelf.vessels[0]]
         self._frames.append(self._pool.frame({key: part for key, part in frame.items() if key not in _STATIC}))
         self._costs.append(self._spent())
-        self._results.append(float(f"{scene.result:.{_DIGITS}g}"))
+        self._results.append(_rounded(scene.result))
 
     def _spent(self) -> list[float]:
-        return [float(f"{cost:.4g}") for cost in self._labs.costs().values()]
+        return [_rounded(cost) for cost in self._labs.costs().values()]
 
     def add(self, tick: int, plays: Sequence[Play]) -> None:
         """Add the scene after a turn.
@@ -244,7 +248,7 @@ class Film:
             "agents": labs.agents,
             "limits": {"ticks": scenario.limits.ticks, "manager_actions": scenario.limits.manager_actions},
             "materials": _materials(labs, scene),
-            "largest_capacity_l": float(f"{scene.largest_capacity_l:.{_DIGITS}g}"),
+            "largest_capacity_l": _rounded(scene.largest_capacity_l),
             "wavelengths_nm": [float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), len(WAVELENGTHS_NM)],
             "analytes": {
                 name: [*analytes, kind.rest]

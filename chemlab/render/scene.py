@@ -2,8 +2,7 @@
 them.
 
 A :class:`Scene` contains the true state. Agents observe only ``BenchPicture.seen`` and ``SlotPicture.readings``;
-:func:`visible_scene` keeps what a person in the laboratory would see. Pictures and pages are drawn from scenes only;
-a replay page stores scenes only.
+:func:`visible_scene` keeps what a person in the laboratory would see. Pictures and pages are drawn from scenes only.
 
 Layers have true proportions. ``VesselPicture.layers`` lists them with their volumes from the bottom up; the rest of the
 vessel is air. If the contents are not separated, ``VesselPicture.mixture`` holds the share of every liquid in equal

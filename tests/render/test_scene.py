@@ -16,6 +16,7 @@ from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 from chemlab.render.scene import (
     MIXTURE_SLICES,
+    Camera,
     VesselPicture,
     bench_scene,
     laboratory_scene,
@@ -240,6 +241,21 @@ def test_a_look_at_a_bench_changes_nothing(name: str, key: str) -> None:
     bench_scene(batch)
     for array, kept in zip(batch.arrays(), before, strict=True):
         np.testing.assert_array_equal(array, kept)
+
+
+@pytest.mark.parametrize(("name", "policy"), [("refine", "scripted"), ("wurtz_two_lines", "random")])
+def test_a_camera_that_keeps_pictures_sees_what_a_new_one_sees(name: str, policy: str) -> None:
+    env = raw_env(name)
+    env.reset(seed=0)
+    labs = env.laboratories
+    camera, equal = Camera(labs.scenario, labs.shelf), list[bool]()
+
+    def compare(turn: PlayedTurn) -> None:
+        equal.append(laboratory_scene(labs, camera=camera) == laboratory_scene(labs))
+
+    play_episode(env, make_policies(policy, labs, 0), 0, watch=compare)
+    assert len(equal) > 20
+    assert all(equal)
 
 
 @pytest.mark.parametrize("name", FEATURED)
