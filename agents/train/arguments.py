@@ -142,7 +142,7 @@ ABOUT: dict[str, str] = {
     "practice": "Share of training in which benches that learn do so on their own; a manager that learns begins then.",
     "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
-    "own_goals": "Start experiments for goals of the orders alone.",
+    "own_goals": "Share of training over which starts are for goals of the orders alone, in ever fewer laboratories.",
     "balanced": "Draw every kind of the manager's actions equally often at first.",
 }
 """Descriptions of arguments."""
@@ -459,7 +459,7 @@ class IPPO(Clipped, Arguments, Cloning):
     practice: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.5
     refund: Share = 0.5
     processed: Share = 0.3
-    own_goals: bool = True
+    own_goals: Share = 0.5
     balanced: bool = True
 
     @model_validator(mode="before")
@@ -468,9 +468,8 @@ class IPPO(Clipped, Arguments, Cloning):
         if values.get("bc") is None and values.get("begin_from") is None:
             return values
         return {
-            **dict.fromkeys(("practice", "refund", "processed"), 0.0),
+            **dict.fromkeys(("practice", "refund", "processed", "own_goals"), 0.0),
             "ent_coef": 0.01,
-            "own_goals": False,
             "balanced": False,
             **values,
         }

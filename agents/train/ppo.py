@@ -538,17 +538,18 @@ class PPOTeam:
     def _helped(self, mask: BoolArray, rows: IntArray, done: float) -> BoolArray:
         """The manager's mask with the help that is given; the mask itself where that would leave nothing.
 
-        The help of ``processed`` ends in one laboratory after another. If it ended in all of them at once, actions that
-        have never been tried would suddenly be likely.
+        Help ends in one laboratory after another. If it ended in all of them at once, actions that have never been
+        tried would suddenly be likely.
         """
-        table, state = self.labs.actions.table, self.labs.state
+        table, state, settings = self.labs.actions.table, self.labs.state, self.settings
         kinds, helped = table[:, 0], mask.copy()
-        if self.settings.own_goals:
-            starts = np.flatnonzero(kinds == START)
-            wanted = (table[starts, 3][None, :, None] == state.goal[rows][:, None, :]).any(axis=2)
-            helped[:, starts] &= wanted
-        limited = np.flatnonzero(done * self.settings.envs < self.settings.processed * (rows + 0.5))
-        submits, discards = np.flatnonzero(kinds == SUBMIT), np.flatnonzero(kinds == DISCARD)
+        starts, submits, discards = (np.flatnonzero(kinds == kind) for kind in (START, SUBMIT, DISCARD))
+        own, limited = (
+            np.flatnonzero(done * settings.envs < share * (rows + 0.5))
+            for share in (settings.own_goals, settings.processed)
+        )
+        wanted = (table[starts, 3][None, :, None] == state.goal[rows[own]][:, None, :]).any(axis=2)
+        helped[np.ix_(own, starts)] &= wanted
         helped[np.ix_(limited, submits)] &= state.last_bench[rows[limited]][:, table[submits, 1]] > 0
         helped[np.ix_(limited, discards)] = False
         empty = ~helped.any(axis=1)

@@ -143,7 +143,7 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     assert not team.scores
     assert (team.labs.state.ticks == 0).all()
     arguments = IPPO(**{**small, "steps": 40}, bc="scripted", bc_steps=50)
-    assert (arguments.practice, arguments.refund, arguments.own_goals) == (0.0, 0.0, False), "help is for nothing"
+    assert (arguments.practice, arguments.refund, arguments.own_goals) == (0.0, 0.0, 0.0), "help is for nothing"
     train(arguments, tmp_path / "run")
     card = export_run(tmp_path / "run", tmp_path / "mine", "dit")
     assert (card.name, card.bench, card.background) == ("mine", "dit", "scripted")

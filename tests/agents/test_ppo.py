@@ -86,7 +86,7 @@ def team(**given: Any) -> PPOTeam:
 
 def test_help_is_of_the_mask_and_ends() -> None:
     """Raw vessels are not submitted and nothing is discarded or started for another goal, as long as there is help."""
-    made = team(processed=0.5, own_goals=True)
+    made = team(processed=0.5, own_goals=0.8)
     table, rows = made.labs.actions.table, made.labs.members
     mask = made._infos["manager_0"]["action_mask"].astype(np.bool_)
     helped = made._helped(mask, rows, 0.0)
@@ -101,7 +101,10 @@ def test_help_is_of_the_mask_and_ends() -> None:
     fading = made._helped(mask, rows, 0.25)[:, submits]
     assert not fading[len(rows) // 2 :].any()
     assert (fading[: len(rows) // 2] == mask[: len(rows) // 2, submits]).all()
-    assert (made._helped(mask, rows, 0.5)[:, submits] == mask[:, submits]).all()
+    later = made._helped(mask, rows, 0.5)
+    assert (later[:, submits] == mask[:, submits]).all()
+    assert not (later[:, starts] == mask[:, starts]).all()
+    assert (made._helped(mask, rows, 0.8) == mask).all(), "a policy is tried with all actions before training ends"
 
 
 def test_balanced_logits_give_every_kind_the_same_share() -> None:
@@ -214,9 +217,9 @@ def test_a_stopped_run_goes_on_alike(central: bool, tmp_path: Path) -> None:
 
 
 def test_the_manager_learns_by_it_unless_told_otherwise() -> None:
-    made = training_arguments({"scenario": "rush", "roles": "manager", "own_goals": False, "steps": 1000})
+    made = training_arguments({"scenario": "rush", "roles": "manager", "own_goals": 0.0, "steps": 1000})
     assert isinstance(made, IPPO)
-    assert made.command_line().endswith("--roles manager --algo ippo --steps 1000 --seed 0 --no-own-goals")
+    assert made.command_line().endswith("--roles manager --algo ippo --steps 1000 --seed 0 --own-goals 0.0")
     assert training_arguments({"roles": "manager", "algo": "maskable-ppo"}).algo == "maskable-ppo"
     assert training_arguments({"roles": "manager", "preset": "manager"}).algo == "maskable-ppo"
 
