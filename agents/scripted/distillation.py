@@ -7,17 +7,19 @@ be boiled off, it swaps the receiver and distils the goal over.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.envs.players import Memory
+from chemlab.kernels.arrays import BoolArray, Field, FloatArray, Handle, IntArray, MaskArray, ObservationArray
+from chemlab.kernels.jit import inner, kernel, opened
+from chemlab.kernels.tables import Table
 from chemlab.roles.bench import CAMERA_PIXELS, Channel, channel_slices
 from chemlab.roles.distillation_bench import DistillationBench
 
-from .script import SAME_SHADE, Remembering, count_pixels
+from .script import SAME_SHADE, Remembering
 
 __all__ = ["ScriptedDistillation"]
 
@@ -32,16 +34,147 @@ _HEEL_PIXELS = 1
 """Pixels of the goal left in a vessel that must not boil to dryness."""
 
 STRIP, SWAP, COLLECT, DONE = range(4)
+_PHASE, _LAST_K, _TRUST, _KEPT = range(4)
+"""Columns of the memory: phase, temperature at the last step of stripping, and factor of its least heat."""
+_SAME = np.float32(SAME_SHADE)
 
 
-class _Seen(NamedTuple):
-    """Observed quantities of one bench."""
+class _Plan(NamedTuple):
+    """Parameters of the policy, from the bench. G goals, L liquids, H heating steps."""
 
-    picture: ObservationArray
-    """[pixels] camera picture of DV"""
-    goal: int
-    kelvin: float
-    litres: float
+    strip_to: Annotated[FloatArray, Field("G")]
+    """[G] temperature in K at which the materials that boil below the goal are gone"""
+    boils_at: Annotated[FloatArray, Field("G")]
+    """[G] boiling point in K, infinite for a goal that does not boil"""
+    next_boils_at: Annotated[FloatArray, Field("G")]
+    """[G] the next higher boiling point in K"""
+    shade: Annotated[ObservationArray, Field("G")]
+    """[G] grey value of the goal"""
+    liquids: Annotated[ObservationArray, Field("L")]
+    """[L] grey values of liquids"""
+    others: Annotated[BoolArray, Field("G L")]
+    """[G, L] whether a liquid's grey value differs from the goal's"""
+    air: Annotated[ObservationArray, Field("1")]
+    """[1] grey value of air"""
+    kilojoules: Annotated[FloatArray, Field("H")]
+    """[H] heating steps in ascending order"""
+    heats: Annotated[IntArray, Field("H")]
+    """[H] their actions"""
+    swap: Annotated[int, Field("")]
+    """action that changes the receiver"""
+    end: Annotated[int, Field("")]
+    """action that ends the experiment"""
+    capacity_l: Annotated[float, Field("")]
+    careful: Annotated[int, Field("")]
+    """whether it heats in small steps; otherwise with full power"""
+    heel: Annotated[int, Field("")]
+    """whether it stops before the vessel boils to dryness"""
+
+
+@inner
+def _shows(picture: ObservationArray, shade: float) -> int:
+    """Count the pixels of one grey value."""
+    count = 0
+    for x in range(CAMERA_PIXELS):
+        count += abs(picture[x] - shade) < _SAME
+    return count
+
+
+@inner
+def _shows_others(picture: ObservationArray, goal: int, plan: _Plan) -> int:
+    """Count the pixels of liquids whose grey values differ from the goal's."""
+    count = 0
+    for k in range(plan.liquids.shape[0]):
+        if plan.others[goal, k]:
+            count += _shows(picture, plan.liquids[k])
+    return count
+
+
+@inner
+def _shows_contents(picture: ObservationArray, goal: int, plan: _Plan) -> bool:
+    """Return whether a pixel is neither air nor the goal."""
+    found = False
+    for x in range(CAMERA_PIXELS):
+        found = found or (abs(picture[x] - plan.shade[goal]) > _SAME and abs(picture[x] - plan.air[0]) > _SAME)
+    return found
+
+
+@inner
+def _heat(kilojoules: float, plan: _Plan) -> int:
+    """Return the largest heating step of at most ``kilojoules``, or else the smallest."""
+    last = plan.heats.shape[0] - 1
+    if plan.careful:
+        while last > 0 and plan.kilojoules[last] > kilojoules:
+            last -= 1
+    return int(plan.heats[last])
+
+
+@inner
+def _strip_step(goal: int, kelvin: float, litres: float, kept: FloatArray, plan: _Plan) -> float:
+    """Return the heat in kJ that brings the contents towards the stripping temperature without boiling the goal."""
+    # While a component boils, the temperature is constant and steps may grow; when it rises again, steps restart
+    # small.
+    trust = min(2.0 * kept[_TRUST], 64.0) if abs(kelvin - kept[_LAST_K]) < 0.5 else 1.0
+    kept[_LAST_K], kept[_TRUST] = kelvin, trust
+    warming = _CAUTION * _KJ_PER_L_K * litres * (plan.strip_to[goal] - kelvin)
+    if not math.isfinite(plan.boils_at[goal]):
+        return max(warming, 2.0 * trust)
+    # The step is limited so that the last of the light materials does not carry the goal over: a small volume of
+    # goal that is left alone needs little heat.
+    spare = _CAUTION * _KJ_PER_L_K * litres * (plan.boils_at[goal] - kelvin)
+    return min(max(warming, 0.25 * trust), max(spare, _KJ_PER_L * (litres - 0.25)))
+
+
+@inner
+def _collect_step(picture: ObservationArray, goal: int, kelvin: float, litres: float, plan: _Plan) -> float:
+    """Return the heat in kJ that boils the goal over, but not the heavier liquids that remain after it."""
+    boiling = _CAUTION * _KJ_PER_L * (litres - 0.02)
+    if plan.heel:
+        left = _shows(picture, plan.shade[goal])
+        boiling = _CAUTION * _KJ_PER_L * (left - _HEEL_PIXELS) / CAMERA_PIXELS * plan.capacity_l
+    step = max(boiling, _KJ_PER_L_K * litres * (plan.boils_at[goal] - kelvin))
+    pixels = _shows_others(picture, goal, plan)
+    if pixels:
+        heavier = pixels / CAMERA_PIXELS * plan.capacity_l
+        step = min(step, _CAUTION * _KJ_PER_L_K * heavier * (plan.next_boils_at[goal] - kelvin))
+    return step
+
+
+@kernel
+def _decide(
+    observation: ObservationArray,
+    mask: MaskArray,
+    step: IntArray,
+    goals: IntArray,
+    gauges: FloatArray,
+    kept: FloatArray,
+    handle: Handle,
+    out: IntArray,
+) -> None:
+    """Decide for B experiments: ``gauges`` [2, B] kelvin and litres, ``kept`` [B, 3] memory, ``out`` [B] actions."""
+    plan = opened(_Plan, handle)
+    for b in range(out.shape[0]):
+        picture, goal, kelvin, litres = observation[b], goals[b], gauges[0, b], gauges[1, b]
+        boils = math.isfinite(plan.boils_at[goal])
+        phase = int(kept[b, _PHASE])
+        if step[b] == 0:
+            # A vessel that contains the goal and nothing to boil off is distilled over.
+            alone = boils and _shows(picture, plan.shade[goal]) > 0 and not _shows_others(picture, goal, plan)
+            phase = SWAP if alone else STRIP
+            kept[b, _LAST_K], kept[b, _TRUST] = 0.0, 1.0
+        if phase == STRIP and kelvin >= plan.strip_to[goal]:
+            phase = SWAP if boils and _shows_contents(picture, goal, plan) else DONE
+        out[b] = plan.end
+        if phase == STRIP:
+            out[b] = _heat(_strip_step(goal, kelvin, litres, kept[b], plan), plan)
+        elif phase == SWAP and mask[b, plan.swap]:
+            out[b], phase = plan.swap, COLLECT
+        elif phase != DONE:
+            empty = plan.heel and _shows(picture, plan.shade[goal]) <= _HEEL_PIXELS
+            phase = COLLECT if not empty and kelvin < plan.boils_at[goal] + 1.0 else DONE
+            if phase == COLLECT:
+                out[b] = _heat(_collect_step(picture, goal, kelvin, litres, plan), plan)
+        kept[b, _PHASE] = phase
 
 
 class ScriptedDistillation(Remembering):
@@ -54,123 +187,67 @@ class ScriptedDistillation(Remembering):
             power.
     """
 
-    _MEMORY = ("_phase", "_memory")
+    _MEMORY = ("_kept",)
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
-        self._careful = careful
-        self._heel = careful and bench.scenario.safety.reward_price > 0.0
         materials = bench.scenario.materials
         self._slices = channel_slices(bench.channels)
         gauges = {channel.name: channel for channel in bench.channels}
         self._temperature, self._volume = gauges["temperature"], gauges["volume"]
         liquids = {n: m.boiling_point_k for n, m in materials.items() if m.role in ("solvent", "solute")}
         highest = max(liquids.values(), default=0.0)
-        self._strip_to, self._boils_at, self._next_boils_at = [], [], []
+        strip_to, boils_at = [], []
         for goal in bench.goals.names:
             point = liquids.get(goal)
             if point is None:  # the goal does not boil: drive everything else off
-                self._strip_to.append(highest + _MARGIN_K)
-                self._boils_at.append(math.inf)
+                strip_to.append(highest + _MARGIN_K)
+                boils_at.append(math.inf)
             else:
                 lower = max([t for t in liquids.values() if t < point - 1e-9], default=point - 2.0 * _MARGIN_K)
-                self._strip_to.append(0.5 * (lower + point))
-                self._boils_at.append(point)
-        for point in self._boils_at:
-            self._next_boils_at.append(min([t for t in liquids.values() if t > point + 1e-9], default=math.inf))
-        self._capacity_l = bench.spec.start.capacity_l
-        self._shade = [materials[goal].shade for goal in bench.goals.names]
-        self._air = materials["air"].shade
-        self._liquids = [materials[name].shade for name in liquids]
+                strip_to.append(0.5 * (lower + point))
+                boils_at.append(point)
+        following = [min([t for t in liquids.values() if t > point + 1e-9], default=math.inf) for point in boils_at]
+        shade = np.array([materials[goal].shade for goal in bench.goals.names])
+        grey = np.array([materials[name].shade for name in liquids])
         processes = bench.options.process
         starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
         heat = next(i for i, process in enumerate(processes) if process.kind == "heat")
         swap = next(i for i, p in enumerate(processes) if p.kind == "pour" and (p.vessel, p.target) == ("B1", "B2"))
         heats = sorted((m, int(starts[heat]) + i) for i, m in enumerate(processes[heat].magnitudes) if m > 0)
-        self._kilojoules, self._heats = [m for m, _ in heats], [action for _, action in heats]
-        self._swap = int(starts[swap]) + int(np.argmax(processes[swap].magnitudes))
-        self._end = bench.end_action
-        self._phase: dict[int, int] = {}
-        self._memory: dict[int, tuple[float, float]] = {}
+        self._plan = Table(
+            _Plan(
+                strip_to=np.array(strip_to),
+                boils_at=np.array(boils_at),
+                next_boils_at=np.array(following),
+                shade=shade.astype(np.float32),
+                liquids=grey.astype(np.float32),
+                others=np.abs(grey - shade[:, None]) > SAME_SHADE,
+                air=np.array([materials["air"].shade], dtype=np.float32),
+                kilojoules=np.array([m for m, _ in heats]),
+                heats=np.array([action for _, action in heats]),
+                swap=int(starts[swap]) + int(np.argmax(processes[swap].magnitudes)),
+                end=bench.end_action,
+                capacity_l=bench.spec.start.capacity_l,
+                careful=int(careful),
+                heel=int(careful and bench.scenario.safety.reward_price > 0.0),
+            )
+        )
+        self._kept = Memory(_KEPT)
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
-        pictures, goals = observation[:, :CAMERA_PIXELS], observation[:, self._slices["goal"]].argmax(axis=1).tolist()
-        gauges = self._gauge(observation, self._temperature), self._gauge(observation, self._volume)
-        seen = map(_Seen, pictures, goals, *gauges)
-        rows = zip(seen, mask, step.tolist(), members.tolist(), strict=True)
-        return np.array([self._decide(*row) for row in rows], dtype=np.int64)
+        seen, goals = np.ascontiguousarray(observation), observation[:, self._slices["goal"]].argmax(axis=1)
+        gauges = np.stack([self._gauge(seen, self._temperature), self._gauge(seen, self._volume)])
+        (kept,) = self._kept.recall(step, members)
+        out = np.empty(len(members), dtype=np.int64)
+        _decide(seen, np.ascontiguousarray(mask), step, goals, gauges, kept, self._plan.handle, out)
+        self._kept.keep(members, kept)
+        return out
 
-    def _gauge(self, observation: ObservationArray, channel: Channel) -> list[float]:
+    def _gauge(self, observation: ObservationArray, channel: Channel) -> FloatArray:
         """Return the value [B] of a gauge in its unit."""
         shown = observation[:, self._slices[channel.name]][:, 0].astype(np.float64)
-        numbers: list[float] = (channel.low + shown * (channel.high - channel.low)).tolist()
-        return numbers
-
-    def _heat(self, kilojoules: float) -> int:
-        """Return the largest heating step of at most ``kilojoules``, or else the smallest."""
-        if not self._careful:
-            return self._heats[-1]
-        return self._heats[max(bisect_right(self._kilojoules, kilojoules) - 1, 0)]
-
-    def _others(self, goal: int) -> list[float]:
-        """Return the grey values of liquids that differ from the goal's."""
-        return [shade for shade in self._liquids if abs(shade - self._shade[goal]) > SAME_SHADE]
-
-    def _strip_step(self, goal: int, kelvin: float, litres: float, member: int) -> float:
-        """Return the heat in kJ that brings the contents towards the stripping temperature without boiling the goal."""
-        # While a component boils, the temperature is constant and steps may grow; when it rises again, steps restart
-        # small.
-        last, trust = self._memory.get(member, (0.0, 1.0))
-        trust = min(2.0 * trust, 64.0) if abs(kelvin - last) < 0.5 else 1.0
-        self._memory[member] = (kelvin, trust)
-        warming = _CAUTION * _KJ_PER_L_K * litres * (self._strip_to[goal] - kelvin)
-        if not math.isfinite(self._boils_at[goal]):
-            return max(warming, 2.0 * trust)
-        # The step is limited so that the last of the light materials does not carry the goal over: a small volume of
-        # goal that is left alone needs little heat.
-        spare = _CAUTION * _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin)
-        return min(max(warming, 0.25 * trust), max(spare, _KJ_PER_L * (litres - 0.25)))
-
-    def _collect_step(self, seen: _Seen) -> float:
-        """Return the heat in kJ that boils the goal over, but not the heavier liquids that remain after it."""
-        picture, goal, kelvin, litres = seen
-        boiling = _CAUTION * _KJ_PER_L * (litres - 0.02)
-        if self._heel:
-            left = count_pixels(picture, [self._shade[goal]])
-            boiling = _CAUTION * _KJ_PER_L * (left - _HEEL_PIXELS) / CAMERA_PIXELS * self._capacity_l
-        step = max(boiling, _KJ_PER_L_K * litres * (self._boils_at[goal] - kelvin))
-        pixels = count_pixels(picture, self._others(goal))
-        if pixels:
-            heavier = pixels / CAMERA_PIXELS * self._capacity_l
-            step = min(step, _CAUTION * _KJ_PER_L_K * heavier * (self._next_boils_at[goal] - kelvin))
-        return step
-
-    def _decide(self, seen: _Seen, mask: MaskArray, step: int, member: int) -> int:
-        picture, goal, kelvin, litres = seen
-        if step == 0:
-            self._memory.pop(member, None)
-            # A vessel that contains the goal and nothing to boil off is distilled over.
-            alone = math.isfinite(self._boils_at[goal]) and count_pixels(picture, [self._shade[goal]]) > 0
-            alone = alone and not count_pixels(picture, self._others(goal))
-            self._phase[member] = SWAP if alone else STRIP
-        phase = self._phase[member]
-        if phase == STRIP and kelvin >= self._strip_to[goal]:
-            other = (np.abs(picture - self._shade[goal]) > SAME_SHADE) & (np.abs(picture - self._air) > SAME_SHADE)
-            phase = SWAP if other.any() and math.isfinite(self._boils_at[goal]) else DONE
-            self._phase[member] = phase
-        if phase == STRIP:
-            return self._heat(self._strip_step(goal, kelvin, litres, member))
-        if phase == SWAP:
-            self._phase[member] = COLLECT
-            if mask[self._swap]:
-                return self._swap
-            phase = COLLECT
-        if phase == COLLECT and self._heel and count_pixels(picture, [self._shade[goal]]) <= _HEEL_PIXELS:
-            phase = DONE
-        if phase == COLLECT and kelvin < self._boils_at[goal] + 1.0:
-            return self._heat(self._collect_step(seen))
-        self._phase[member] = DONE
-        return self._end
+        return np.asarray(channel.low + shown * (channel.high - channel.low))

@@ -71,11 +71,15 @@ class _Network(nn.Module):
 
     def distribution(self, observed: torch.Tensor, mask: torch.Tensor | None) -> torch.distributions.Distribution:
         """Distribution of actions [B] (discrete) or [B, n]."""
+        if self.discrete:
+            return torch.distributions.Categorical(logits=self.logits(observed, mask), validate_args=False)
         out = self.actor(observed)
-        if not self.discrete:
-            return torch.distributions.Normal(out, self.log_std.exp().expand_as(out), validate_args=False)
-        logits = out if mask is None else out.masked_fill(~mask, _FORBIDDEN)
-        return torch.distributions.Categorical(logits=logits, validate_args=False)
+        return torch.distributions.Normal(out, self.log_std.exp().expand_as(out), validate_args=False)
+
+    def logits(self, observed: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
+        """Logits [B, actions] of discrete actions."""
+        out: torch.Tensor = self.actor(observed)
+        return out if mask is None else out.masked_fill(~mask, _FORBIDDEN)
 
 
 def _layers(size: int, hidden: Sequence[int], out: int, gain: float) -> nn.Sequential:
@@ -119,9 +123,14 @@ class _Learner:
 
     def act(self, observed: Arrays, mask: BoolArray | None, greedy: bool = False) -> tuple[Arrays, Arrays]:
         """Draw actions, or take the most probable ones; return them with their log-probabilities."""
-        with torch.no_grad():
-            allowed = None if mask is None else torch.from_numpy(mask)
-            distribution = self.network.distribution(torch.from_numpy(observed), allowed)
+        with torch.inference_mode():
+            seen, allowed = torch.from_numpy(observed), None if mask is None else torch.from_numpy(mask)
+            if self.network.discrete and not greedy:  # what the distribution would do, without its overhead
+                logits = self.network.logits(seen, allowed)
+                logits = logits - logits.logsumexp(1, keepdim=True)
+                drawn = torch.multinomial(logits.softmax(1), 1, True)
+                return drawn[:, 0].numpy(), logits.gather(1, drawn)[:, 0].numpy()
+            distribution = self.network.distribution(seen, allowed)
             action = distribution.mode if greedy else distribution.sample()
             log_probability = distribution.log_prob(action)
         if not self.network.discrete:
@@ -130,7 +139,7 @@ class _Learner:
 
     def value(self, observed: Arrays) -> Arrays:
         """Values [B] of what the critic sees."""
-        with torch.no_grad():
+        with torch.inference_mode():
             return np.asarray(self.network.critic(torch.from_numpy(observed))[:, 0].numpy())
 
     def update(self, batch: Mapping[str, Arrays | None], remaining: float, rng: np.random.Generator) -> None:
@@ -418,7 +427,7 @@ class PPOTeam:
         self.rng = np.random.default_rng(seed)
         full = Laboratories(scenario, 1)
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
-        self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, split=settings.split)
+        self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, infos=False, split=settings.split)
         self.labs = labs = self.batch.laboratories
         self.agents = self.batch.possible_agents
         self.learners: dict[str, _Learner] = {}

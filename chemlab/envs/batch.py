@@ -39,6 +39,8 @@ class BatchedLaboratory:
         copy: whether returned arrays are copies; if False, the next step overwrites them.
         autoreset: whether a laboratory whose episode ends is reset in the same step; otherwise the caller resets it
             before the next one by ``options["reset_mask"]``, and its arrays show the end until then.
+        infos: whether infos are complete; otherwise they have ``has_turn``, ``action_mask``, ``experiment_over`` and
+            ``score`` only, which takes less time.
         settings: ``rewards``, ``split`` and ``actions`` (:meth:`~chemlab.config.scenario.Scenario.configured`).
 
     Raises:
@@ -53,6 +55,7 @@ class BatchedLaboratory:
         idle_observations: bool = False,
         copy: bool = True,
         autoreset: bool = True,
+        infos: bool = True,
         **settings: Unpack[Settings],
     ) -> None:
         if num_envs < 1:
@@ -63,7 +66,7 @@ class BatchedLaboratory:
         self.possible_agents = list(labs.agents)
         self._whole = GlobalState(labs)
         self.idle_observations = idle_observations
-        self.copy, self.autoreset = copy, autoreset
+        self.copy, self.autoreset, self.infos = copy, autoreset, infos
         self._random = np.random.default_rng()
         self._begun = False
         self._turns = np.zeros((len(labs.agents), num_envs), dtype=np.bool_)
@@ -197,7 +200,8 @@ class BatchedLaboratory:
         told = self._told(over)
         finals: list[ObservationArray] = []
         if len(over):
-            finals = [labs.observe(number, over) for number in range(len(self.possible_agents))]
+            if self.infos or not self.autoreset:
+                finals = [labs.observe(number, over) for number in range(len(self.possible_agents))]
             if self.autoreset:
                 self._restart(over)
         self._look()
@@ -205,7 +209,7 @@ class BatchedLaboratory:
             for seen, final in zip(self._observations, finals, strict=True):
                 seen[over] = final
         infos = self._infos(told)
-        for agent, final in zip(self.possible_agents, finals, strict=False):
+        for agent, final in zip(self.possible_agents, finals if self.infos else (), strict=False):
             infos[agent]["final_obs"] = final
         found = self._seen(), rewards, ended, np.zeros(self.num_envs, dtype=np.bool_), infos
         self._begun = True
@@ -245,8 +249,11 @@ class BatchedLaboratory:
         scores = np.full_like(state.scores, np.nan) if begun else state.scores.copy()
         if len(over):
             scores[labs.manager.index, over] = labs.result(over)
-        ended, cost = np.isfinite(scores), state.cost.copy()
+        ended = np.isfinite(scores)
         scores[~ended] = 0.0
+        if not self.infos:
+            return [{"experiment_over": ended[a], "score": scores[a]} for a in range(len(scores))]
+        cost = state.cost.copy()
         # An experiment may start with a safety event in a round in which its agent has not acted.
         eventful = acted | (cost > 0.0)
         elapsed = state.ticks - self._last_turn

@@ -313,15 +313,16 @@ class Laboratories:
         state = self.state
         self.table.reset(members)
         self.worlds.set_terms(members, state.terms)
-        if state.told.shape[1]:
-            state.told[members] = self.worlds.told(members, "manager")
+        told = self.worlds.told(members)
+        if "manager" in told:
+            state.told[members] = told["manager"]
         _draw_goals(members, wanted, state.stream, state.goal)
         if self._prepared is not None:
             self._begin_half_way(members, *self._prepared)
         for bench, experiments in zip(self.benches, self.experiments, strict=True):
             experiments.table.reset(members)
             if bench.told:
-                experiments.told[members] = self.worlds.told(members, bench.key)
+                experiments.told[members] = told[bench.key]
         if self.scenario.errs:
             self.equip(members)
         open_turn(members, self.table.handle)
@@ -491,10 +492,10 @@ class Laboratories:
     def settle(self, members: IntArray) -> None:
         """Pay every role its share of the result in those laboratories of ``members`` whose episode is over."""
         over = members[self.state.status[members] != RUNNING]
-        self.state.charges[over] = self.charges(over)
-        result, charges = self.result(over), self.state.charges[over].sum(axis=1)
+        self.state.charges[over] = charges = self.charges(over)
+        result, spent = self._result(over, charges), charges.sum(axis=1)
         for role in self.roles:
-            role.settle(over, result, charges)
+            role.settle(over, result, spent)
 
     def result(self, members: IntArray) -> FloatArray:
         """Return [B] the manager's raw score.
@@ -502,9 +503,14 @@ class Laboratories:
         It is the payment of orders with terms, else each order's product by amount and purity, minus costs. An order
         without a submission, or with one that fails its specification, costs the scenario's penalty.
         """
+        return self._result(members, self.charges(members))
+
+    def _result(self, members: IntArray, charges: FloatArray) -> FloatArray:
         worth = self.worth(members)
-        worth[worth == 0.0] -= self._missed(members)[worth == 0.0]
-        return np.asarray(worth.sum(axis=1) / worth.shape[1] - self.charges(members).sum(axis=1))
+        if self.scenario.demand.missed:
+            unmet = worth == 0.0
+            worth[unmet] -= self._missed(members)[unmet]
+        return np.asarray(worth.sum(axis=1) / worth.shape[1] - charges.sum(axis=1))
 
     def _missed(self, members: IntArray) -> FloatArray:
         """Return [B, O] the penalty of each order if it is not met."""

@@ -90,9 +90,9 @@ class EpisodeStreams:
         anew = ~self.again[members]
         later = members[anew & (self.begun[members] > 0)]
         if len(later):
-            apart = self.begun[later].astype(np.uint64) * _APART
+            mixed = _mixed(self.first[later] + self.begun[later, None].astype(np.uint64) * _APART)
             for k, stream in enumerate(streams):
-                stream[later, 0] = _mixed(self.first[later, k] + apart)
+                stream[later, 0] = mixed[:, k]
         self.begun[members] += anew
         self.again[members] = False
 

@@ -174,7 +174,7 @@ class ExperimentBatch:
         if self.bench.grades.names:
             _draw_grades(members, len(self.bench.grades.names), self.start_stream, experiments.grade)
         if self.bench.told:
-            experiments.told[members] = self.worlds.told(members, self.bench.key)
+            experiments.told[members] = self.worlds.told(members)[self.bench.key]
         if self.worlds.active and self._fresh:  # recorded vessels keep their recorded contents
             self.worlds.fill(members, self.bench.key)
         equip(bench or self.bench, experiments, members, self.worlds, 0, self.bench.key)

@@ -199,8 +199,16 @@ class Worlds:
         """Labelled material, column of the number, and remainder: -1 if the number is the identity."""
         self._devices: dict[tuple[str, str], list[tuple[int, str]]] = {}
         """By quantity and bench or instrument: column of the number, and kind of change."""
-        self._told: dict[str, IntArray] = {}
-        """By bench or ``manager``, the columns revealed to it; computed on first use."""
+        of = [name for name, draw in self._spec.draws.items() for _ in range(draw.variables)]
+        names = {key: self._spec.told_to(key) for key in (*scenario.benches, "manager")}
+        self._revealed = np.array([k for k, name in enumerate(of) if any(name in own for own in names.values())], int)
+        """Columns that are revealed to any agent."""
+        self._told: dict[str, IntArray] = {
+            key: np.array([at for at, k in enumerate(self._revealed) if of[k] in own])
+            for key, own in names.items()
+            if own
+        }
+        """By bench or ``manager``, the entries of them that are revealed to it."""
         self._demand, self._ticks = scenario.demand, float(scenario.limits.ticks)
         terms: list[tuple[int, int, int, int]] = []
         column = 0
@@ -415,13 +423,12 @@ class Worlds:
         if len(self._drawn_terms):
             _change_terms(members, self._drawn_terms, self.table.arrays.values, terms)
 
-    def told(self, members: IntArray, key: str) -> FloatArray:
-        """Return [B, T] hidden parameters revealed to a bench or the manager, as given by :meth:`positions`."""
-        if key not in self._told:
-            names = self._spec.told_to(key)
-            told = [name in names for name, draw in self._spec.draws.items() for _ in range(draw.variables)]
-            self._told[key] = np.flatnonzero(told)
-        return positions(self._variables.arrays, self.table.arrays.values[members], self._told[key])
+    def told(self, members: IntArray) -> dict[str, FloatArray]:
+        """Return [B, T] hidden parameters by the bench or manager to which they are revealed, see :meth:`positions`."""
+        if not self._told:
+            return {}
+        found = positions(self._variables.arrays, self.table.arrays.values[members], self._revealed)
+        return {key: found[:, columns] for key, columns in self._told.items()}
 
     def most_terms(self) -> FloatArray:
         """Return [quantities] the highest possible terms of any order; at least slightly above 0."""

@@ -39,6 +39,8 @@ ROWS: dict[str, str] = {
     "parallel_env, agent steps": "parallel(SECONDS)",
     "256 laboratories, turns": "batched_laboratory(256, 3 * SECONDS)",
     **{f"manager's view, {count}": f"manager_view({count}, SECONDS)" for count in (64, 256)},
+    **{f"PPO's collection, manager, {s}": f"collection(4 * SECONDS, {s!r})" for s in ("rush@1", "unlabelled@1")},
+    "PPO's collection, every role, rush@1": 'collection(4 * SECONDS, "rush@1", True)',
 }
 WORKER = """
 import json, sys

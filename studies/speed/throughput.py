@@ -228,6 +228,26 @@ def manager_view(count: int, seconds: float) -> float:
     return rate(step, seconds)
 
 
+def collection(seconds: float, scenario: str = "rush@1", every_role: bool = False) -> float:
+    """Return turns per second of processor time that the built-in PPO collects in 256 laboratories: of the manager over
+    scripted benches, or of every role. It learns nothing.
+    """
+    import torch  # only here: the other rates need no PyTorch
+    from chemlab.agents.train.arguments import IPPO
+    from chemlab.agents.train.ppo import PPOTeam
+
+    torch.set_num_threads(1)
+    spec = load_scenario(scenario)
+    roles = ("manager", *spec.benches) if every_role else ("manager",)
+    settings = IPPO(scenario=scenario, envs=256, rollout=16, practice=0.0)
+    team = PPOTeam(spec, roles, settings, "scripted")
+    team.collect(1.0)
+    before, begun = sum(team.turns.values()), time.process_time()
+    while time.process_time() - begun < seconds:
+        team.collect(1.0)
+    return (sum(team.turns.values()) - before) / (time.process_time() - begun)
+
+
 def in_a_process(code: str, **environment: str) -> float:
     """Return the output of a new Python process that runs ``code``."""
     run = [sys.executable, "-c", code]
@@ -261,6 +281,11 @@ def rates(seconds: float, quick: bool) -> dict[str, Any]:
         **{
             f"manager's view, {count} at once, benches scripted, decisions": manager_view(count, seconds)
             for count in (64, 256)
+        },
+        **{
+            f"PPO's collection, 256 at once, {who}, `{scenario}`, turns": collection(4.0 * seconds, scenario, every)
+            for who, every in (("manager over scripted benches", False), ("every role", True))
+            for scenario in ("rush@1", "unlabelled@1")
         },
     }
     return result
