@@ -118,11 +118,11 @@ def _strip_step(goal: int, kelvin: float, litres: float, kept: FloatArray, plan:
     kept[_LAST_K], kept[_TRUST] = kelvin, trust
     warming = _CAUTION * _KJ_PER_L_K * litres * (plan.strip_to[goal] - kelvin)
     if not math.isfinite(plan.boils_at[goal]):
-        return max(warming, 2.0 * trust)
+        return float(max(warming, 2.0 * trust))
     # The step is limited so that the last of the light materials does not carry the goal over: a small volume of
     # goal that is left alone needs little heat.
     spare = _CAUTION * _KJ_PER_L_K * litres * (plan.boils_at[goal] - kelvin)
-    return min(max(warming, 0.25 * trust), max(spare, _KJ_PER_L * (litres - 0.25)))
+    return float(min(max(warming, 0.25 * trust), max(spare, _KJ_PER_L * (litres - 0.25))))
 
 
 @inner
@@ -137,7 +137,7 @@ def _collect_step(picture: ObservationArray, goal: int, kelvin: float, litres: f
     if pixels:
         heavier = pixels / CAMERA_PIXELS * plan.capacity_l
         step = min(step, _CAUTION * _KJ_PER_L_K * heavier * (plan.next_boils_at[goal] - kelvin))
-    return step
+    return float(step)
 
 
 @kernel

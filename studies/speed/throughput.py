@@ -233,6 +233,7 @@ def collection(seconds: float, scenario: str = "rush@1", every_role: bool = Fals
     scripted benches, or of every role. It learns nothing.
     """
     import torch  # only here: the other rates need no PyTorch
+
     from chemlab.agents.train.arguments import IPPO
     from chemlab.agents.train.ppo import PPOTeam
 
