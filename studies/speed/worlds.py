@@ -1,4 +1,4 @@
-"""Cost of one world per laboratory: turns per second relative to the same scenario without hidden parameters.
+"""Cost of one world per laboratory: turns per processor second relative to the same scenario without hidden parameters.
 
 Run ``python studies/speed/worlds.py`` (``--json`` for machines, ``--update docs/performance.md``). Both alternate in
 one run; ratios are medians.
