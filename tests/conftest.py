@@ -17,6 +17,9 @@ from hypothesis import HealthCheck, settings
 # At the end, so that an installed chemlab is found before the checkout's.
 sys.path.append(str(Path(__file__).parents[1]))
 
+# Two processes test at once, and networks this small are slower on several threads.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 # Derandomized: a failure on one machine is a failure on every machine. HYPOTHESIS_PROFILE=explore looks further.
 _COMMON = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
 settings.register_profile("repeatable", derandomize=True, **_COMMON)

@@ -97,10 +97,7 @@ def filled(
 
 
 def network(
-    steps: Sequence[Mapping[str, Any]],
-    species: int,
-    formation: Sequence[float] | FloatArray = (),
-    **fields: Any,
+    steps: Sequence[Mapping[str, Any]], species: int, formation: Sequence[float] | FloatArray = (), **fields: Any
 ) -> Table[Any]:
     """A chemistry of reactions over materials 0, 1, ...
 

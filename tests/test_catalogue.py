@@ -107,6 +107,7 @@ def everyday(monkeypatch: pytest.MonkeyPatch) -> Any:
     return script("studies/physics/everyday.py")
 
 
+@pytest.mark.slow
 def test_flasks_boil_where_the_handbook_says(monkeypatch: pytest.MonkeyPatch) -> None:
     chemicals: Any = pytest.importorskip("chemicals")
     study: Any = everyday(monkeypatch)
@@ -146,6 +147,7 @@ def test_mixtures_by_lot_boil_as_the_table_says(monkeypatch: pytest.MonkeyPatch)
         assert f"| {one} and {other} | {most:+.1f} | {mean:+.1f} |".replace("_", " ") in page
 
 
+@pytest.mark.slow
 def test_azeotropes_are_where_they_were_measured() -> None:
     """The page's table, misses included."""
     study: Any = script("studies/physics/azeotropes.py")

@@ -23,7 +23,7 @@ import chemlab.scenarios
 from chemlab import __version__
 from chemlab.cli import PANELS, app, screen
 from chemlab.cli.options import FORMER_COMMANDS
-from chemlab.cli.screen import TextConsole, event_words, hanging, page, show_table
+from chemlab.cli.screen import TextConsole, hanging, page, show_table
 from chemlab.cli.training import _curve
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
@@ -323,13 +323,6 @@ def test_a_table_has_its_cells_in_their_columns(capsys: pytest.CaptureFixture[st
     assert lines[2:] == [" one         1", " [two]      22"]
 
 
-def test_rounding_is_no_accident() -> None:
-    assert event_words({"spill_l": 1e-21, "boiled_dry": 1.0, "relief_valve_mol": 2.5e-4}) == [
-        "boiled_dry 1",
-        "relief_valve_mol 0.00025",
-    ]
-
-
 # -- describe ---------------------------------------------------------------------------------------------------------
 
 
@@ -470,15 +463,6 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_played(
         assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_laboratory_that_would_not_load_is_not_written(tmp_path: Path) -> None:
-    lab = tmp_path / "lab.toml"
-    for name, code in (("Bad Name", 2), ("x" * 101, 2), ("good_name", 0)):
-        done = runner.invoke(app, ["new", name, "--reactions", "wurtz_real", "-o", str(lab)])
-        assert done.exit_code == code, done.output
-        assert lab.exists() == (code == 0)
-    assert load_scenario(lab).name == "good_name"
-
-
 def test_what_was_found_is_shown_though_it_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk was found to have room, and has none any more when it comes to it."""
     page = tmp_path / "page.md"
@@ -587,23 +571,7 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 
-@pytest.mark.parametrize("what", ["pipe", "folder"])
-def test_a_record_that_cannot_be_written_is_said_before_anything_is_played(
-    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    place = tmp_path / what
-    place.mkdir() if what == "folder" else os.mkfifo(place)
-
-    def played(*_: object) -> None:
-        raise AssertionError("something is played, and lost")
-
-    monkeypatch.setattr(Laboratories, "reset", played)
-    done = runner.invoke(app, ["run", "fictitious", "--record", str(place), "--force"])
-    assert done.exit_code == 2
-    assert "give a file's name" in done.output
-    assert place.is_fifo() or place.is_dir()
-
-
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="locales of POSIX")
 def test_a_terminal_that_knows_no_umlauts(tmp_path: Path) -> None:
     """A name that it cannot show is no reason to lose an episode, or to find fault with a record."""
@@ -633,6 +601,7 @@ def test_the_curve_of_a_run_is_drawn_from_zero_or_its_lowest_to_its_highest_retu
     assert _curve({0: 0.0}, levels) == "."
 
 
+@pytest.mark.slow
 def test_a_terminal_without_columns() -> None:
     """Where there are none it has as many as usual, and where there are few no letter is left out."""
     shown = {}

@@ -139,16 +139,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     known = set(sys.modules)
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(tmp_path))
-    if importlib.util.find_spec("torch") is not None:
-        import torch
-
-        # Networks this small are slower on several threads.
-        threads = torch.get_num_threads()
-        torch.set_num_threads(1)
-        yield tmp_path
-        torch.set_num_threads(threads)
-    else:
-        yield tmp_path
+    yield tmp_path
     for name in set(sys.modules) - known:
         if (getattr(sys.modules[name], "__file__", None) or "").startswith(str(tmp_path)):
             del sys.modules[name]
@@ -403,10 +394,10 @@ def test_no_text_leaves_its_cell(built: Path, browser: Any) -> None:
     page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
     page.on("pageerror", lambda error: complaints.append(str(error)))
     page.on("request", lambda request: asked.add(request.url.partition(":")[0]))
-    for width in (1280, 390):
-        page.set_viewport_size({"width": width, "height": 900})
-        for file in shown:
-            page.goto(file.as_uri())
+    for file in shown:
+        page.goto(file.as_uri())
+        for width in (1280, 390):
+            page.set_viewport_size({"width": width, "height": 900})
             found = page.evaluate(
                 """() => [...document.querySelectorAll("td, th, article button, label, a.scenario, h1, h2, h3")]
                 .filter(part => {

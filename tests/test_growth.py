@@ -39,6 +39,7 @@ def test_an_exponent_is_the_power() -> None:
     assert slope(sizes, np.full(5, 7.0)) == pytest.approx(0.0, abs=1e-12)
 
 
+@pytest.mark.slow
 def test_memory_is_at_least_what_the_laboratory_holds() -> None:
     """Its shelf and its manager's observation."""
     spec = AXES["laboratories"][1](1)

@@ -175,10 +175,6 @@ def test_of_very_many_mistakes_some_are_shown(tmp_path: Path) -> None:
     assert len(str(caught.value).splitlines()) == 21
 
 
-def test_data_errors_are_value_errors() -> None:
-    assert issubclass(DataError, ValueError)
-
-
 def test_a_material_defined_twice_names_both_files(tmp_path: Path) -> None:
     for name in ("a.toml", "b.toml"):
         (tmp_path / name).write_text(GOO)
@@ -186,15 +182,6 @@ def test_a_material_defined_twice_names_both_files(tmp_path: Path) -> None:
         load_materials([tmp_path])
     for part in (str(tmp_path / "a.toml"), str(tmp_path / "b.toml"), "goo", "already defined"):
         assert part in str(caught.value)
-
-
-def test_a_material_defined_twice_in_one_file(tmp_path: Path) -> None:
-    file = tmp_path / "goo.toml"
-    file.write_text(GOO + GOO)
-    with pytest.raises(DataError, match="not valid TOML") as caught:
-        load_materials([file])
-    assert str(file) in str(caught.value)
-    assert "goo" in str(caught.value)
 
 
 @pytest.mark.parametrize("text", ["[goo\nname = 1", "= 3", 'name = "open'])
@@ -233,14 +220,6 @@ def test_a_folder_stands_for_its_files(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text(GOO.replace("goo", "slime"))
     (tmp_path / "notes.txt").write_text("no material")
     assert list(load_materials([tmp_path])) == ["slime", "goo"]
-
-
-def test_the_shipped_materials_are_those_of_the_shipped_files() -> None:
-    import chemlab
-
-    folder = Path(chemlab.__file__).parent / "data" / "materials"
-    names = {name for file in folder.glob("*.toml") for name in read_toml(file)}
-    assert set(shipped_materials()) == names
 
 
 def test_atoms_of_counts_elements_and_charge() -> None:

@@ -44,6 +44,7 @@ def test_a_mutant_changes_an_operator_a_number_or_a_condition(tmp_path: Path) ->
     }
 
 
+@pytest.mark.slow
 def test_a_choice_is_repeatable_and_every_chosen_mutant_is_one_line_of_python(tmp_path: Path) -> None:
     chosen = choose(40, 1, LAB)
     assert chosen == choose(40, 1, LAB) != choose(40, 2, LAB)
@@ -60,6 +61,7 @@ def test_a_choice_is_repeatable_and_every_chosen_mutant_is_one_line_of_python(tm
         assert [n for n, (old, new) in enumerate(pairs, 1) if old != new] == [mutant.line]
 
 
+@pytest.mark.slow
 def test_tests_kill_a_fault_that_they_cover_and_results_are_kept(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

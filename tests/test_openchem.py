@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shlex
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -424,11 +422,11 @@ def test_a_compilation_that_is_far_from_three_that_agree_is_not_taken() -> None:
 
 def test_the_command_writes_pairs_of_its_own_and_of_shipped_materials(tmp_path: Path) -> None:
     materials, pairs = tmp_path / "m.toml", tmp_path / "p.toml"
-    done = run("data", "material", "benzyl chloride", "hexane", "ethanol", "-o", materials, "--pairs", pairs, "--json")
-    assert json.loads(done.stdout)["shipped"] == {"hexane": "hexane", "ethanol": "ethanol"}
+    done = run("data", "material", "benzyl chloride", "hexane", "-o", materials, "--pairs", pairs, "--json")
+    assert json.loads(done.stdout)["shipped"] == {"hexane": "hexane"}
     assert set(load_materials([materials])) == {"benzyl_chloride"}
     made = load_pairs([pairs])
-    assert set(made) == {frozenset(("benzyl_chloride", other)) for other in ("hexane", "ethanol")}
+    assert set(made) == {frozenset(("benzyl_chloride", "hexane"))}
     assert not made.keys() & shipped_pairs().keys()
 
 
@@ -658,25 +656,6 @@ def test_pairs_that_are_shipped_are_not_made_again(tmp_path: Path) -> None:
     assert not (tmp_path / "p.toml").exists()
 
 
-def test_an_environment_imports_nothing_of_the_extra() -> None:
-    code = (
-        "import sys\n"
-        "from chemlab.laboratory import raw_env\n"
-        "import chemlab.cli\n"
-        "import chemlab.agents.policies\n"
-        "from chemlab.config.loading import load_scenario\n"
-        "load_scenario('wurtz_real')\n"
-        "env = raw_env('fictitious'); env.reset(seed=0)\n"
-        "for _ in range(3):\n"
-        "    env.step(int(env.last()[4]['action_mask'].argmax()))\n"
-        "bad = {'rdkit', 'chemicals', 'thermo', 'ugropy', 'chemlab.openchem'} & set(sys.modules)\n"
-        "assert not bad, bad\n"
-    )
-    plain = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=1800, env=plain)
-    assert done.returncode == 0, done.stderr
-
-
 def test_tables_are_read_as_they_were_written() -> None:
     values = {"a": 1.5, "b": 'x "y" \\ z', "t": {"1,2-x": {"k": [1, 2]}, "r": True}, "l": [{"m": {"n": 1}}, {"m": {}}]}
     assert tomllib.loads("\n".join(toml_tables(values))) == values
@@ -899,9 +878,6 @@ def test_templates_that_explode_come_to_an_end() -> None:
     anything = "[*:1].[*:2].[*:3].[*:4]>>[*:1].[*:2].[*:3].[*:4]"
     with pytest.raises(DataError, match="more than 20000 sets of products"):
         expand([Template(anything)], ["C" * 12, *("C" * n for n in range(4, 10))], known)
-    ether = "[C:1][OH:2].[C:3][OH:4]>>[C:1][O:2][C:3].[OH2:4]"
-    with pytest.raises(DataError, match="more than 200 reactions"):
-        expand([Template(ether)], ["OCC(O)CO", "OCCO"], known, None, 10)
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 0.0, -1.0])

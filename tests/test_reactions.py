@@ -137,25 +137,6 @@ def test_two_salts_may_share_one_ion(tmp_path: Path) -> None:
         check_without_real(both, "mine")
 
 
-def test_an_unknown_family_lists_the_shipped_ones() -> None:
-    with pytest.raises(DataError, match="unknown family 'alchemy'") as caught:
-        load_reactions("alchemy", shipped_materials())
-    for name in SHIPPED:
-        assert name in str(caught.value)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no such file") as caught:
-        load_reactions("nowhere.toml", shipped_materials(), tmp_path)
-    assert str(tmp_path / "nowhere.toml") in str(caught.value)
-
-
-def test_malformed_toml_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="not valid TOML") as caught:
-        load(tmp_path, "[[reaction]\n")
-    assert str(tmp_path / "mine.toml") in str(caught.value)
-
-
 def test_a_family_of_a_great_many_reactions(tmp_path: Path) -> None:
     start, stop = FAMILY.index("[[reaction]]"), FAMILY.index("[[salt]]")
     with pytest.raises(DataError, match=r"reaction: .*at most 200 items"):

@@ -232,24 +232,6 @@ def test_dry_crystals_are_left() -> None:
     assert flask.amounts["benzoic_acid"] >= held > 0.09
 
 
-def test_salt_dissolves_as_it_is_known_to() -> None:
-    """6.1 mol/kg: CRC Handbook."""
-    flask = Flask({"water": 55.51, "NaCl": 8.0}, capacity_l=2.0)
-    flask.heat(20_000.0)  # what dissolving it has cooled it by
-    assert flask.amounts["Na+"] == pytest.approx(6.15, rel=0.02)
-    assert Flask({"diethyl_ether": 8.0, "NaCl": 1.0}, capacity_l=2.0).amounts["Na+"] < 1e-6
-
-
-def test_pouring_mixes_temperatures() -> None:
-    cold = Flask({"water": 10.0}, temperature_k=280.0)
-    warm = cold.another({"water": 10.0})
-    warm.heat(20_000.0)
-    expected = (10.0 * cold.temperature_k + 5.0 * warm.temperature_k) / 15.0
-    warm.pour(cold, 0.5)
-    assert cold.temperature_k == pytest.approx(expected, rel=1e-9)
-    assert cold.amounts["water"] == pytest.approx(15.0)
-
-
 # -- time -------------------------------------------------------------------------------------------------------------
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from chemlab.config.loading import load_scenario, scenario_names
-from chemlab.envs.aec import raw_env
 from chemlab.physics.chemistry import AMOUNTS, CAPACITY, PRESENT, TEMPERATURE, build_chemistry
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX, Shelf
 
@@ -95,33 +94,6 @@ def test_total_counts_vessels_bottles_and_waste_of_each_laboratory(shelf: Shelf)
     assert total[1, water] == pytest.approx(10.0 + 1.0 + 4.0 + 0.25, rel=1e-15)
     assert total[1, salt] == pytest.approx(0.5, rel=1e-15)
     assert not total[0].any()
-
-
-@pytest.mark.parametrize("name", scenario_names())
-def test_a_played_episode_conserves_every_element_and_the_charge(name: str) -> None:
-    env = raw_env(name)
-    labs, materials = env.laboratories, list(env.scenario.materials.values())
-    elements = sorted({element for material in materials for element in material.composition})
-    atoms = np.array([[*(m.composition.get(e, 0.0) for e in elements), m.charge] for m in materials])
-    rng = np.random.default_rng(3)
-    submits = {number for number in range(len(labs.actions)) if labs.actions.decode(number)[0] == "submit"}
-    env.reset(seed=3)
-    start = labs.shelf.total()[0] @ atoms
-    turns = 0
-    while labs.state.status[0] == 0:
-        mask = env.infos[env.agent_selection].get("action_mask")
-        if mask is None:
-            env.step(rng.random(env.action_space(env.agent_selection).shape))
-        else:
-            legal = np.flatnonzero(mask)
-            if env.agent_selection == "manager_0":
-                legal = np.array([action for action in legal if action not in submits])
-            env.step(int(rng.choice(legal)))
-        turns += 1
-    # Orders over time end an episode when none can be met any more.
-    assert turns > (100 if env.scenario.demand.order else env.scenario.limits.manager_actions)
-    np.testing.assert_allclose(labs.shelf.total()[0] @ atoms, start, rtol=1e-9, atol=1e-9)
-    assert labs.shelf.vessels[0, :, AMOUNTS : AMOUNTS + len(materials)].min() >= 0.0
 
 
 def test_the_text_of_a_vessel(shelf: Shelf) -> None:

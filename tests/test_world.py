@@ -224,10 +224,7 @@ def file(**draw: Any) -> dict[str, Any]:
     [
         ({"what": "titre", "of": ["slot_0"], "material": "1-chlorohexane"}, "x: inert: required for a titre"),
         ({"what": "amount", "of": ["slot_0"]}, "x: material: required for amount"),
-        (
-            {"what": "amount", "of": ["slot_1"], "material": "Na"},
-            "unknown vessel 'slot_1'; choose from slot_0, rxn",
-        ),
+        ({"what": "amount", "of": ["slot_1"], "material": "Na"}, "unknown vessel 'slot_1'; choose from slot_0, rxn"),
         ({"what": "amount", "of": ["slot_0"], "material": "Na"}, "x.material: 'Na' is not in slot_0"),
         ({"what": "amount", "of": ["stock"], "material": "Na"}, "x.what: a bottle's amount is observed"),
         (
@@ -267,10 +264,7 @@ def file(**draw: Any) -> dict[str, Any]:
             },
             "world.draws.x: unknown material 'gold'",
         ),
-        (
-            {"what": "colour"},
-            "x.what: 'colour' cannot be drawn; choose from identity, amount, titre, ",
-        ),
+        ({"what": "colour"}, "x.what: 'colour' cannot be drawn; choose from identity, amount, titre, "),
         ({"what": "boiling_point", "of": ["Na"]}, "x.what: 'boiling_point' cannot be drawn"),
         ({"what": "pre_exponential", "of": ["A -> B"]}, "x.of: must be some of 2 1-chlorohexane"),
         ({"what": "pre_exponential"}, "x.of: must be some of 2 1-chlorohexane .* given nothing"),

@@ -119,6 +119,7 @@ def test_partners_that_learning_had_are_played_too() -> None:
     assert [player.partner for player in benches] == ["scripted", None, "scripted"]
 
 
+@pytest.mark.slow
 def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     """Two managers with scripted benches behind them, and a run in which everybody has learned."""
     pytest.importorskip("stable_baselines3")

@@ -14,13 +14,7 @@ from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate import play as module
-from chemlab.agents.evaluate.play import (
-    Target,
-    bench_policy,
-    evaluate,
-    find_target,
-    play_bench,
-)
+from chemlab.agents.evaluate.play import Target, bench_policy, evaluate, find_target, play_bench
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
@@ -108,16 +102,6 @@ def test_cases_are_what_is_in_the_vessel() -> None:
     assert set(play_bench(env, policy, "NaCl", 5).cases) == {"with dodecane", "without dodecane"}
     rxn = Target(load_scenario("wurtz_dodecane"), "rxn").environment(2)
     assert play_bench(rxn, bench_policy("scripted", rxn.bench), "NaCl", 0).cases == ["", ""]
-
-
-def test_batches_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Seeds go on from batch to batch."""
-    target = find_target(DIT)
-    whole = target.play("scripted", "dodecane", 7, 11)
-    monkeypatch.setattr(module, "BATCH", 3)
-    parts = target.play("scripted", "dodecane", 7, 11)
-    assert parts.cases == whole.cases
-    np.testing.assert_array_equal(parts.returns, whole.returns)
 
 
 @pytest.mark.parametrize("policy", ["scripted", "random"])

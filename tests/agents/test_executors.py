@@ -130,9 +130,9 @@ def test_batches_are_jobs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_killed_worker_s_jobs_are_played_again_and_at_last_given_up(jobs: Executor, tmp_path: Path) -> None:
-    futures = [jobs.submit(killed_at_first, number, tmp_path, ATTEMPTS - 1) for number in range(5)]
-    assert [future.result() for future in futures] == [0, 1, 4, 9, 16]
-    begun = [len(list(tmp_path.glob(f"begun-{number}-*"))) for number in range(5)]
+    futures = [jobs.submit(killed_at_first, number, tmp_path, ATTEMPTS - 1) for number in range(3)]
+    assert [future.result() for future in futures] == [0, 1, 4]
+    begun = [len(list(tmp_path.glob(f"begun-{number}-*"))) for number in range(3)]
     assert begun[2] == ATTEMPTS
     assert all(1 <= count <= ATTEMPTS for count in begun)
     with pytest.raises(WorkerLost, match=f"lost {ATTEMPTS} times"):

@@ -214,7 +214,7 @@ def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     assert "- manager/seed-1: not played yet" in page
     assert "![laboratory_curves](laboratory_curves.png)" in page
     assert {path.name for path in out.iterdir()} == {
-        *("laboratory.md", "laboratory_curves.png", "laboratory_curves.svg"),
+        *("laboratory.md", "laboratory_curves.png", "laboratory_curves.svg")
     }
 
 

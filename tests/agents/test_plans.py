@@ -103,14 +103,6 @@ def test_the_search_finds_what_is_best_of_all_plans() -> None:
     assert np.mean(scores > scores.max() - 1e-6) < 0.05
 
 
-@pytest.mark.slow  # of another scenario: test_the_command searches twice
-def test_a_search_is_the_same_again() -> None:
-    """What is found depends on the arguments alone."""
-    first, second = (search_plan("wurtz_scarce", budget=200, seed=3) for _ in range(2))
-    assert first.found == second.found
-    assert first.tried == second.tried
-
-
 def test_the_search_improves_on_what_scripted_managers_do() -> None:
     """It begins there, with what needs eyes left out; nothing in the plan measures."""
     first, best = (search_plan("wurtz_dodecane", budget=budget, seed=0).found[0] for budget in (3, 700))

@@ -9,7 +9,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import FEATURED
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -86,7 +85,7 @@ def test_acting_on_a_batch_is_acting_one_by_one(continuous: bool) -> None:
 
 
 @pytest.mark.parametrize("policy", policy_names())
-@pytest.mark.parametrize("name", FEATURED)
+@pytest.mark.parametrize("name", ["relay", "unlabelled", "wurtz_two_lines"])
 def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
     env = raw_env(name)
     try:

@@ -11,13 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import SAFETY_EVENTS
 from chemlab.envs.aec import raw_env
-from chemlab.envs.batch import BatchedLaboratory
 from chemlab.lab.text import named_costs, named_events
 from chemlab.laboratory import parallel_env
 from chemlab.roles.manager_actions import SUBMIT
@@ -157,72 +155,3 @@ def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
         for kind, value in totals["aec"].items():
             happened[kind] += value
     assert all(value > 0.0 for value in happened.values()), happened
-
-
-@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0", "dit_0"])
-def test_costs_are_weighted_events_in_the_view(agent: str) -> None:
-    """``lab_cost`` is of everybody's events in the step; ``cost`` of the agent's own, and part of it."""
-    env = role_env(SAFE, agent, "random" if agent == "manager_0" else {"manager": "scripted:unsafe"})
-    labs, rng = env.laboratories, np.random.default_rng(1)
-    submits = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT) if agent == "manager_0" else ()
-    own = everybody = 0.0
-    over = True
-    for step in range(250):
-        if over:
-            _, info = env.reset(seed=step)
-            assert info["cost"] == info["lab_cost"] == 0.0
-            assert not info["events"].any()
-        mask = labs.mask(env.focal, labs.members)
-        action = wild(None if mask is None else mask[0], env.action_space.shape or (), rng, submits)
-        *_, terminated, truncated, info = env.step(action)
-        over = terminated or truncated
-        assert info["lab_cost"] == pytest.approx(weighted(named_events(labs.scenario, info)), rel=1e-9, abs=1e-12)
-        assert 0.0 <= info["cost"] <= info["lab_cost"] + 1e-9
-        assert agent != "manager_0" or info["cost"] == 0.0
-        own += info["cost"]
-        everybody += info["lab_cost"]
-    assert everybody > 0.0
-    assert own > 0.0 or agent == "manager_0"
-
-
-def test_batches_report_the_same_costs() -> None:
-    """The batched view's and the batched laboratories' costs are those of the single ones."""
-    views = (
-        role_vector_env(3, SAFE, "ext_0", {"manager": "scripted:unsafe"}),
-        [role_env(SAFE, "ext_0", {"manager": "scripted:unsafe"}) for _ in range(3)],
-    )
-    batch, singles = views
-    rng = np.random.default_rng(2)
-    batch.reset(seed=5)
-    for i, single in enumerate(singles):
-        single.reset(seed=5 + i)
-    total = 0.0
-    for _ in range(60):
-        actions = np.array([wild(single.action_masks(), (), rng, (40,)) for single in singles])
-        _, _, terminated, truncated, infos = batch.step(actions)
-        for i, single in enumerate(singles):
-            *_, info = single.step(actions[i])
-            assert infos["cost"][i] == info["cost"]
-            assert infos["lab_cost"][i] == info["lab_cost"]
-            total += info["cost"]
-        if (terminated | truncated).any():
-            break
-    assert total > 0.0
-    laboratories = BatchedLaboratory(4, SAFE)
-    labs = laboratories.laboratories
-    _, batch_infos = laboratories.reset(seed=9)
-    weights = np.array([load_scenario(SAFE).safety.weights[kind] for kind in SAFETY_EVENTS])
-    summed = np.zeros(4)
-    for _ in range(150):
-        chosen = {}
-        for number, agent in enumerate(laboratories.possible_agents):
-            space = laboratories.action_space(agent).shape or ()
-            masks = batch_infos[agent].get("action_mask", [None] * 4)
-            submits = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT) if number == 0 else ()
-            chosen[agent] = np.array([wild(mask, space, rng, submits) for mask in masks])
-        _, _, terminated, truncated, batch_infos = laboratories.step(chosen)
-        if (terminated | truncated).any():
-            break
-        summed += sum(info["cost"] for info in batch_infos.values())
-        np.testing.assert_allclose(summed, labs.safety_totals @ weights, rtol=1e-9, atol=1e-12)
-    assert summed.max() > 0.0

@@ -33,15 +33,6 @@ from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 BENCHES = ["rxn", "ext", "dit"]
 
 
-@pytest.fixture(autouse=True)
-def _one_thread() -> Any:
-    """Networks this small are slower on several threads."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
-
-
 def plan(bench: str, steps: int, members: int, seed: int = 0) -> Any:
     """[steps, members, ...] random actions; 3 % of discrete ones end the experiment."""
     space = RoleEnv(bench=bench).action_space

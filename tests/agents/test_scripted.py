@@ -17,12 +17,10 @@ import numpy as np
 import pytest
 from helpers import FEATURED, slow_but
 
-from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode, play_laboratory
-from chemlab.agents.evaluate.search import best_in_episode
+from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.policies import Policy, make_policies
 from chemlab.config.loading import scenario_names
 from chemlab.envs.aec import raw_env
-from chemlab.lab.engine import Laboratories
 
 AUDITS = Path(__file__).parents[2] / "docs" / "results" / "audits"
 DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")
@@ -74,19 +72,10 @@ def test_the_heuristic_is_clearly_better_than_chance(name: str) -> None:
     assert scripted > random + margin
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("name", "seed"), [("crude", 7)])
-def test_there_are_worlds_with_nothing_to_sell(name: str, seed: int) -> None:
-    """Nobody earns anything there, not even a planner that knows the world."""
-    labs = Laboratories(name, 1)
-    assert play_laboratory(labs, make_policies("scripted", labs), None, seed).returns[0] < 0.0
-    best, _ = best_in_episode(labs.scenario, seed, "train", 240, {})
-    assert best <= 0.0
-
-
 @pytest.mark.parametrize("name", slow_but(scenario_names(), *FEATURED))
 def test_scripted_chemists_are_safe(name: str) -> None:
-    for result in results(name, "scripted", 21):
+    for result in results(name, "scripted", 21, "test"):
+        assert result.costs["illegal_actions"] == 0.0
         assert result.safety_events.get("metal_in_water_mol", 0.0) == 0.0
         assert result.safety_events.get("spill_l", 0.0) == 0.0
         assert result.safety_events.get("relief_valve_mol", 0.0) == 0.0
@@ -97,18 +86,6 @@ def test_random_actions_are_not_safe() -> None:
     found = results("wurtz_dodecane", "random", 100)
     assert sum(result.safety_events.get("metal_in_water_mol", 0.0) for result in found) > 1.0
     assert sum(result.safety_events.get("spill_l", 0.0) for result in found) > 1.0
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_heuristics_play_legal_actions_alone(name: str) -> None:
-    env = raw_env(name)
-    policies = make_policies("scripted", env.laboratories)
-    turns: list[PlayedTurn] = []
-    for seed in range(7):
-        result = play_episode(env, policies, seed, watch=turns.append)
-        assert result.costs["illegal_actions"] == 0.0
-    assert not any(turn.info["illegal_action"] for turn in turns)
-    assert {turn.agent for turn in turns} >= {"manager_0", *(f"{key}_0" for key in env.scenario.benches)}
 
 
 def test_a_result_is_what_was_played() -> None:

@@ -89,6 +89,7 @@ def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:
         plan(sweep_file(tmp_path, text), tmp_path)
 
 
+@pytest.mark.slow
 def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
     file = sweep_file(
@@ -148,8 +149,8 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
         [[runs]]
         scenario = "chemlab/FictitiousReaction-v0"
         algo = "ppo"
-        steps = 1600
-        checkpoints = 50
+        steps = 640
+        checkpoints = 20
         """,
     )
     (one,) = plan(file, tmp_path / "out")
@@ -175,9 +176,10 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert status_of(one).state == "done"
     assert "resuming at step" in one.log.read_text()
-    assert [point.step for point in one.run.curve()] == list(range(32, 1601, 32))
+    assert [point.step for point in one.run.curve()] == list(range(32, 641, 32))
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")
 def test_a_run_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
     """And comes to what one comes to that nobody has killed."""
@@ -199,21 +201,22 @@ def test_a_run_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
     assert (ended.state, ended.step, ended.mean) == ("done", 640, undisturbed.mean)
 
 
+@pytest.mark.slow
 def test_two_sweeps_at_once_leave_a_good_result_alone(tmp_path: Path) -> None:
     """Whose process comes second waits for the first one's run, and calls nothing failed."""
     pytest.importorskip("stable_baselines3")
     file = sweep_file(tmp_path, '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
     (one,) = plan(file, tmp_path / "out")
     command = [sys.executable, "-m", "chemlab", "sweep", str(file), "--processes", "1", "--out", str(tmp_path / "out")]
-    for _ in range(2):
-        both = [subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True) for _ in range(2)]
-        found = [json.loads(process.communicate()[0]) for process in both]
-        assert [process.returncode for process in both] == [0, 0]
-        assert [rows[0]["state"] for rows in found] == ["done", "done"]
+    both = [subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True) for _ in range(2)]
+    found = [json.loads(process.communicate()[0]) for process in both]
+    assert [process.returncode for process in both] == [0, 0]
+    assert [rows[0]["state"] for rows in found] == ["done", "done"]
     assert not one.run.failed_file.exists()
     assert one.run.result() is not None
 
 
+@pytest.mark.slow
 def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("stable_baselines3")
     file = sweep_file(tmp_path, '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')

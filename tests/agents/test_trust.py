@@ -131,11 +131,10 @@ PICKLES = {
         *("--episodes", 1, "--goal", "dodecane"),
     ],
     "run": lambda at: ["run", SCENARIO, "--policy", at / "manager", "--json"],
-    "compare": lambda at: ["evaluate", SCENARIO, "--policy", at / "manager", "--episodes", 1],
     "export": lambda at: ["export", at / "manager", "--out", at / "mine"],
     "imitate": lambda at: [
         *("train", "manager", "--algo", "maskable-ppo", "--bc", at / "manager", "--out", at / "new"),
-        *("--steps", 32, "--envs", 2, "--rollout", 16, "--bc-steps", 800),
+        *("--steps", 32, "--envs", 2, "--rollout", 16, "--bc-steps", 200),
         *("--evaluations", 1, "--eval-episodes", 1, "--final-episodes", 1),
     ],
     "begin": lambda at: [
@@ -283,7 +282,6 @@ SCENARIOS = {
     "describe": ["describe", "bait.toml"],
     "run": ["run", "bait.toml", "--json"],
     "play": ["play", "bait.toml"],
-    "compare": ["evaluate", "bait.toml", "--episodes", 1],
     "starts": ["export", "starts", "bait.toml", "--episodes", 1, "--out", "starts.json"],
     "evaluate": ["evaluate", "bait.toml", "--episodes", 1],
     "plan": ["audit", "plan", "bait.toml", "--budget", 1, "--episodes", 1],

@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from helpers import FEATURED
 
 import chemlab
 from chemlab.agents.background import background_policies, role_env, role_vector_env
@@ -41,24 +40,6 @@ def chosen(background: Any, scenario: str = LINES) -> dict[str, Any]:
 
 
 # -- by id ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scenario", FEATURED)
-def test_ids_make_views_of_any_scenario(scenario: str) -> None:
-    env = gymnasium.make("chemlab/LabManager-v1", scenario=scenario)
-    assert isinstance(env.unwrapped, RoleEnv)
-    labs = env.unwrapped.laboratories
-    assert env.unwrapped.agent == "manager_0"
-    assert env.observation_space == labs.manager.observation_space
-    assert env.action_space == labs.manager.action_space
-    observation, info = env.reset(seed=0)
-    assert env.observation_space.contains(observation)
-    observation, _, _, _, info = env.step(int(np.flatnonzero(info["action_mask"])[0]))
-    assert env.observation_space.contains(observation)
-    for number, agent in enumerate(labs.agents):
-        one = gymnasium.make("chemlab/LabAgent-v1", scenario=scenario, agent=agent)
-        assert one.observation_space == labs.observation_space(number)
-        assert one.action_space == labs.action_space(number)
 
 
 def test_ids_make_batches() -> None:

@@ -340,15 +340,14 @@ def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_l
 
 
 @functools.cache
-def team_scores(scenario: str, policy: str, episodes: int = 100) -> FloatArray:
+def team_scores(scenario: str, policy: str, episodes: int = 40) -> FloatArray:
     labs = Laboratories(scenario, episodes, split="validation")
     return play_laboratory(labs, make_policies(policy, labs, 0), None, 0).returns
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("scenario", "role"),
-    [("relay", "rxn"), ("relay", "fin"), ("refine", "rxn"), ("refine", "ext")],
+    ("scenario", "role"), [("relay", "rxn"), ("relay", "fin"), ("refine", "rxn"), ("refine", "ext")]
 )
 def test_a_cooperative_scenario_needs_each_member(scenario: str, role: str) -> None:
     """With one member random, at least 0.3 of what the team gains over random play is lost."""

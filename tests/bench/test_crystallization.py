@@ -14,9 +14,8 @@ from chemlab.agents.policies import RandomPolicy, is_scripted, scripted_bench
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
 from chemlab.envs.players import Policy
-from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.experiments import ExperimentBatch
-from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, element_matrix
+from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 
 SCENARIO, BENCH, GOAL = "recrystallization", "cry", "benzoic_acid"
@@ -152,42 +151,6 @@ def test_the_score_is_the_gain_of_amount_times_absolute_purity() -> None:
         total = sum(mol[p] * (0.5 if name in ("Na+", "Cl-") else 1.0) for name, mol in amounts.items())
         expected += amounts[GOAL][p] ** 2 / total if total > 0.0 else 0.0
     assert float(batch.finish(batch.members)[0]) == pytest.approx(expected - start, rel=1e-9)
-
-
-def test_atoms_are_conserved_in_random_play() -> None:
-    batch = begun(16)
-    atoms = element_matrix(batch.scenario)
-    start = batch.shelf.total() @ atoms.T
-    scores = play(batch, RandomPolicy(batch.bench.action_count, 3))
-    np.testing.assert_allclose(batch.shelf.total() @ atoms.T, start, rtol=1e-9, atol=1e-9)
-    assert np.isfinite(scores).all()
-    assert len(set(scores)) == 16
-
-
-# -- batches ----------------------------------------------------------------------------------------------------------
-
-
-def test_a_member_of_a_batch_is_a_batch_of_one() -> None:
-    arguments: dict[str, Any] = {"scenario": SCENARIO, "bench": BENCH}
-    actions = np.random.default_rng(2).integers(0, 34, (25, 6))
-    many, threaded = RoleVectorEnv(6, **arguments), RoleVectorEnv(6, threads=2, **arguments)
-    ones = [RoleEnv(**arguments) for _ in range(6)]
-    first = many.reset(seed=11)[0]
-    np.testing.assert_array_equal(threaded.reset(seed=11)[0], first)
-    for i, one in enumerate(ones):
-        np.testing.assert_array_equal(one.reset(seed=11 + i)[0], first[i])
-    for row in actions:
-        seen, rewards, _, _, infos = many.step(row)
-        again, same, *_ = threaded.step(row)
-        np.testing.assert_array_equal(again, seen)
-        np.testing.assert_array_equal(same, rewards)
-        for i, one in enumerate(ones):
-            observation, reward, _, _, info = one.step(row[i])
-            np.testing.assert_array_equal(observation, seen[i])
-            np.testing.assert_array_equal(info["action_mask"], infos["action_mask"][i])
-            assert reward == rewards[i]
-    many.close()
-    threaded.close()
 
 
 # -- the script -------------------------------------------------------------------------------------------------------

@@ -7,12 +7,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pettingzoo.test import api_test, seed_test
 
 import chemlab.scenarios
 from chemlab.config.materials import DataError
 from chemlab.config.parts import PartError
-from chemlab.envs.aec import env as laboratory_env
 from chemlab.envs.aec import raw_env
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
@@ -53,14 +51,6 @@ def test_the_laboratory_has_its_agent(scenario: Path) -> None:
     sizes = {channel.name: channel.size for channel in env.laboratories.channels}
     assert sizes["slot_0_last_bench"] == 1 + 4
     assert sizes["fil_0_busy"] == 1
-
-
-def test_it_passes_the_interface_tests(scenario: Path) -> None:
-    env = laboratory_env(scenario)
-    for i, agent in enumerate(env.possible_agents):
-        env.action_space(agent).seed(i)
-    api_test(env, num_cycles=300)
-    seed_test(lambda: laboratory_env(scenario), num_cycles=100)
 
 
 def test_its_own_arrays_are_part_of_the_state_and_of_its_hash(scenario: Path) -> None:
@@ -153,32 +143,6 @@ def test_salt_stays_back_and_its_ions_go_through(scenario: Path) -> None:
     # Back on the shelf each vessel comes to its own equilibrium, and no sodium is lost.
     counts = np.array([m.composition.get("Na", 0.0) for m in env.scenario.materials.values()])
     assert shelf.total()[0] @ counts == pytest.approx(sodium, rel=1e-12)
-
-
-def test_atoms_are_conserved_in_random_play(scenario: Path) -> None:
-    env = raw_env(scenario)
-    labs, materials = env.laboratories, list(env.scenario.materials.values())
-    elements = sorted({element for material in materials for element in material.composition})
-    atoms = np.array([[*(m.composition.get(e, 0.0) for e in elements), m.charge] for m in materials])
-    submits = [labs.actions.encode("submit", slot) for slot in range(8)]
-    rng = np.random.default_rng(5)
-    filtered = 0
-    for seed in range(4):
-        env.reset(seed=seed)
-        start = labs.shelf.total()[0] @ atoms
-        while labs.state.status[0] == 0:
-            mask = env.infos[env.agent_selection].get("action_mask")
-            if mask is None:
-                env.step(rng.random(env.action_space(env.agent_selection).shape))
-                continue
-            if env.agent_selection == "manager_0":
-                mask = mask.copy()
-                mask[submits] = 0
-            action = int(rng.choice(np.flatnonzero(mask)))
-            filtered += env.agent_selection == "fil_0" and action == 0
-            env.step(action)
-        np.testing.assert_allclose(labs.shelf.total()[0] @ atoms, start, rtol=1e-9, atol=1e-9)
-    assert filtered > 0
 
 
 def test_its_mistakes_in_the_scenario_are_named(scenario: Path) -> None:

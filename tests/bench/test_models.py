@@ -240,20 +240,6 @@ def test_without_solvent_a_separation_model_leaves_nothing_dissolved() -> None:
         assert (batch.shelf.dissolved[0, 0] == 0.0).all()
 
 
-def test_a_separation_model_works_in_the_whole_laboratory() -> None:
-    """Through the AEC environment the extraction bench asks the model, too."""
-    env = raw_env(modelled("wurtz_dodecane", "ext", "IdealSeparation"))
-    bench = env.laboratories.benches[env.possible_agents.index("ext_0") - 1]
-    model = bench.model
-    env.reset(seed=0)
-    env.step(env.laboratories.actions.encode("start", "ext_0", 0, "dodecane"))
-    assert model.profiles == 3
-    env.step(env.laboratories.actions.encode("wait"))
-    env.step(bench.action_meanings.index("add water to EV, 0.2 L"))
-    assert model.profiles > 3
-    assert model.partitions > 0
-
-
 class Wrong(IdealSeparation):
     """Ideal separation with one answer spoiled."""
 

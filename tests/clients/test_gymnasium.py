@@ -64,57 +64,6 @@ def test_the_managers_id_is_the_agents_for_the_manager() -> None:
     )
 
 
-@pytest.mark.parametrize("mode", AutoresetMode)
-@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0", "dit_0"])
-def test_batches_by_entry_point(agent: str, mode: AutoresetMode) -> None:
-    envs = gymnasium.make_vec(
-        AGENT, num_envs=3, vectorization_mode="vector_entry_point", agent=agent, autoreset_mode=mode
-    )
-    assert envs.metadata["autoreset_mode"] is mode
-    seen, infos = envs.reset(seed=0)
-    rng = np.random.default_rng(0)
-    ends = 0
-    for _ in range(120):
-        assert envs.observation_space.contains(seen)
-        actions = (
-            np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
-            if "action_mask" in infos
-            else rng.random(envs.action_space.shape, dtype=np.float32)  # type: ignore[arg-type]
-        )
-        assert envs.action_space.contains(actions)
-        seen, rewards, terminated, truncated, infos = envs.step(actions)
-        over = terminated | truncated
-        ends += int(over.sum())
-        assert np.isfinite(rewards).all()
-        assert not infos["illegal_action"].any()
-        assert ("final_obs" in infos) == (mode is AutoresetMode.SAME_STEP and over.any())
-        if mode is AutoresetMode.DISABLED and over.any():
-            seen, infos = envs.reset(options={"reset_mask": over})
-    assert ends >= 2
-    envs.close()
-
-
-@pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
-def test_gymnasiums_batches_play_what_ours_play(agent: str) -> None:
-    ours = gymnasium.make_vec(AGENT, num_envs=2, vectorization_mode="vector_entry_point", agent=agent)
-    theirs = gymnasium.make_vec(AGENT, num_envs=2, vectorization_mode="sync", agent=agent)
-    rng = np.random.default_rng(1)
-    seen, infos = ours.reset(seed=4)
-    expected, _ = theirs.reset(seed=4)
-    ends = 0
-    for _ in range(100):
-        np.testing.assert_array_equal(seen, expected)
-        actions = np.array([rng.choice(np.flatnonzero(mask)) for mask in infos["action_mask"]])
-        seen, rewards, terminated, truncated, infos = ours.step(actions)
-        expected, earned, ended, cut, found = theirs.step(actions)
-        np.testing.assert_allclose(rewards, earned, rtol=0, atol=1e-12)
-        np.testing.assert_array_equal(terminated, ended)
-        np.testing.assert_array_equal(truncated, cut)
-        np.testing.assert_array_equal(infos["elapsed_ticks"], found["elapsed_ticks"])
-        ends += int((terminated | truncated).sum())
-    assert ends > 0
-
-
 def test_wrappers() -> None:
     env = gymnasium.make(MANAGER, max_episode_steps=7)
     env = gymnasium.wrappers.RecordEpisodeStatistics(env)

@@ -98,10 +98,7 @@ def test_two_seats_over_http(tmp_path: Path) -> None:
             async with httpx2.AsyncClient(headers={"Authorization": f"Bearer {token}"}) as http:
                 answer = await http.post(f"http://127.0.0.1:{port}/manager_0/mcp", json={})
                 assert answer.status_code == 401
-        async with (
-            at(port, "manager_0", tokens["manager_0"]) as manager,
-            at(port, "dit_0", tokens["dit_0"]) as still,
-        ):
+        async with at(port, "manager_0", tokens["manager_0"]) as manager, at(port, "dit_0", tokens["dit_0"]) as still:
             clients, text = {"manager_0": manager, "dit_0": still}, ""
             waits = text_of(await still.call_tool("wait", {}))
             assert "manager_0 has the turn" in waits

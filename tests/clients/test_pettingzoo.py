@@ -60,13 +60,6 @@ def seed_spaces(env: Any) -> None:
 
 
 @pytest.mark.parametrize("name", FEATURED)
-def test_api(name: str) -> None:
-    env = laboratory_env(name)
-    seed_spaces(env)
-    api_test(env, num_cycles=200)
-
-
-@pytest.mark.parametrize("name", FEATURED)
 def test_parallel_api(name: str) -> None:
     env = parallel_env(name)
     seed_spaces(env)

@@ -20,7 +20,7 @@ pytest.importorskip("ray.rllib", reason='needs the extra: pip install ".[rllib]"
 
 import ray
 import torch
-from helpers import mapping, script
+from helpers import script
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
@@ -158,18 +158,6 @@ def test_what_is_wrong_with_a_reset_changes_nothing(seed: Any, options: Any) -> 
         one.step({"manager_0": labs.actions.encode("start", "rxn_0", 0, "dodecane")})
         one.step({"manager_0": labs.actions.encode("wait")})
     np.testing.assert_array_equal(env.laboratory.state(), untouched.laboratory.state())
-
-
-def test_a_limit_terminates() -> None:
-    """As in every other interface: nothing follows it, so that value estimates must not go past it."""
-    values = mapping("wurtz_dodecane")
-    values["limits"]["manager_actions"] = 2
-    env = LaboratoryMultiAgentEnv({"scenario": load_scenario(values)})
-    env.reset(seed=1)
-    measure = env.laboratory.laboratories.actions.encode("measure", 0, "balance")
-    for ends in (False, True):
-        _, _, terminated, truncated, _ = env.step({"manager_0": measure})
-        assert (terminated, truncated) == ({"__all__": ends}, {"__all__": False})
 
 
 @pytest.mark.parametrize("roles", [["rxn"], ["manager"], ["ext", "dit"]])

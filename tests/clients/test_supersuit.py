@@ -17,7 +17,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -99,36 +98,6 @@ def test_masks_come_through(wrapper: str) -> None:
         assert wrapper == "sticky_actions" or not any(info["illegal_action"] for info in infos.values())
 
 
-def test_three_frames_are_the_last_three() -> None:
-    stacked, plain = ss.frame_stack_v2(parallel_env(WURTZ), 3), parallel_env(WURTZ)
-    rng = np.random.default_rng(0)
-    _, infos = stacked.reset(seed=0)
-    frames = [plain.reset(seed=0)[0]]
-    for _ in range(6):
-        actions = {agent: legal(plain, agent, infos[agent], rng) for agent in plain.agents}
-        seen, _, _, _, infos = stacked.step(actions)
-        frames.append(plain.step(actions)[0])
-        if not plain.agents:
-            break
-    last = [frames[max(i, 0)] for i in range(len(frames) - 3, len(frames))]
-    for agent in plain.possible_agents:
-        np.testing.assert_array_equal(seen[agent], np.concatenate([frame[agent] for frame in last]))
-
-
-@pytest.mark.parametrize("wrapper", WRAPPERS)
-def test_wrapped_views_keep_their_masks(wrapper: str) -> None:
-    env = WRAPPERS[wrapper](gymnasium.make("chemlab/LabManager-v1"))
-    rng = np.random.default_rng(0)
-    seen, _ = env.reset(seed=0)
-    for _ in range(15):
-        assert env.observation_space.contains(seen)
-        mask = env.get_wrapper_attr("action_masks")()
-        seen, _, terminated, truncated, info = env.step(int(rng.choice(np.flatnonzero(mask))))
-        assert wrapper == "sticky_actions" or not info["illegal_action"]
-        if terminated or truncated:
-            seen, _ = env.reset()
-
-
 # -- all agents as one batch ------------------------------------------------------------------------------------------
 
 
@@ -177,25 +146,6 @@ def test_stable_baselines3_trains_on_the_batch() -> None:
     assert any(not bool((one == other).all()) for one, other in zip(before, model.policy.parameters(), strict=True))
 
 
-def test_several_laboratories_turn_by_turn() -> None:
-    batch = ss.vectorize_aec_env_v0(laboratory_env(DISCRETE), 3)
-    rng = np.random.default_rng(0)
-    batch.reset(seed=0)
-    played = 0
-    for _ in range(60):
-        _, _, _, _, _, _, passes, infos = batch.last()
-        actions = [legal(batch, batch.agent_selection, info, rng) if "action_mask" in info else 0 for info in infos]
-        played += int((passes == 0).sum())
-        batch.step(actions)
-    assert played > 60
-    # Copies of one laboratory: with one seed each, they are the laboratories of these seeds.
-    batch.reset(seed=7)
-    for i, seed in enumerate((7, 8, 9)):
-        env = laboratory_env(DISCRETE)
-        env.reset(seed=seed)
-        np.testing.assert_array_equal(batch.observe("manager_0")[i], env.observe("manager_0"))
-
-
 # -- what cannot be done ----------------------------------------------------------------------------------------------
 
 
@@ -210,17 +160,3 @@ def test_what_needs_equal_spaces_is_refused() -> None:
         ss.scale_actions_v0(parallel_env(WURTZ), 0.5)
     with pytest.raises(AttributeError, match="low"):
         parallel_api_test(ss.clip_actions_v0(parallel_env(WURTZ)))
-
-
-@pytest.mark.xfail(reason="SuperSuit's black_death takes only agents both terminated and truncated for dead")
-def test_black_death_sees_the_end() -> None:
-    env = ss.black_death_v3(parallel_env(DISCRETE))
-    rng = np.random.default_rng(0)
-    _, infos = env.reset(seed=0)
-    for _ in range(1000):
-        actions = {agent: legal(env, agent, infos[agent], rng) for agent in env.agents}
-        _, _, terminated, _, infos = env.step(actions)
-        if not env.unwrapped.agents:
-            break
-    assert not env.unwrapped.agents
-    assert all(terminated.values())

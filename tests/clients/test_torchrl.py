@@ -11,13 +11,9 @@ pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install tor
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import InteractionType, TensorDictModule, TensorDictSequential
 from torchrl.envs.libs.gym import GymEnv
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 from torchrl.envs.utils import MarlGroupMapType, check_env_specs
-from torchrl.modules import IndependentNormal, MaskedCategorical, ProbabilisticActor, ValueOperator
-from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.value import GAE
 
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env
@@ -25,9 +21,7 @@ from chemlab.laboratory import parallel_env
 FACTORIES = {"aec": laboratory_env, "parallel": parallel_env}
 
 pytestmark = pytest.mark.filterwarnings(
-    "ignore:PettingZoo in TorchRL is tested using version",
-    "ignore::DeprecationWarning",
-    "ignore::FutureWarning",
+    "ignore:PettingZoo in TorchRL is tested using version", "ignore::DeprecationWarning", "ignore::FutureWarning"
 )
 
 
@@ -71,7 +65,7 @@ def test_specs(name: str, api: str) -> None:
 
 
 @pytest.mark.parametrize("api", FACTORIES)
-@pytest.mark.parametrize("name", FEATURED)
+@pytest.mark.parametrize("name", ["relay", "wurtz_two_lines"])
 def test_rollouts_play_legal_actions_only(name: str, api: str) -> None:
     env = wrapped(api, name)
     env.set_seed(1)
@@ -100,110 +94,6 @@ def test_an_episode_ends_for_all_and_begins_anew() -> None:
 
 
 # -- training ---------------------------------------------------------------------------------------------------------
-
-
-def actor(env: PettingZooWrapper, group: str) -> ProbabilisticActor:
-    """A masked categorical policy, or a normal one where actions are continuous."""
-    size = env.observation_spec[group, "observation"].shape[-1]
-    agent = env.group_map[group][0]
-    action_space = env.action_space(agent)
-    key = (group, "action")
-    if hasattr(action_space, "n"):
-        logits = torch.nn.Sequential(torch.nn.Linear(size, 32), torch.nn.Tanh(), torch.nn.Linear(32, action_space.n))
-        return ProbabilisticActor(
-            TensorDictModule(logits, in_keys=[(group, "observation")], out_keys=[(group, "logits")]),
-            in_keys={"logits": (group, "logits"), "mask": (group, "action_mask")},
-            out_keys=[key],
-            distribution_class=MaskedCategorical,
-            default_interaction_type=InteractionType.RANDOM,
-            return_log_prob=True,
-            log_prob_key=(group, "log_prob"),
-        )
-
-    class Head(torch.nn.Module):
-        def __init__(self) -> None:
-            super().__init__()
-            self.net = torch.nn.Linear(size, action_space.shape[0])
-
-        def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-            mean = torch.sigmoid(self.net(observation))
-            return mean, torch.full_like(mean, 0.1)
-
-    return ProbabilisticActor(
-        TensorDictModule(Head(), in_keys=[(group, "observation")], out_keys=[(group, "loc"), (group, "scale")]),
-        in_keys={"loc": (group, "loc"), "scale": (group, "scale")},
-        out_keys=[key],
-        distribution_class=IndependentNormal,
-        default_interaction_type=InteractionType.RANDOM,
-        return_log_prob=True,
-        log_prob_key=(group, "log_prob"),
-    )
-
-
-def clipped(env: PettingZooWrapper, group: str) -> TensorDictModule:
-    """Actions of a normal distribution, brought back into the action space."""
-    return TensorDictModule(
-        lambda action: action.clamp(0.0, 1.0), in_keys=[(group, "action")], out_keys=[(group, "action")]
-    )
-
-
-@pytest.mark.parametrize(("api", "name"), [("aec", "wurtz_dodecane"), ("parallel", "wurtz_two_lines")])
-def test_an_actor_for_each_role_learns(api: str, name: str) -> None:
-    torch.manual_seed(0)
-    env = wrapped(api, name)
-    env.set_seed(0)
-    actors = {group: actor(env, group) for group in env.group_map}
-    modules: list[TensorDictModule] = []
-    for group, one in actors.items():
-        modules.append(one)
-        if not env.has_action_mask[group]:
-            modules.append(clipped(env, group))
-    with torch.no_grad():
-        rollout = env.rollout(400, TensorDictSequential(*modules), break_when_any_done=False)
-    counts = played(api, rollout, env)
-    assert min(counts.values()) >= 5, "every role has played"
-    for group, one in actors.items():
-        size = env.observation_spec[group, "observation"].shape[-1]
-        critic = ValueOperator(
-            torch.nn.Linear(size, 1), in_keys=[(group, "observation")], out_keys=[(group, "state_value")]
-        )
-        loss = ClipPPOLoss(one, critic, entropy_coeff=0.01)
-        loss.set_keys(
-            reward=(group, "reward"),
-            action=(group, "action"),
-            sample_log_prob=(group, "log_prob"),
-            value=(group, "state_value"),
-            done=(group, "done"),
-            terminated=(group, "terminated"),
-            advantage=(group, "advantage"),
-            value_target=(group, "value_target"),
-        )
-        advantages = GAE(gamma=0.99, lmbda=0.95, value_network=critic)
-        advantages.set_keys(
-            reward=(group, "reward"),
-            value=(group, "state_value"),
-            done=(group, "done"),
-            terminated=(group, "terminated"),
-            advantage=(group, "advantage"),
-            value_target=(group, "value_target"),
-        )
-        with torch.no_grad():
-            advantages(rollout)
-        taken = rollout[group]
-        turns = taken["mask"] if api == "aec" else taken["info", "has_turn"].bool()
-        mine = rollout[turns.any(-1)]
-        before = torch.nn.utils.parameters_to_vector(one.parameters()).clone()
-        optimizer = torch.optim.Adam(loss.parameters(), 1e-3)
-        for _ in range(3):
-            values = loss(mine)
-            total = values["loss_objective"] + values["loss_critic"] + values["loss_entropy"]
-            assert torch.isfinite(total)
-            optimizer.zero_grad()
-            total.backward()
-            optimizer.step()
-        after = torch.nn.utils.parameters_to_vector(one.parameters())
-        assert torch.isfinite(after).all()
-        assert not torch.equal(before, after)
 
 
 @pytest.mark.parametrize(

@@ -13,14 +13,12 @@ import pytest
 pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install torch==2.13.0 torchrl")
 
 import torch
-from helpers import mapping
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import check_env_specs
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import agent_policy, make_policies
 from chemlab.agents.torchrl.env import TorchLaboratory
-from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env
@@ -113,21 +111,6 @@ def test_its_episodes_are_those_of_single_laboratories() -> None:
                 for agent, seen in observations.items():
                     np.testing.assert_array_equal(now["next", agent.rpartition("_")[0], "observation"][0].numpy(), seen)
                 break
-
-
-def test_a_limit_terminates() -> None:
-    """As in every other interface: nothing follows it, so that value estimates must not go past it."""
-    values = mapping("wurtz_dodecane")
-    values["limits"]["manager_actions"] = 2
-    env = TorchLaboratory(2, load_scenario(values), seed=1)
-    measure = env._batch.laboratories.actions.encode("measure", 0, "balance")
-    now = env.reset()
-    for ends in (False, True):
-        now = env.rand_action(now)
-        now["manager", "action"] = torch.full_like(now["manager", "action"], measure)
-        now = env.step(now)["next"]
-        assert now["terminated"].tolist() == now["done"].tolist() == [[ends]] * 2
-        assert not now["truncated"].any()
 
 
 def test_seeds_begin_the_same_episodes_again() -> None:

@@ -25,10 +25,11 @@ def test_what_the_fuzzer_begins_with_is_read(tmp_path: Path, monkeypatch: pytest
             assert attempt(tmp_path / kind, kind, np.random.default_rng(4)) == "loaded", kind
 
 
+@pytest.mark.slow
 def test_broken_files_are_readable_errors() -> None:
-    outcomes, failures = fuzz(360, seed=0)
+    outcomes, failures = fuzz(180, seed=0)
     assert not failures, "\n".join(failures)
     # The fuzzer would prove nothing if it broke nothing, or everything.
-    assert sum(outcomes.values()) == 360
-    assert all(outcomes[f"{kind}: refused"] > 10 for kind in TRIES)
-    assert sum(outcomes[f"{kind}: loaded"] for kind in TRIES) > 10
+    assert sum(outcomes.values()) == 180
+    assert all(outcomes[f"{kind}: refused"] > 5 for kind in TRIES)
+    assert sum(outcomes[f"{kind}: loaded"] for kind in TRIES) > 5

@@ -21,15 +21,15 @@ def test_what_the_fuzzer_begins_with_loads(tmp_path: Path) -> None:
         load_scenario(tmp_path / "lab.toml")
 
 
-@pytest.mark.parametrize("each", slow_but((30, 40), 30))
+@pytest.mark.parametrize("each", slow_but((12, 25), 12))
 def test_broken_files_are_readable_errors(each: int) -> None:
     files = each * len(KINDS)
     outcomes, failures = fuzz(files, seed=0, turns=5)
     assert not failures, "\n".join(failures)
     # The fuzzer would prove nothing if it broke nothing, or everything.
     assert sum(outcomes.values()) == files
-    assert all(outcomes[f"{kind}: refused"] > 10 for kind in KINDS)
-    assert sum(outcomes[f"{kind}: loaded"] for kind in KINDS) > 10
+    assert all(outcomes[f"{kind}: refused"] > 4 for kind in KINDS)
+    assert sum(outcomes[f"{kind}: loaded"] for kind in KINDS) > 5
 
 
 def test_the_fuzzer_begins_with_every_table_that_a_scenario_may_have() -> None:

@@ -11,13 +11,14 @@ from fuzz_records import fuzz
 pytest.importorskip("matplotlib", reason="needs matplotlib (extra plot)")
 
 
+@pytest.mark.slow
 def test_mutated_records_are_refused_in_words(tmp_path: Path) -> None:
-    report = fuzz(200, 20, tmp_path)
+    report = fuzz(100, 20, tmp_path)
     assert report.failures == []
-    assert report.files == 200
+    assert report.files == 100
     # It does get through to what it is meant to try.
-    assert report.status["tampered"] > 50
-    assert sum(report.readers.values()) > sum(report.refused.values()) > 50
+    assert report.status["tampered"] > 25
+    assert sum(report.readers.values()) > sum(report.refused.values()) > 25
 
 
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "relay", "rush"])

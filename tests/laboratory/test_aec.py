@@ -15,14 +15,13 @@ import gymnasium
 import numpy as np
 import pytest
 from helpers import FEATURED, mapping
-from pettingzoo.test import api_test, seed_test
+from pettingzoo.test import api_test
 from pettingzoo.test.save_obs_test import test_save_obs as check_save_obs
 from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
 
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import DataError
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.parallel import parallel_env
@@ -78,18 +77,12 @@ def random_legal(env: raw_env, rng: np.random.Generator, submit: bool = True) ->
     "ignore:Observation numpy array is all zeros",
     "ignore:.*reset options",
 )
-@pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", FEATURED)
-def test_api(name: str, seed: int) -> None:
+def test_api(name: str) -> None:
     env = laboratory_env(name)
     for i, agent in enumerate(env.possible_agents):
-        env.action_space(agent).seed(10 * seed + i)
-    api_test(env, num_cycles=1_000)
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_seeding(name: str) -> None:
-    seed_test(lambda: laboratory_env(name), num_cycles=500)
+        env.action_space(agent).seed(i)
+    api_test(env, num_cycles=500)
 
 
 @pytest.mark.filterwarnings("error::UserWarning")
@@ -314,50 +307,6 @@ def test_spaces_are_those_of_the_single_bench(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FEATURED)
-def test_observations_are_those_of_the_single_bench(name: str) -> None:
-    if load_scenario(name).world.draws:
-        pytest.skip("the two draw worlds of their own")
-    """The same vessel and the same random stream give the same observations and masks, step by step."""
-    env = raw_env(name)
-    scenario, labs = env.scenario, env.laboratories
-    goal = scenario.lab_goals[0]
-    for key in scenario.benches:
-        batch = ExperimentBatch(scenario, key)
-        batch.seed(0, 7)
-        stream = batch.experiments.stream.copy()
-        batch.reset(batch.members, scenario.goals.index(goal))
-        start = scenario.benches[key].start
-        contents = dict(start.contents)
-        if start.goal_mol > 0.0:
-            contents[goal] = contents.get(goal, 0.0) + start.goal_mol
-        if start.companion is not None:
-            other = start.companion.if_goal if goal == start.companion.material else start.companion.material
-            # Whether it is there is drawn; a salt may have dissolved into its ions.
-            ions = {salt.solid: salt.cation for salt in scenario.family.salt}
-            found = batch.shelf.vessel(0, 0).amounts(1e-6)
-            if other in found or ions.get(other) in found:
-                contents[other] = contents.get(other, 0.0) + start.companion.mol
-        env.reset(seed=1)
-        agent = f"{key}_0"
-        experiments = labs.experiments[env.possible_agents.index(agent) - 1]
-        experiments.stream[:] = stream
-        labs.shelf.fill(0, 0, start.capacity_l, contents)
-        manager(env, "start", agent, 0, goal)
-        manager(env, "wait")
-        rng = np.random.default_rng(2)
-        for _ in range(batch.bench.spec.step_limit - 1):
-            assert env.agent_selection == agent
-            np.testing.assert_array_equal(env.observe(agent), batch.observe()[0])
-            action = random_legal(env, rng)
-            if "action_mask" in env.infos[agent]:
-                np.testing.assert_array_equal(env.infos[agent]["action_mask"], batch.mask()[0])
-                if action == end(env):
-                    action = idle(env)
-            env.step(action)
-            batch.act(batch.bench.checked(agent, action))
-
-
-@pytest.mark.parametrize("name", FEATURED)
 def test_observations_lie_in_their_space_and_idle_benches_see_zeros(name: str) -> None:
     env = raw_env(name)
     rng = np.random.default_rng(4)
@@ -393,7 +342,7 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
     played: Counter[tuple[bool, bool]] = Counter()
     # Some laboratories have no bench with actions that could be illegal.
     masked = any(bench.action_count for bench in labs.benches)
-    for seed in range(8):
+    for seed in range(4):
         env.reset(seed=seed)
         while labs.state.status[0] == 0:
             agent, space = env.agent_selection, env.action_space(env.agent_selection)
@@ -476,7 +425,7 @@ def with_the_turn(agent: str) -> raw_env:
 def wrong_actions() -> list[Any]:
     """(agent, index of a wrong action): the actions themselves have no readable name."""
     found = []
-    for agent in ("manager_0", "ext_0", "dit_0"):
+    for agent in ("manager_0", "ext_0"):
         for i, value in enumerate([*WRONG_NUMBERS, "n"]):
             found.append(pytest.param(agent, i, id=f"{agent}-{value!r:.20}"))
     for i, value in enumerate(wrong_boxes(6)):
@@ -556,7 +505,7 @@ def play_and_count(env: raw_env, act: Any) -> tuple[dict[str, float], dict[str, 
     return seen, paid, scored
 
 
-@pytest.mark.parametrize("policy", ["scripted", "random", "restless"])
+@pytest.mark.parametrize("policy", ["scripted", "random"])
 @pytest.mark.parametrize("name", FEATURED)
 def test_no_reward_is_lost(name: str, policy: str) -> None:
     """What agents see = what the environment pays = scores of experiments and the manager's result."""
@@ -565,8 +514,8 @@ def test_no_reward_is_lost(name: str, policy: str) -> None:
     policies = make_policies("scripted", env.laboratories)
 
     def act(inner: raw_env, agent: str, observation: Any) -> Any:
-        if policy != "scripted":
-            return random_legal(inner, rng, submit=policy == "random")
+        if policy == "random":
+            return random_legal(inner, rng)
         number = inner.possible_agents.index(agent)
         step = inner.laboratories.state.actions if number == 0 else inner.laboratories.experiments[number - 1].steps
         mask = inner.infos[agent].get("action_mask")
@@ -743,27 +692,7 @@ def test_goals_are_drawn_uniformly() -> None:
         assert statistic < 30.0  # chi-square with 6 degrees of freedom: beyond 30 once in 25,000
 
 
-def test_a_reset_leaves_nothing_of_the_last_episode() -> None:
-    env = raw_env(WURTZ)
-    rng = np.random.default_rng(0)
-    env.reset(seed=11)
-    labs = env.laboratories
-    fresh = [array.copy() for array in (*labs.shelf.arrays(), *labs.table.changing())]
-    for _ in range(60):
-        if env.laboratories.state.status[0]:
-            break
-        env.step(random_legal(env, rng, submit=False))
-    env.reset(seed=11)
-    # What a bench keeps of its last experiment is overwritten when the next begins; everything else is as at first.
-    for array, was in zip((*labs.shelf.arrays(), *labs.table.changing()), fresh, strict=True):
-        np.testing.assert_array_equal(array, was)
-    for experiments in env.laboratories.experiments:
-        assert not experiments.busy.any()
-    assert env.agents == env.possible_agents
-    assert set(env.rewards.values()) == {0.0}
-
-
-@pytest.mark.parametrize("name", FEATURED)
+@pytest.mark.parametrize("name", ["rush", "wurtz_two_lines"])
 def test_rendering_as_text(name: str) -> None:
     env = raw_env(name, render_mode="ansi")
     rng = np.random.default_rng(0)
@@ -796,22 +725,11 @@ def test_rendering_without_a_mode_warns_and_an_unknown_mode_is_refused() -> None
     assert "ansi" in str(caught.value)
 
 
-def test_an_unknown_scenario_is_refused() -> None:
-    with pytest.raises(DataError, match="atlantis"):
-        raw_env("atlantis")
-
-
 @pytest.mark.parametrize("make", [laboratory_env, raw_env, parallel_env])
 def test_editors_and_notebooks_see_what_there_is(make: Any) -> None:
     """Arguments by name, and a repr of one line that says which laboratory it is."""
     arguments = inspect.signature(make).parameters.values()
-    assert [argument.name for argument in arguments] == [
-        "scenario",
-        "render_mode",
-        "rewards",
-        "split",
-        "actions",
-    ]
+    assert [argument.name for argument in arguments] == ["scenario", "render_mode", "rewards", "split", "actions"]
     assert all(argument.kind is argument.POSITIONAL_OR_KEYWORD for argument in arguments)
     shown = repr(make("fictitious", rewards="cooperative"))
     assert "env of fictitious: manager_0, rxn_0, dit_0>" in shown

@@ -60,8 +60,9 @@ def assert_same_seen(one: dict[str, npt.NDArray[Any]], member: int, other: dict[
         np.testing.assert_array_equal(array[member], other[agent])
 
 
-@pytest.mark.parametrize("count", slow_but([1, 3, 8], 3))
-@pytest.mark.parametrize("name", slow_but(["wurtz_any", "wurtz_two_lines", "wurtz_scarce"], "wurtz_two_lines"))
+@pytest.mark.parametrize(
+    ("name", "count"), slow_but([("wurtz_two_lines", 3), ("wurtz_scarce", 8)], ("wurtz_two_lines", 3))
+)
 def test_members_are_single_laboratories(name: str, count: int) -> None:
     """Member i with seed s + i is a parallel laboratory with that seed, through several episodes, in everything."""
     batch = BatchedLaboratory(count, name, idle_observations=True)
@@ -203,11 +204,7 @@ def mixed() -> tuple[BatchedLaboratory, dict[str, npt.NDArray[Any]]]:
     *_, infos = batch.step({"manager_0": np.array([balance, encode("wait"), encode("wait")])})
     turns = [infos[agent]["has_turn"].tolist() for agent in batch.possible_agents]
     assert turns == [[True, False, False], [False, True, True], [False, True, True], [False] * 3]
-    return batch, {
-        "manager_0": np.array([balance, 0, 0]),
-        "rxn_0": np.full((3, 6), 0.5),
-        "ext_0": np.array([0, 3, 3]),
-    }
+    return batch, {"manager_0": np.array([balance, 0, 0]), "rxn_0": np.full((3, 6), 0.5), "ext_0": np.array([0, 3, 3])}
 
 
 def after(batch: BatchedLaboratory, actions: dict[str, Any]) -> list[npt.NDArray[Any]]:
@@ -303,13 +300,13 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
 def test_a_short_soak(name: str) -> None:
     """A small version of studies/speed/soak.py, which plays ten thousand episodes of each scenario."""
     world = bool(load_scenario(name).world.draws)
-    figures = soak(name, 100, 32, seed=1)
+    figures = soak(name, 50, 32, seed=1)
     assert figures["broken"] == []
-    assert figures["episodes"] >= 100
+    assert figures["episodes"] >= 50
     # Where limits are generous, random agents submit everything before they are reached, and some worlds are harmless.
     assert figures["limits_reached"] > 0 or world
     assert figures["episodes"] > figures["limits_reached"]
-    assert figures["lost_manager_turns"] > (50 if world else 100)  # play was not only legal
+    assert figures["lost_manager_turns"] > (25 if world else 50)  # play was not only legal
     assert sum(figures["safety_events"].values()) > 0.0 or world
 
 

@@ -6,11 +6,8 @@ recomputed from the bench's own measure of the vessels.
 
 from __future__ import annotations
 
-import copy
 import gc
-import hashlib
 import os
-import pickle
 import subprocess
 import sys
 import warnings
@@ -28,7 +25,6 @@ from helpers import FEATURED
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
-from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 
@@ -39,6 +35,8 @@ IDS = sorted(
 )
 DISCRETE = [name for name in IDS if gymnasium.spec(name).kwargs["bench"] != "rxn"]
 CONTINUOUS = [name for name in IDS if name not in DISCRETE]
+KINDS = ["chemlab/FictitiousReaction-v0", "chemlab/WurtzExtraction-v0", "chemlab/WurtzDistillation-v0"]
+"""One of each kind of bench, for what the environment does around it."""
 STEPS = 120
 """More than two experiments of any bench."""
 
@@ -137,16 +135,6 @@ def test_spaces_are_the_laboratory_s(name: str) -> None:
     assert env.unwrapped.action_meanings == laboratories.benches[agent - 1].action_meanings  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_a_seed_decides_everything(name: str) -> None:
-    env, other = single(name), single(name)
-    other.reset(seed=99)
-    actions = plan(name, 1)[:, 0]
-    for one, two in zip(episode(env, 5, actions), episode(other, 5, actions), strict=True):
-        for first, second in zip(one, two, strict=True):
-            np.testing.assert_array_equal(first, second)
-
-
 def beginnings(env: RoleEnv, seed: int | None) -> bytes:
     """The first observations of 20 experiments; seven goals are drawn, so equal ones by chance are out of question."""
     return b"".join(env.reset(seed=seed if i == 0 else None)[0].tobytes() for i in range(20))
@@ -168,94 +156,10 @@ def test_a_first_reset_without_a_seed_draws_one() -> None:
     assert len({b"".join(row[i].tobytes() for row in rows) for i in range(4)}) == 4
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_observations_stay_in_their_space(name: str) -> None:
-    env = single(name)
-    for seed in range(2):
-        for observation, reward, _, _ in episode(env, seed, plan(name, 1, seed=seed)[:, 0]):
-            assert observation in env.observation_space
-            assert np.isfinite(reward)
-
-
-DIGEST = """
-import hashlib, sys
-import numpy as np
-from chemlab.envs.role_env import RoleVectorEnv
-
-digest = hashlib.sha256()
-for scenario, bench in zip(sys.argv[1::2], sys.argv[2::2]):
-    env = RoleVectorEnv(3, scenario, bench=bench)
-    digest.update(env.reset(seed=11)[0].tobytes())
-    rng = np.random.default_rng(0)
-    for _ in range(25):
-        shape = env.action_space.shape
-        count = env.bench.action_count
-        actions = rng.integers(count - 1, size=3) if count else rng.random(shape)
-        observations, rewards, ended, _, _ = env.step(actions)
-        digest.update(observations.tobytes() + rewards.tobytes() + ended.tobytes())
-print(digest.hexdigest())
-"""
-
-
-@pytest.mark.slow  # in laboratories: tests/laboratory/test_determinism.py
-def test_processes_agree() -> None:
-    arguments = [gymnasium.spec(name).kwargs[key] for name in IDS for key in ("scenario", "bench")]
-    command = [sys.executable, "-c", DIGEST, *arguments]
-    # Different hash seeds: nothing may depend on the order of a set.
-    found = set()
-    for seed in ("1", "2"):
-        variables = {**os.environ, "PYTHONHASHSEED": seed}
-        found.add(subprocess.run(command, check=True, capture_output=True, text=True, env=variables).stdout)
-    assert len(found) == 1
-    assert len(found.pop().strip()) == hashlib.sha256().digest_size * 2
-
-
 # -- copies and states ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
-@pytest.mark.parametrize("name", IDS)
-def test_copies_go_on_alike(name: str, how: Any) -> None:
-    actions = plan(name, 1)[:, 0]
-    env = single(name)
-    for _ in episode(env, 3, actions[:10]):
-        pass
-    twin = how(env)
-    untouched = how(env).get_state()
-    over, continued = bool(env.episodes.pending[0]), []
-    for action in actions[10:40]:
-        continued.append(env.reset()[0] if over else env.step(action)[0])
-        over = bool(env.episodes.pending[0])
-    assert_same_arrays(twin.get_state(), untouched)
-    over = bool(twin.episodes.pending[0])
-    for action, expected in zip(actions[10:40], continued, strict=True):
-        np.testing.assert_array_equal(twin.reset()[0] if over else twin.step(action)[0], expected)
-        over = bool(twin.episodes.pending[0])
-    assert_same_arrays(twin.get_state(), env.get_state())
-
-
-@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
-@pytest.mark.parametrize("threads", [1, 2])
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
-@pytest.mark.parametrize("name", ["chemlab/WurtzReaction-v0", "chemlab/WurtzExtraction-v0"])
-def test_copies_of_batches_go_on_alike(name: str, mode: AutoresetMode, threads: int, how: Any) -> None:
-    actions = plan(name, 5, 40)
-    env = batch(name, 5, autoreset_mode=mode, threads=threads)
-    env.reset(seed=3)
-    for action in actions[:15]:
-        env.step(action)
-    twin = how(env)
-    before = twin.get_state()
-    continued = [env.step(action) for action in actions[15:]]
-    assert_same_arrays(twin.get_state(), before)  # its arrays are its own
-    for action, expected in zip(actions[15:], continued, strict=True):
-        for one, other in zip(twin.step(action)[:4], expected[:4], strict=True):
-            np.testing.assert_array_equal(one, other)
-    env.close()
-    twin.close()
-
-
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_states_can_be_put_back(name: str) -> None:
     actions = plan(name, 1, 18)[:, 0]
     env, other = single(name), single(name)
@@ -272,24 +176,6 @@ def test_states_can_be_put_back(name: str) -> None:
             again, again_reward, *_ = back.step(action)
             np.testing.assert_array_equal(again, observation)
             assert again_reward == reward
-
-
-@pytest.mark.parametrize("name", ["chemlab/WurtzReaction-v0", "chemlab/WurtzDistillation-v0"])
-def test_states_of_batches_can_be_put_back(name: str) -> None:
-    actions = plan(name, 4, 60)
-    env, other = batch(name, 4), batch(name, 4, threads=2)
-    env.reset(seed=1)
-    for action in actions[:20]:
-        env.step(action)
-    state = env.get_state()
-    future = [env.step(action) for action in actions[20:]]
-    assert any(step[2].any() for step in future)
-    for back in (env, other):
-        back.set_state(state)
-        for action, expected in zip(actions[20:], future, strict=True):
-            for one, two in zip(back.step(action)[:4], expected[:4], strict=True):
-                np.testing.assert_array_equal(one, two)
-    other.close()
 
 
 def test_a_state_of_another_environment_changes_nothing() -> None:
@@ -319,11 +205,11 @@ def test_a_state_of_another_environment_changes_nothing() -> None:
 @pytest.mark.parametrize("name", IDS)
 def test_members_are_single_environments(name: str) -> None:
     seed = 40
-    actions = plan(name, 64)
-    members = [list(episode(single(name), seed + i, actions[:, i])) for i in range(0, 64, 9)]
+    actions = plan(name, 20)
+    members = [list(episode(single(name), seed + i, actions[:, i])) for i in range(0, 20, 9)]
     # Every ninth of a batch is compared; all of them are, between batches of different sizes and threads.
     whole: list[Any] = []
-    for num_envs, threads in ((64, 1), (64, 2), (7, 1), (7, 2), (1, 1), (1, 2)):
+    for num_envs, threads in ((20, 1), (20, 2), (7, 2), (1, 1)):
         env = batch(name, num_envs, threads=threads)
         observations, infos = env.reset(seed=seed)
         rows = [(observations, np.zeros(num_envs), np.zeros(num_envs, dtype=bool), infos.get("action_mask"))]
@@ -336,7 +222,7 @@ def test_members_are_single_environments(name: str) -> None:
             for one, two in zip(row, first, strict=True):
                 np.testing.assert_array_equal(one, two if two is None else two[:num_envs])
         env.close()
-    assert sum(row[2].sum() for row in whole) >= 64
+    assert sum(row[2].sum() for row in whole) >= 20
     for t, row in enumerate(whole):
         for j, member in enumerate(members):
             for one, two in zip(row, member[t], strict=True):
@@ -346,7 +232,7 @@ def test_members_are_single_environments(name: str) -> None:
                     np.testing.assert_array_equal(one[9 * j], two)
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_same_step_resets_at_once(name: str) -> None:
     """Compared with single environments that are reset by hand as soon as they end."""
     actions = plan(name, 3)
@@ -391,7 +277,7 @@ def test_a_lost_last_turn_is_reported_when_reset_at_once() -> None:
     assert rewards[0] == pytest.approx(infos["score"][0] - env.batch.scenario.costs.illegal_action)
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_disabled_autoreset_waits_for_a_mask(name: str) -> None:
     actions = plan(name, 3)
     env = batch(name, 3, autoreset_mode="Disabled")
@@ -497,6 +383,7 @@ assert os.waitpid(child, 0)[1] == 0
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
 def test_a_forked_child_has_threads_of_its_own() -> None:
     subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], check=True, timeout=300)
@@ -531,7 +418,7 @@ def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> Non
     assert noise == []
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_returned_arrays_are_copies_unless_asked_otherwise(name: str) -> None:
     actions = plan(name, 2, 5)
     keeps, reuses = batch(name, 2), batch(name, 2, copy=False)
@@ -548,7 +435,7 @@ def test_returned_arrays_are_copies_unless_asked_otherwise(name: str) -> None:
     assert not np.array_equal(first, overwritten)
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_make_vec(name: str) -> None:
     env = gymnasium.make_vec(name, num_envs=8, vectorization_mode="vector_entry_point")
     assert isinstance(env.unwrapped, RoleVectorEnv)
@@ -606,7 +493,7 @@ def test_continuous_benches_have_no_mask(name: str) -> None:
             one.action_masks()  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_goals_can_be_chosen(name: str) -> None:
     names = load_scenario(gymnasium.spec(name).kwargs["scenario"]).goals
     for goals in (names[0], list(names[:2]), None):
@@ -618,7 +505,7 @@ def test_goals_can_be_chosen(name: str) -> None:
         assert {names[g] for g in hot.argmax(axis=1)} == wanted  # 256 draws miss one of 7 with probability 1e-16
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_a_goal_can_be_asked_for(name: str) -> None:
     env, vector = single(name), batch(name, 3)
     names = env.batch.scenario.goals
@@ -656,7 +543,7 @@ def test_an_episode_pays_its_score_and_ends(name: str) -> None:
             assert steps == env.bench.spec.step_limit
 
 
-@pytest.mark.parametrize("name", IDS)
+@pytest.mark.parametrize("name", KINDS)
 def test_a_step_after_the_end_is_refused(name: str) -> None:
     env = single(name)
     action = plan(name, 1, 1)[0, 0]
@@ -710,7 +597,7 @@ def refused(env: Any, action: Any, expected: str) -> None:
 
 
 @pytest.mark.parametrize("kind", BAD_NUMBERS)
-@pytest.mark.parametrize("name", CONTINUOUS)
+@pytest.mark.parametrize("name", KINDS[:1])
 def test_bad_continuous_actions(name: str, kind: str) -> None:
     env, vector = single(name), batch(name, 3)
     env.reset(seed=0)
@@ -721,7 +608,7 @@ def test_bad_continuous_actions(name: str, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", BAD_CHOICES)
-@pytest.mark.parametrize("name", DISCRETE)
+@pytest.mark.parametrize("name", KINDS[1:])
 def test_bad_discrete_actions(name: str, kind: str) -> None:
     env, vector = single(name), batch(name, 3)
     env.reset(seed=0)
@@ -731,14 +618,6 @@ def test_bad_discrete_actions(name: str, kind: str) -> None:
     refused(
         vector, BAD_CHOICES[kind](np.ones(3, dtype=int), count), rf"{agent}: .*3 integers from 0 to {count - 1}, given"
     )
-
-
-@pytest.mark.parametrize("name", DISCRETE)
-def test_one_bad_action_spoils_a_batch(name: str) -> None:
-    vector = batch(name, 3)
-    vector.reset(seed=0)
-    refused(vector, np.array([0, vector.bench.action_count, 0]), "given")
-    refused(vector, np.zeros(2, dtype=int), "3 integers")
 
 
 @pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint8])
@@ -812,34 +691,3 @@ def test_rendering_shows_no_contents() -> None:
     hidden = set(env.batch.scenario.materials) - {"dodecane"}  # the goal is known
     body = text.split("\n", 1)[1]
     assert not any(material in body for material in hidden)
-
-
-class Idle:
-    """A reaction model in which nothing happens; it keeps the temperatures."""
-
-    def __init__(self, scenario: Scenario) -> None:
-        self.temperatures: list[float] = []
-
-    def __call__(self, amount_mol: Any, temperature_k: float, volume_l: float, dt: float) -> Any:
-        self.temperatures.append(temperature_k)
-        return amount_mol
-
-
-def test_a_reaction_model_of_one_s_own_reaches_the_bench() -> None:
-    spec = load_scenario({"base": "wurtz_dodecane", "name": "idle", "benches": {"rxn": {"model": f"{__name__}:Idle"}}})
-    env, vector = RoleEnv(spec, bench="rxn"), RoleVectorEnv(2, spec, bench="rxn")
-    again = pickle.loads(pickle.dumps(env))
-    env.reset(seed=0, options={"goal": "dodecane"})
-    vector.reset(seed=0, options={"goal": "dodecane"})
-    action = np.array([1.0, 0.5, 1.0, 1.0, 1.0, 1.0])
-    total, over = 0.0, False
-    while not over:
-        _, reward, over, _, _ = env.step(action)
-        vector.step(np.stack([action] * 2))
-        total += reward
-    temperatures = env.bench.model.temperatures
-    assert len(temperatures) == env.bench.spec.step_limit
-    assert len(vector.bench.model.temperatures) == 2 * len(temperatures)
-    assert temperatures[-1] > temperatures[0], "it was heated"
-    assert total == 0.0, "without reactions there is no product"
-    assert again.bench.model.temperatures == []

@@ -120,12 +120,6 @@ def test_a_used_environment_plays_like_a_new_one(name: str, policy: str) -> None
     assert episode(env, policy, 5, reset=False) == episode(other, policy, 5, reset=False)
 
 
-@pytest.mark.parametrize("name", ["fictitious", "unlabelled"])
-def test_seeds_differ(name: str) -> None:
-    env = raw_env(name)
-    assert len({episode(env, "random", seed) for seed in range(5)}) == 5
-
-
 def test_the_seed_moves_the_camera_and_not_only_the_policy() -> None:
     """With the same actions, the pictures of two seeds differ, and nothing that is not drawn does."""
     env = raw_env("wurtz_dodecane")
@@ -140,65 +134,6 @@ def test_the_seed_moves_the_camera_and_not_only_the_policy() -> None:
         hidden.append(labs.shelf.vessels.tobytes())
     assert pictures[0] == pictures[1] != pictures[2]
     assert hidden[0] == hidden[1] == hidden[2]
-
-
-def play(labs: Laboratories, rng: np.random.Generator, turns: int) -> list[tuple[int, Any]]:
-    """Play random legal actions; what was played."""
-    played: list[tuple[int, Any]] = []
-    for _ in range(turns):
-        if labs.state.status[0] != 0:
-            break
-        number = labs.turn()
-        mask = labs.mask(number, labs.members)
-        if mask is None:
-            action: Any = rng.random((1, *labs.action_space(number).shape))  # type: ignore[misc]
-        else:
-            legal = [a for a in np.flatnonzero(mask[0]) if number or labs.actions.decode(int(a))[0] != "submit"]
-            action = np.array([rng.choice(legal)])
-        played.append((number, action))
-        labs.act(number, labs.members, action)
-    return played
-
-
-def replay(labs: Laboratories, played: list[tuple[int, Any]]) -> str:
-    """Digest of playing recorded actions again."""
-    digest = Digest()
-    for number, action in played:
-        assert labs.turn() == number
-        mask = labs.mask(number, labs.members)
-        for agent in range(len(labs.agents)):
-            digest.add(labs.observe(agent, labs.members))
-        digest.add(mask)
-        labs.act(number, labs.members, action)
-        digest.add(labs.rewards, labs.cost, labs.scores, labs.state.status, labs.costs())
-    return str(digest)
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_a_restored_laboratory_goes_on_as_it_did(name: str) -> None:
-    labs = Laboratories(name)
-    labs.seed(0, 6)
-    labs.reset(labs.members)
-    rng = np.random.default_rng(6)
-    play(labs, rng, 40)
-    assert labs.state.status[0] == 0
-    middle = labs.snapshot()
-    played = play(labs, rng, 200)
-    assert len(played) > (3 if name == "recrystallization" else 40)  # there, random managers soon submit
-    end = labs.snapshot()
-    labs.restore(middle)
-    once = replay(labs, played)
-    for array, was in zip(labs.snapshot(), end, strict=True):
-        np.testing.assert_array_equal(array, was)
-    # Nor does it matter what has happened in between, or in which object the snapshot is put.
-    labs.seed(0, 77)
-    labs.reset(labs.members)
-    play(labs, rng, 30)
-    labs.restore(middle)
-    assert replay(labs, played) == once
-    other = Laboratories(name)
-    other.restore(middle)
-    assert replay(other, played) == once
 
 
 # -- series of episodes ---------------------------------------------------------------------------------------------

@@ -220,19 +220,7 @@ def sb3() -> Played:
     return Played(reset, step, lambda: [*env.batch.get_state()[:-2], env._returns, env._lengths])
 
 
-ENVIRONMENTS = {
-    f.__name__: f
-    for f in (
-        aec,
-        parallel,
-        batched,
-        focal,
-        focal_vector,
-        bench,
-        bench_vector,
-        sb3,
-    )
-}
+ENVIRONMENTS = {f.__name__: f for f in (aec, parallel, batched, focal, focal_vector, bench, bench_vector, sb3)}
 
 
 def results_of(played: Played, first: int = 0) -> list[str]:

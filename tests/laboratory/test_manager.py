@@ -14,10 +14,8 @@ from helpers import FEATURED, allowed, laboratory, litres, manager, mapping
 
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
-from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs, named_events
-from chemlab.physics.chemistry import AMOUNTS, CLOCK, CLOCK_WAS
-from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX, Shelf
+from chemlab.physics.shelf import Shelf
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.instruments.balance import RANGE_KG
 from chemlab.roles.manager_actions import ManagerActions
@@ -459,71 +457,6 @@ def test_dissolved_salt_counts_as_salt() -> None:
 # -- what the manager may not see -----------------------------------------------------------------------------------
 
 
-def test_the_manager_sees_vessels_from_outside_alone() -> None:
-    """Vessels of one volume, temperature and capacity look alike until they are measured, whatever is in them."""
-    scenario = load_scenario(WURTZ)
-    labs = Laboratories(scenario, 3)
-    both = labs.members
-    for member in both:
-        labs.seed(int(member), 0)
-    labs.reset(both)
-    volume = 0.6
-    mixtures = (
-        {"water": 1.0},
-        {"diethyl_ether": 1.0, "dodecane": 3.0},
-        {"1-chlorohexane": 1.0, "Na": 1.0, "NaCl": 0.5},
-    )
-    for member, mixture in enumerate(mixtures):
-        scale = volume / litres(scenario, mixture)
-        for slot, capacity in ((0, 1.2), (1, 0.9)):
-            labs.shelf.fill(member, slot, capacity, {name: scale * mol for name, mol in mixture.items()})
-
-    def alike() -> bool:
-        sights = labs.observe(0, both)
-        masks = labs.mask(0, both)
-        assert masks is not None
-        return all(np.allclose(sight, sights[0], rtol=0.0, atol=1e-7) for sight in sights[1:]) and bool(
-            (masks == masks[0]).all()
-        )
-
-    def act(*action: str | int) -> None:
-        labs.act(0, both, np.full(3, labs.actions.encode(*action)))  # type: ignore[arg-type]
-
-    assert alike()
-    act("start", "dit_0", 0, "NaCl")
-    assert alike()
-    act("recall", "dit_0")  # back on the shelf, with a history now
-    assert alike()
-    act("discard", 1)
-    assert alike()
-    before = labs.snapshot()
-    for instrument in scenario.instruments:
-        labs.restore(before)
-        act("measure", 0, instrument)
-        assert not alike(), f"{instrument} tells nothing"
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_no_number_of_a_vessels_inside_is_shown(name: str) -> None:
-    """Whatever fills a vessel to the same height, and however it is spread over layers, the manager sees the same."""
-    env = laboratory(name)
-    scenario, labs = env.scenario, env.laboratories
-    rng = np.random.default_rng(0)
-    names = [key for key, material in scenario.materials.items() if material.role != "gas"]
-    mixtures = [{key: 1.0} for key in names] + [{key: float(rng.random()) for key in names} for _ in range(5)]
-    sights, masks = [], []
-    for mixture in mixtures:
-        scale = 0.5 / litres(scenario, mixture)
-        row = labs.shelf.fill(0, 0, 1.2, {key: scale * mol for key, mol in mixture.items()}).row
-        row[CLOCK] = row[CLOCK_WAS] = rng.uniform(T_MIX, CLOCK_SETTLED)
-        labs.shelf.dissolved[0, 0] = rng.random(labs.shelf.dissolved[0, 0].shape)
-        sights.append(env.observe("manager_0"))
-        masks.append(labs.mask(0, labs.members))
-    for sight, mask in zip(sights, masks, strict=True):
-        np.testing.assert_allclose(sight, sights[0], rtol=0.0, atol=1e-7)
-        np.testing.assert_array_equal(mask, masks[0])
-
-
 def test_the_outside_of_a_vessel_is_what_it_is() -> None:
     env = laboratory(WURTZ)
     labs = env.laboratories
@@ -557,35 +490,3 @@ def test_the_manager_sees_its_benches() -> None:
     limits = env.scenario.limits
     assert seen(env, "actions")[0] == pytest.approx(1.0 - 2 / limits.manager_actions, rel=1e-6)
     assert seen(env, "ticks")[0] == pytest.approx(1.0 - 1 / limits.ticks, rel=1e-6)
-
-
-def test_the_manager_is_the_same_in_a_batch() -> None:
-    """A laboratory of a batch is bit for bit the laboratory alone: nothing is shared but the scenario."""
-    scenario = load_scenario("wurtz_any")
-    batch = Laboratories(scenario, 3)
-    alone = [Laboratories(scenario, 1) for _ in range(3)]
-    for member in range(3):
-        batch.seed(member, member)
-        alone[member].seed(0, member)
-        alone[member].reset(alone[member].members)
-    batch.reset(batch.members)
-    rngs = [np.random.default_rng(member) for member in range(3)]
-    for _ in range(150):
-        for member, (lab, rng) in enumerate(zip(alone, rngs, strict=True)):
-            if lab.state.status[0]:
-                continue
-            number = lab.turn()
-            assert batch.turn(member) == number
-            members = np.array([member])
-            mask, same = lab.mask(number, lab.members), batch.mask(number, members)
-            np.testing.assert_array_equal(lab.observe(number, lab.members), batch.observe(number, members))
-            if mask is None:
-                action: Any = rng.random((1, *lab.action_space(number).shape))  # type: ignore[misc]
-            else:
-                np.testing.assert_array_equal(mask, same)
-                action = np.array([rng.choice(np.flatnonzero(mask[0]))])
-            lab.act(number, lab.members, action)
-            batch.act(number, members, action)
-            np.testing.assert_array_equal(lab.rewards[0], batch.rewards[member])
-            width = AMOUNTS + len(scenario.materials)
-            np.testing.assert_array_equal(lab.shelf.vessels[0, :, :width], batch.shelf.vessels[member, :, :width])

@@ -74,22 +74,17 @@ def play(labs: Laboratories, rng: np.random.Generator, measure: bool = True) -> 
     return number
 
 
-def waits_for_its_first_turn(labs: Laboratories, bench: int) -> bool:
-    return bool(labs.experiments[bench].steps[0] == 0) and labs.turn() == 0
-
-
 # -- the manager ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", FEATURED)
-def test_laboratories_that_differ_inside_look_alike(name: str, seed: int) -> None:
+def test_laboratories_that_differ_inside_look_alike(name: str) -> None:
     """Whatever the manager does but measuring the disguised vessels, legal or not: equal observations, masks, costs."""
     scenario = load_scenario(name)
     labs = Laboratories(scenario, 2)
-    both, rng = labs.members, np.random.default_rng(seed)
+    both, rng = labs.members, np.random.default_rng(1)
     for member in both:
-        labs.seed(int(member), seed)
+        labs.seed(int(member), 1)
     labs.reset(both)
     labs.state.goal[1] = labs.state.goal[0]
     names = [key for key, material in scenario.materials.items() if material.role != "gas"]
@@ -153,28 +148,6 @@ def test_laboratories_that_differ_inside_look_alike(name: str, seed: int) -> Non
         )
 
 
-def test_submitting_and_discarding_others_tells_nothing() -> None:
-    """With two orders one can be filled and the disguised vessels stay what they were: unknown."""
-    scenario = load_scenario("wurtz_two_lines")
-    labs = Laboratories(scenario, 2)
-    both = labs.members
-    for member in both:
-        labs.seed(int(member), 3)
-    labs.reset(both)
-    for member, mixture in enumerate(({"water": 1.0}, {"dodecane": 1.0, "diethyl_ether": 2.0})):
-        labs.shelf.fill(member, 2, 1.2, half_full(scenario, mixture))
-    for action in (("submit", 0, 1), ("measure", 1, "balance"), ("discard", 1)):
-        labs.act(0, both, np.repeat(labs.actions.encode(*action), 2))
-        seen, masks = labs.observe(0, both), labs.mask(0, both)
-        assert masks is not None
-        np.testing.assert_array_equal(seen[0], seen[1])
-        np.testing.assert_array_equal(masks[0], masks[1])
-        assert labs.state.status.tolist() == [0, 0]
-    labs.act(0, both, np.repeat(labs.actions.encode("measure", 2, "balance"), 2))
-    seen = labs.observe(0, both)
-    assert not np.array_equal(seen[0], seen[1])
-
-
 @pytest.mark.parametrize("name", FEATURED)
 def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None:
     """In the middle of random play, with benches at work: exchange everything that is hidden; nothing changes."""
@@ -225,7 +198,7 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
     rng = np.random.default_rng(2)
     looked = np.zeros(len(labs.experiments), dtype=int)
     # Experiments on benches with real physics are longer: it takes more turns to see each.
-    for turn in range(500 if labs.scenario.physics == "paper" else 2000):
+    for turn in range(500 if labs.scenario.physics == "paper" else 1000):
         if play(labs, rng) is None:
             labs.reset(labs.members)
         if turn % 5:
@@ -258,31 +231,6 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
                 np.testing.assert_array_equal(again, mask)
             labs.restore(before)
     assert (looked > 0).all()
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_channels_are_all_there_is(name: str) -> None:
-    """An observation is its declared channels and nothing else; the goal is the experiment's, one-hot, at the end."""
-    labs = Laboratories(name)
-    labs.seed(0, 3)
-    labs.reset(labs.members)
-    rng = np.random.default_rng(3)
-    for agent in range(len(labs.agents)):
-        channels = labs.channels if agent == 0 else labs.benches[agent - 1].channels
-        assert sum(channel.size for channel in channels) == labs.observation_sizes[agent]
-        assert len({channel.name for channel in channels}) == len(channels)
-        assert all(channel.size > 0 and channel.low < channel.high and channel.meaning for channel in channels)
-    for _ in range(150):
-        if play(labs, rng) is None:
-            labs.reset(labs.members)
-        for b, experiments in enumerate(labs.experiments):
-            seen = labs.observe(b + 1, labs.members)[0]
-            goal = seen[channel_slices(labs.benches[b].channels)["goal"]]
-            # With hidden parameters, nothing is seen of a vessel before the first turn with it.
-            shown = experiments.busy[0] and not (labs.scenario.hides and waits_for_its_first_turn(labs, b))
-            expected = np.arange(len(goal)) == experiments.goal[0] if shown else np.zeros(len(goal))
-            np.testing.assert_array_equal(goal, expected)
-            assert shown or not seen.any()
 
 
 # -- readings -------------------------------------------------------------------------------------------------------

@@ -157,7 +157,7 @@ def test_random_play_with_orders(orders: int) -> None:
     values["orders"] = orders
     rng = np.random.default_rng(orders)
     filled = []
-    for seed in range(25):
+    for seed in range(10):
         env = laboratory(values, seed)
         labs, begun, paid = env.laboratories, atoms(env), 0.0
         while labs.state.status[0] == 0:
@@ -201,16 +201,6 @@ def test_goals_of_orders_are_drawn_apart() -> None:
     assert ((counts - expected) ** 2 / expected).sum() < 80.0  # 35 degrees of freedom: beyond 80 once in 40,000
     env.reset(seed=0, options={"goal": choices[3]})
     assert goals(env) == [choices[3]] * 2
-
-
-def test_one_order_looks_as_it_always_did() -> None:
-    names = [channel.name for channel in laboratory("wurtz_any").laboratories.channels]
-    assert "goal" in names
-    assert not any(name.startswith("goal_") for name in names)
-    assert ("submit", 0) in [
-        ManagerActions.of(load_scenario("wurtz_any")).decode(a)
-        for a in range(len(laboratory("wurtz_any").laboratories.actions))
-    ]
 
 
 @pytest.mark.parametrize("orders", [1, 2, 5])
@@ -287,6 +277,7 @@ def test_wrong_scenarios_say_what_is_wrong(key: str, value: Any, parts: list[str
 # -- two lines at once ------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_scripted_manager_keeps_both_lines_busy() -> None:
     env = raw_env(LINES)
     labs = env.laboratories
@@ -358,7 +349,7 @@ def random_action(env: parallel_env, agent: str, info: dict[str, Any], rng: np.r
 
 
 @pytest.mark.parametrize("rewards", MIXES, ids=str)
-@pytest.mark.parametrize("name", slow_but(["wurtz_dodecane", "wurtz_safe", LINES], "wurtz_safe", LINES))
+@pytest.mark.parametrize("name", ["wurtz_safe", LINES])
 def test_returns_are_the_mix(name: str, rewards: Any) -> None:
     """In the parallel environment, the AEC environment and a batch, from the scores and the result they report."""
     mix = mix_of(rewards)

@@ -11,8 +11,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED, slow_but
-from pettingzoo.test import parallel_api_test
+from helpers import FEATURED
 
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -160,50 +159,6 @@ def test_one_script_is_one_episode(name: str, seed: int) -> None:
         np.testing.assert_array_equal(infos["manager_0"][key], aec.infos["manager_0"][key])
 
 
-@pytest.mark.parametrize("name", slow_but(["wurtz_any", "wurtz_two_lines", "wurtz_safe"], "wurtz_two_lines"))
-def test_a_round_is_its_turns(name: str) -> None:
-    """``act_round`` on a batch leaves what ``act``, agent by agent, leaves."""
-    whole, single = Laboratories(name, 6), Laboratories(name, 6)
-    for member in whole.members:
-        whole.seed(int(member), 50 + int(member))
-        single.seed(int(member), 50 + int(member))
-    whole.reset(whole.members)
-    single.reset(single.members)
-    rng = np.random.default_rng(3)
-    mixed = 0
-    for _ in range(250):
-        members = whole.members[whole.state.status == 0]
-        if not len(members):
-            break
-        turns = whole.turns(whole.members)
-        assert (turns[0] & turns[1:].any(axis=0)).sum() == 0, "the manager and a bench never play in the same round"
-        assert (turns.any(axis=0) == (whole.state.status == 0)).all()
-        mixed += bool(turns[0].any() and turns[1:].any())
-        actions: list[npt.NDArray[Any]] = []
-        for number, count in enumerate(whole.action_counts):
-            size = whole.action_space(number).shape or ()
-            rows = np.full(6, -7) if count else np.full((6, *size), np.nan)
-            for member in np.flatnonzero(turns[number]):
-                rows[member] = choose(whole, number, int(member), rng)
-            actions.append(rows)
-        whole.act_round(members, actions)
-        shape = (6, len(whole.agents))
-        rewards, cost, scores = np.zeros(shape), np.zeros(shape), np.full(shape, np.nan)
-        for number in range(len(whole.agents)):
-            playing = np.flatnonzero(turns[number])
-            if len(playing):
-                single.act(number, playing, actions[number][playing])
-                rewards[playing] += single.rewards[playing]
-                cost[playing] += single.cost[playing]
-                scores[playing] = np.where(np.isfinite(single.scores[playing]), single.scores[playing], scores[playing])
-        for one, other in zip(lasting(whole), lasting(single), strict=True):
-            np.testing.assert_array_equal(one, other)
-        np.testing.assert_array_equal(whole.rewards[members], rewards[members])
-        np.testing.assert_array_equal(whole.cost[members], cost[members])
-        np.testing.assert_array_equal(whole.scores[members], scores[members])
-    assert mixed > 10
-
-
 # -- masks ----------------------------------------------------------------------------------------------------------
 
 
@@ -334,19 +289,6 @@ def test_a_missing_action_is_asked_for(missing: str) -> None:
         np.testing.assert_array_equal(now, was)
 
 
-@pytest.mark.parametrize("action", [-1, 10**6, 1.0, None, True, "wait"], ids=repr)
-def test_a_bad_action_of_the_manager_changes_nothing(action: Any) -> None:
-    env = parallel_env(WURTZ)
-    env.reset(seed=0)
-    before = env.laboratories.snapshot()
-    last = len(env.laboratories.actions) - 1
-    with pytest.raises(ValueError, match="manager_0") as caught:
-        env.step({"manager_0": action})
-    assert f"integer from 0 to {last}" in str(caught.value)
-    for was, now in zip(before, env.laboratories.snapshot(), strict=True):
-        np.testing.assert_array_equal(now, was)
-
-
 # -- the interface --------------------------------------------------------------------------------------------------
 
 
@@ -361,15 +303,6 @@ def test_a_step_without_an_episode_is_refused() -> None:
         env.step({"manager_0": 0})
     env.reset()
     assert env.agents == env.possible_agents
-
-
-@pytest.mark.filterwarnings("ignore:.*reset options")
-@pytest.mark.parametrize("name", FEATURED)
-def test_api(name: str) -> None:
-    env = parallel_env(name)
-    for i, agent in enumerate(env.possible_agents):
-        env.action_space(agent).seed(i)
-    parallel_api_test(env, num_cycles=100)
 
 
 @pytest.mark.parametrize("name", FEATURED)

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import laboratory
+from helpers import FEATURED, laboratory
 from hypothesis import given
 from hypothesis import strategies as st
 
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import RoleText, Shades, curve_words, reading_words
 from chemlab.roles.bench import Channel, channel_slices
@@ -57,7 +57,7 @@ def variants(labs: Laboratories, channel: Channel) -> list[npt.NDArray[Any]]:
     return rows
 
 
-@pytest.mark.parametrize("name", scenario_names())
+@pytest.mark.parametrize("name", FEATURED)
 def test_observations_that_differ_in_a_channel_differ_in_text(name: str) -> None:
     labs = Laboratories(load_scenario(name))
     for agent in range(len(labs.agents)):

@@ -3,10 +3,8 @@ and records; nothing changes where nothing is declared."""
 
 from __future__ import annotations
 
-import copy
 import json
 import math
-import pickle
 from pathlib import Path
 from typing import Any, cast
 
@@ -329,43 +327,6 @@ def test_draws_of_what_does_not_wear_say_what_to_do() -> None:
     with pytest.raises(DataError, match=r"give benches\.rxn one: wear = \{ gain = 1\.0 \}"):
         scenario(None, None, world={"draws": draws})
     assert scenario({"gain": 1.0}, None, world={"draws": draws}).errs
-
-
-def test_an_episode_depends_on_its_seed_alone() -> None:
-    """Alone, or as one of several; and without draws, whose worlds still have numbers."""
-    drawn = {name: draw for name, draw in DRAWS.items() if name != "life"}
-    wear, drift = {"spread": 0.3, "drift": 0.05, "life": 1e5}, {"walk": 0.01}
-    for spec in (scenario(wear, drift, world={"draws": drawn}), scenario(wear, drift)):
-        labs = begun(spec, 3, seed=4)
-        single = begun(spec, 1, seed=6)
-        numbers = [labs.worlds.number(member) for member in range(3)]
-        assert len(set(numbers)) == 3
-        assert single.worlds.number(0) == numbers[2]
-        assert run(labs, "rxn_0") == run(single, "rxn_0") == 20
-        assert labs.shelf.vessels[2].tobytes() == single.shelf.vessels[0].tobytes()
-        assert readings(labs)[2].tobytes() == readings(single)[0].tobytes()
-        for experiments, alone in zip(labs.experiments, single.experiments, strict=True):
-            assert experiments.gain[2].tobytes() == alone.gain[0].tobytes()
-
-
-def test_snapshots_copies_and_pickles_go_on_alike() -> None:
-    labs = begun(drawing(), seed=1)
-    run(labs, "rxn_0")
-    readings(labs)
-    saved = labs.snapshot()
-    others = [copy.deepcopy(labs), pickle.loads(pickle.dumps(labs))]
-
-    def go_on(one: Laboratories) -> list[bytes]:
-        one.act(0, one.members, np.full(1, one.actions.encode("repair", "rxn_1")))
-        one.act(0, one.members, np.full(1, one.actions.encode("calibrate", GC)))
-        run(one, "rxn_0")
-        readings(one)
-        return [array.tobytes() for array in one.arrays()]
-
-    first = go_on(labs)
-    labs.restore(saved)
-    assert go_on(labs) == first
-    assert all(go_on(other) == first for other in others)
 
 
 def test_the_state_of_critics_has_it() -> None:

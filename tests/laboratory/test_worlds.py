@@ -103,52 +103,6 @@ def everything(labs: Any, member: int) -> list[np.ndarray[Any, Any]]:
 # -- the same world everywhere ----------------------------------------------------------------------------------------
 
 
-def test_every_view_of_a_seed_has_the_same_world() -> None:
-    spec = scenario()
-    aec, rounds = raw_env(spec), parallel_env(spec)
-    focal = RoleEnv(spec, policies=lambda labs: make_policies("scripted", labs))
-    batched, several = (
-        BatchedLaboratory(3, spec),
-        RoleVectorEnv(3, spec, policies=lambda labs: make_policies("scripted", labs)),
-    )
-    bench, benches = RoleEnv(spec, bench="rxn"), RoleVectorEnv(3, spec, bench="rxn", threads=2)
-    for seed in (0, 17):
-        singles: list[Any] = [aec, rounds, focal, bench]
-        for env in singles:
-            env.reset(seed=seed)
-        expected = worlds(aec)
-        assert all(worlds(env) == expected for env in singles)
-        assert expected != worlds(raw_env(spec))
-        for batch in (batched, several, benches):
-            batch.reset(seed=seed - 2 if seed else [9, 8, 0])
-            assert worlds(batch, 2) == expected
-            assert worlds(batch, 1) != expected
-        for labs in (rounds.laboratories, focal.laboratories):
-            for ours, theirs in zip(everything(labs, 0), everything(aec.laboratories, 0), strict=True):
-                assert ours.tobytes() == theirs.tobytes()
-        for labs in (batched.laboratories, several.laboratories):
-            for ours, theirs in zip(everything(labs, 2), everything(aec.laboratories, 0), strict=True):
-                assert ours.tobytes() == theirs.tobytes()
-
-
-def test_results_depend_neither_on_the_batch_nor_on_threads() -> None:
-    """Random actions through several episodes that begin by themselves."""
-    spec, steps = scenario(), 50
-    actions = np.random.default_rng(0).random((steps, 4, 6))
-    found = []
-    for members, threads in ((4, 1), (4, 3), (1, 1)):
-        played = np.zeros((steps, 4))
-        for first in range(0, 4, members):
-            env = RoleVectorEnv(members, spec, bench="rxn", threads=threads, autoreset_mode="SameStep")
-            env.reset(seed=first)
-            for step in range(steps):
-                _, rewards, *_ = env.step(actions[step, first : first + members])
-                played[step, first : first + members] = rewards
-        found.append(played)
-    assert found[0].any()
-    assert all((other == found[0]).all() for other in found)
-
-
 def test_a_world_disturbs_no_other_stream() -> None:
     """With amounts that come out as the file has them anyway, episodes are equal however many numbers are drawn."""
     same = {"kind": "choice", "options": [1.0]}
@@ -431,51 +385,6 @@ def test_records_hide_and_prove_the_world(tmp_path: Path, split: str, world: int
         other.write_text("\n".join([text, *lines[1:]]) + "\n")
         found = verify_record(other, spec, split=proof)
         assert found.status == "tampered", (change, found.message)
-
-
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("split", "x"),
-        ("split", 3),
-        ("split", None),
-        ("options", {"wish": 1}),
-        ("options", {"world": 3.5}),
-        ("options", {"world": {"rote": 1.0}}),
-        ("options", {"goal": ["dodecane"]}),
-        ("hidden", {}),
-    ],
-)
-def test_headers_that_no_recorder_writes_are_found(tmp_path: Path, key: str, value: Any) -> None:
-    spec, path = scenario(), tmp_path / "record.jsonl"
-    env = raw_env(spec, split="private:7175657474616c007175657474616c00")
-    with Recorder(path, env.laboratories) as recorder:
-        play_episode(env, make_policies("random", env.laboratories), 6, options={"world": 2}, recorder=recorder)
-    header, *lines = path.read_text().splitlines()
-    forged = json.dumps({**json.loads(header), key: value}, separators=(",", ":"), ensure_ascii=False)
-    path.write_text("\n".join([forged, *lines]) + "\n")
-    found = verify_record(path, spec)
-    assert found.status == "tampered", found.message
-    assert found.where == "header"
-
-
-def test_records_without_a_seed_are_played_in_the_world_they_hold(tmp_path: Path) -> None:
-    spec, path = scenario(), tmp_path / "record.jsonl"
-    spec = spec.model_copy(update={"limits": spec.limits.model_copy(update={"manager_actions": 1})})
-    env = raw_env(spec)
-    env.reset(seed=1)
-    env.reset()
-    labs = env.laboratories
-    with Recorder(path, labs) as recorder:
-        recorder.begin()
-        from chemlab.record import Play
-
-        action = labs.actions.encode("discard", 0)  # the last one that the limit leaves
-        seen, mask = labs.observe(0, labs.members)[0], labs.mask(0, labs.members)
-        assert mask is not None
-        env.step(action)
-        recorder.turn([Play(0, seen, mask[0], action)])
-    assert verify_record(path, spec).status == "ok"
 
 
 # -- numbers of either sign -------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ import run_files
 from run_files import HEURISTIC
 
 from chemlab.agents.evaluate.csv_tables import write_table
-from chemlab.agents.evaluate.results import Cell, read_runs, write_runs
+from chemlab.agents.evaluate.results import read_runs, write_runs
 from chemlab.agents.train.sweep import plan
 from chemlab.config.loading import load_scenario
 
@@ -139,22 +139,6 @@ def test_runs_find_their_cells(tmp_path: Path) -> None:
     ]
 
 
-def test_of_equally_many_runs_the_longer_ones_count(tmp_path: Path) -> None:
-    for seed in (0, 1):
-        write_run(tmp_path / "short", "wurtz_ext", "ppo", seed)
-        write_run(tmp_path / "long", "wurtz_ext", "ppo", seed, steps=9000)
-    cell = read_results(tmp_path).cell("wurtz_ext", "ppo")
-    assert cell is not None
-    assert cell.steps == 9000
-
-
-def cell_of(folder: Path, experiment: str, label: str) -> Cell:
-    """A cell that is there."""
-    cell = read_results(folder).cell(experiment, label)
-    assert cell is not None
-    return cell
-
-
 # -- drawing ----------------------------------------------------------------------------------------------------------
 
 
@@ -204,19 +188,6 @@ def test_curves_have_the_papers_bands_and_the_heuristic(tmp_path: Path) -> None:
     words = " ".join(text.get_text() for text in found.figure.texts)
     assert "One run has no spread: A2C" in words
     assert "DQN" in found.missing[0]
-
-
-def test_actions_by_goal(full: Path) -> None:
-    """A row for each policy, a column for each action, a curve for each goal."""
-    figure = drawn(full, "figure_09_fictitious_rxn_actions").figure
-    assert len(figure.axes) == 5 * 6
-    assert [axes.get_ylabel() for axes in figure.axes[::6]] == ["PPO", "A2C", "SAC", "TD3", "scripted"]
-    titles = ["temperature", "volume", "add A", "add B", "add C", "add D"]
-    assert [axes.get_title() for axes in figure.axes[:6]] == titles
-    for column, axes in enumerate(figure.axes[:6]):
-        assert list(lines_of(axes)) == ["E", "F", "G", "H", "I"]
-        for goal, values in lines_of(axes).items():
-            np.testing.assert_allclose(values, np.array(mean_actions("ppo", goal))[:, column])
 
 
 def test_sequences_fold_repeated_actions(full: Path) -> None:
@@ -396,10 +367,7 @@ def test_statements_about_actions_come_from_traces(full: Path) -> None:
     assert (e.holds, e.ours.partition(";")[0]) == (True, "A2C: A 1.00, B 1.00, C 1.00, D 0.00")
     assert found[9, "for E the best TD3 adds D as well"].holds is True
     staggered = found[9, "for I the best of each add D and two of A, B, C, and the third several steps later"]
-    assert staggered.ours.split("; ")[:2] == [
-        "PPO: 4 steps",
-        "A2C: 0 steps",
-    ]
+    assert staggered.ours.split("; ")[:2] == ["PPO: 4 steps", "A2C: 0 steps"]
     assert staggered.holds is False
 
 
@@ -578,6 +546,7 @@ def test_the_brief_table_has_every_algorithm(tmp_path: Path) -> None:
 # -- all of it --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_everything_comes_from_files(full: Path, tmp_path: Path) -> None:
     """All figures and the page; from the runs' folders and from the tables of them alike."""
     tables, stems = tmp_path / "tables", [spec.stem for spec in FIGURES]
@@ -612,12 +581,6 @@ def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:
         "figure_05_wurtz_rxn_goals.png",
         "figure_06_wurtz_rxn_curves.png",
     }
-
-
-def test_an_unknown_format_leaves_no_litter(full: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="supported"):
-        write_figures(read_results(full), tmp_path, ["bmp2"])
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -678,6 +641,7 @@ def without_intervals(text: str) -> str:
     return re.sub(r"\[[-+]?\d+\.\d+, [-+]?\d+\.\d+\]", "[]", text)
 
 
+@pytest.mark.slow
 def test_every_published_page_is_made_from_the_tables(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What the repository shows is what the command makes, with the same numbers."""
     monkeypatch.setattr(published, "write_figures", lambda results, out: {spec.stem: [] for spec in FIGURES})
@@ -716,14 +680,6 @@ def test_the_published_tables_are_small_and_of_finished_runs() -> None:
     assert {experiment_of(run) for run in others} == {None}
     assert all(run.finished.steps > 0 and len(run.curve) > 1 and run.evaluations for run in (*paper, *others))
     assert len({run.name for run in (*paper, *others)}) == len(paper) + len(others)
-
-
-def test_pages_are_looked_for_before_anything_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(published, "PAGES", {tmp_path / "missing.md": ("paper",)})
-    monkeypatch.setattr("sys.argv", ["papers", "--out", str(tmp_path / "out")])
-    with pytest.raises(SystemExit, match="no such file"):
-        published.main()
-    assert not (tmp_path / "out").exists()
 
 
 def test_the_papers_sweep_is_complete() -> None:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import copy
 import pickle
 import subprocess
 import sys
@@ -299,24 +298,6 @@ def test_pictures_and_text() -> None:
 # -- other processes ----------------------------------------------------------------------------------------------
 
 
-def test_copies_and_pickles() -> None:
-    env = RoleEnv(FILE, bench="ext")
-    env.reset(seed=1)
-    copies = [env, copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
-    for action in (A_TENTH, WATER, DRAIN_50):
-        steps = [each.step(action) for each in copies]
-        for step in steps[1:]:
-            np.testing.assert_array_equal(step[0], steps[0][0])
-            assert step[1] == steps[0][1]
-    laboratory = raw_env(FILE)
-    laboratory.reset(seed=1)
-    other = pickle.loads(pickle.dumps(laboratory))
-    for each in (laboratory, other):
-        each.step(each.laboratories.actions.encode("measure", 0, "refractometer"))
-        each.step(each.laboratories.actions.encode("start", "fil_0", 0, "dodecane"))
-    np.testing.assert_array_equal(other.observe("manager_0"), laboratory.observe("manager_0"))
-
-
 def test_another_process_finds_the_files(tmp_path: Path) -> None:
     """One that has never seen the scenario, and runs elsewhere."""
     env = RoleEnv(FILE, bench="fil"), RoleEnv(FILE, bench="ext")
@@ -328,6 +309,7 @@ def test_another_process_finds_the_files(tmp_path: Path) -> None:
     assert done.stdout.strip() == str([float(each.step(0)[1]) for each in env])
 
 
+@pytest.mark.slow
 def test_vectors_of_processes() -> None:
     vectors = pytest.importorskip("stable_baselines3.common.vec_env")
     made = vectors.SubprocVecEnv([lambda: RoleEnv(FILE, bench="ext")] * 2, start_method="spawn")

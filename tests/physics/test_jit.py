@@ -70,6 +70,7 @@ def test_an_edit_to_a_function_of_another_file_is_compiled(tmp_path: Path) -> No
     assert len(list(cache.glob("kernels-*"))) == 2
 
 
+@pytest.mark.slow
 def test_kernels_that_nobody_uses_any_more_are_deleted(tmp_path: Path) -> None:
     old, recent, other = tmp_path / "kernels-0", tmp_path / "kernels-1", tmp_path / "mine"
     for folder in (old, recent, other):
@@ -80,6 +81,7 @@ def test_kernels_that_nobody_uses_any_more_are_deleted(tmp_path: Path) -> None:
     assert (old.exists(), recent.exists(), other.exists()) == (False, True, True)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trouble", ["nowhere", "full"])
 def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, tmp_path: Path) -> None:
     expected, _ = play(tmp_path / "cache")
@@ -94,6 +96,7 @@ def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, t
     assert "NUMBA_CACHE_DIR" in err
 
 
+@pytest.mark.slow
 def test_processes_that_start_at_once_agree(tmp_path: Path) -> None:
     processes = [start(PLAY, tmp_path) for _ in range(3)]
     results = {process.communicate(timeout=900)[0] for process in processes}

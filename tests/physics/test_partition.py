@@ -53,18 +53,6 @@ def test_two_solvents_at_rest_share_by_volume_and_distance(solute: str) -> None:
     assert in_water + in_ether == pytest.approx(glass.amount(0, solute), rel=1e-12)
 
 
-def test_likes_dissolve_likes() -> None:
-    """Settled, salt is more concentrated in water than in ether, oil more in ether than in water."""
-    glass = Glassware("wurtz_dodecane", 1)
-    glass.mixed(0, {"water": 6.0, "diethyl_ether": 3.0, "NaCl": 0.5, "dodecane": 0.2})
-    glass.turn(0, 100.0)
-    volumes = np.array([glass.volume(0, "water"), glass.volume(0, "diethyl_ether")])
-    salt = np.array(where(glass, 0, "Na+", ("water", "diethyl_ether"))) / volumes
-    oil = np.array(where(glass, 0, "dodecane", ("water", "diethyl_ether"))) / volumes
-    assert salt[0] > 2.0 * salt[1]
-    assert oil[1] > 2.0 * oil[0]
-
-
 @pytest.mark.parametrize("solute", ["Na+", "dodecane"])
 def test_four_solvents_at_rest_follow_the_formula(solute: str) -> None:
     """Settled and mixed, four solvents hold what S*_L says."""
@@ -161,14 +149,6 @@ def test_standing_still_changes_nothing() -> None:
     assert in_water() == pytest.approx(0.18, rel=1e-14)
 
 
-def test_mixing_to_the_end_forgets_the_past() -> None:
-    """At t_mix the solute is spread by volume, wherever it was."""
-    start(CLOCK_SETTLED, 0.2, 0.0)
-    FOUR.turn(0, -100.0)
-    share = FOUR.volume(0, "water") / FOUR.volume(0, "water", "hexane")
-    assert in_water() == pytest.approx(0.2 * share, rel=1e-12)
-
-
 def test_what_would_be_negative_is_clipped_and_the_rest_scaled() -> None:
     """Where the update asks for less than nothing in water, all of it is in hexane."""
     before = T_MIX + 0.01
@@ -176,17 +156,6 @@ def test_what_would_be_negative_is_clipped_and_the_rest_scaled() -> None:
     FOUR.turn(0, 0.5)
     assert star(FOUR, PAIR, "dodecane", T_MIX + 0.51)["water"] < star(FOUR, PAIR, "dodecane", before)["water"]
     assert where(FOUR, 0, "dodecane", ("water", "hexane")) == [0.0, pytest.approx(0.2, rel=1e-15)]
-
-
-def test_settling_in_steps_is_settling_at_once() -> None:
-    """The deviation is kept in every step, so one step of 0.5 and ten of 0.05 end in the same place."""
-    for steps in (1, 10):
-        FOUR.mixed(0, {**PAIR, "dodecane": 0.2, "NaCl": 0.1})
-        for _ in range(steps):
-            FOUR.turn(0, 0.5 / steps)
-        if steps == 1:
-            once = FOUR.dissolved(0).copy()
-    np.testing.assert_allclose(FOUR.dissolved(0), once, rtol=1e-10, atol=1e-15)
 
 
 # -- conservation -------------------------------------------------------------------------------------------------

@@ -129,19 +129,6 @@ def test_distillation_follows_an_independent_rayleigh_integration(charge: str) -
         assert glass.rows[0, TEMPERATURE] == pytest.approx(kelvin, abs=2.0)
 
 
-def test_a_step_of_heating_may_be_cut_in_parts() -> None:
-    contents = {"diethyl_ether": 4.0, "1-chlorohexane": 0.5, "dodecane": 0.25}
-    left = []
-    for parts in (1, 40):
-        glass = Glass(*contents)
-        glass.fill(0, contents)
-        glass.fill(1, {})
-        for _ in range(parts):
-            glass.heat(120_000.0 / parts)
-        left.append([glass.mol(0, name) for name in contents] + [glass.rows[0, TEMPERATURE] / 300.0])
-    np.testing.assert_allclose(left[0], left[1], rtol=0.01, atol=2e-3)
-
-
 AZEOTROPES = {
     # literature: Gmehling et al., Azeotropic Data, as in the CRC Handbook of Chemistry and Physics
     ("ethanol", "water"): (351.3, 0.894),

@@ -172,10 +172,7 @@ def test_an_esterification_runs_with_its_acids_and_keeps_atoms_charge_and_energy
     table, names = chemistry(scenario), list(scenario.materials)
     atoms = composition(scenario)[1]
     quotients = []
-    for start in (
-        {"acetic acid": 4.0, "spirit": 4.0, "water": 2.0},
-        {"ester": 4.0, "water": 6.0, "acetic acid": 0.01},
-    ):
+    for start in ({"acetic acid": 4.0, "spirit": 4.0, "water": 2.0}, {"ester": 4.0, "water": 6.0, "acetic acid": 0.01}):
         mol = np.zeros(len(names))
         for name, x in {**start, "hydrogen sulfate ion": 0.5, "H+": 0.5}.items():
             mol[names.index(name)] = x

@@ -80,16 +80,6 @@ def test_two_pours_into_an_empty_vessel_are_one(first: dict[str, float], f: floa
     np.testing.assert_allclose(twice.rows, once.rows, rtol=1e-12, atol=1e-12)
 
 
-def test_half_and_half_is_the_whole() -> None:
-    """Pouring half, then the other half (0.5, then 1.0 of what is left): the paper's invariant."""
-    once, twice = (glass_with({"water": 3.0, "hexane": 1.0, "NaCl": 0.5, "dodecane": 0.2}, {}) for _ in range(2))
-    once.pour(0, 1, 1.0)
-    twice.pour(0, 1, 0.5)
-    twice.pour(0, 1, 1.0)
-    np.testing.assert_allclose(twice.rows, once.rows, rtol=1e-12, atol=1e-12)
-    assert (twice.rows[0, AMOUNTS:] == 0.0).all()
-
-
 @pytest.mark.parametrize("second", [{}, {"water": 2.0, "dodecane": 0.1}])
 def test_pouring_nothing_changes_nothing(second: dict[str, float]) -> None:
     """A zero fraction, or an empty source: no bit of either vessel, the waste or the events changes."""

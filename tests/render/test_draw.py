@@ -88,19 +88,6 @@ def test_layers_are_as_high_as_their_volumes_at_any_size(size: tuple[int, int]) 
     assert sum(check_proportions(scene, *size) for scene in crowd(12, 2, 2, 3)[::4]) >= 3
 
 
-def test_a_full_vessel_is_full_and_an_empty_one_empty() -> None:
-    per_mol = 18.01528 / 997.05 / 1.0  # litres of water a mole takes, to a pixel
-    labs = filled({"water": 1.2 / per_mol})
-    labs.shelf.fill(0, 1, 1.2, {})
-    painting = paint(laboratory_scene(labs))
-    pixels = np.asarray(painting.image)
-    full, empty = painting.glasses
-    water = rgb(labs.scenario.materials["water"].color)
-    assert Counter(rows_of(pixels, full)[2:]).keys() <= {water, rgb(drawing.AIR)}
-    assert rows_of(pixels, full).count(water) >= full.box.bottom - full.box.top - 3
-    assert set(rows_of(pixels, empty)[2:]) == {rgb(drawing.AIR)}
-
-
 def test_a_stirred_vessel_has_the_mean_colour_up_to_its_fill_level() -> None:
     labs = filled({"diethyl_ether": 4.0, "water": 20.0}, clock=T_MIX)
     scene = laboratory_scene(labs)
