@@ -21,7 +21,6 @@ import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
-from helpers import FEATURED
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
@@ -453,36 +452,6 @@ def test_make_vec(name: str) -> None:
 # -- masks, goals, rewards --------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", DISCRETE)
-def test_masks_leave_a_choice_and_say_the_truth(name: str) -> None:
-    env = single(name)
-    rng = np.random.default_rng(0)
-    env.reset(seed=0)
-    price = env.batch.scenario.costs.illegal_action
-    assert price > 0.0
-    seen = {True: 0, False: 0}
-    for _ in range(400):
-        mask = env.action_masks()
-        assert mask[-1], "ending is always legal"
-        assert mask.sum() >= 2
-        action = int(rng.integers(len(mask) - 1))
-        shelf, steps = env.batch.shelf.rows.copy(), int(env.batch.experiments.steps[0])
-        _, reward, over, _, info = env.step(action)
-        if not over:
-            np.testing.assert_array_equal(info["action_mask"], env.action_masks())
-        assert info["illegal_action"] == (not mask[action])
-        seen[bool(info["illegal_action"])] += 1
-        assert env.batch.experiments.steps[0] == steps + 1, "a turn is a turn"
-        if info["illegal_action"] and not over:
-            np.testing.assert_array_equal(env.batch.shelf.rows, shelf)
-            assert reward == -price
-            assert info["cost"] == 0.0
-        if over:
-            assert info["action_mask"].any()
-            env.reset()
-    assert min(seen.values()) > 20
-
-
 @pytest.mark.parametrize("name", CONTINUOUS)
 def test_continuous_benches_have_no_mask(name: str) -> None:
     env, vector = single(name), batch(name, 2)
@@ -632,26 +601,6 @@ def test_any_integers_will_do(dtype: Any) -> None:
 
 
 # -- the generic id, starting states, rendering -----------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_any_bench_of_any_scenario(name: str) -> None:
-    laboratories = Laboratories(name)
-    for agent, bench in enumerate(laboratories.benches, start=1):
-        env = gymnasium.make("chemlab/Bench-v1", scenario=name, bench=bench.key)
-        assert env.observation_space == laboratories.observation_space(agent)
-        assert env.action_space == laboratories.action_space(agent)
-        observation, _ = env.reset(seed=0)
-        assert observation in env.observation_space
-
-
-def test_the_generic_id_is_the_named_one() -> None:
-    generic = gymnasium.make("chemlab/Bench-v1", scenario="salt_from_oil", bench="ext")
-    named = gymnasium.make("chemlab/SaltFromOilExtraction-v0")
-    np.testing.assert_array_equal(generic.reset(seed=1)[0], named.reset(seed=1)[0])
-    for action in plan("chemlab/SaltFromOilExtraction-v0", 1, 5)[:, 0] % 40:
-        for one, two in zip(generic.step(action)[:3], named.step(action)[:3], strict=True):
-            np.testing.assert_array_equal(one, two)
 
 
 @pytest.mark.parametrize(

@@ -232,34 +232,6 @@ def test_the_managers_return_is_the_score(name: str) -> None:
         assert named_costs(info) == labs.costs()
 
 
-@pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
-def test_elapsed_ticks_discount_in_time(agent: str) -> None:
-    """What follows a step is discounted by gamma to the elapsed ticks: the same as gamma to the tick of the turn."""
-    gamma = 0.97
-    env, hand = role_env(WURTZ, agent), ByHand(WURTZ, agent, "scripted")
-    rng = np.random.default_rng(3)
-    env.reset(seed=4)
-    hand.reset(4)
-    first = int(hand.labs.state.ticks[0])
-    expected, rewards, elapsed = 0.0, [], []
-    while True:
-        tick = int(hand.labs.state.ticks[0]) - first
-        action = choose(env.laboratories, env.focal, 0, rng)
-        expected += gamma**tick * hand.step(action)["rewards"]
-        _, reward, terminated, truncated, info = env.step(action)
-        rewards.append(reward)
-        elapsed.append(info["elapsed_ticks"])
-        if terminated or truncated:
-            break
-    following = 0.0
-    for reward, ticks in zip(reversed(rewards), reversed(elapsed), strict=True):
-        following = reward + gamma**ticks * following
-    assert following == pytest.approx(expected, rel=1e-12)
-    assert sum(elapsed) == hand.labs.state.ticks[0] - first
-    assert agent != "ext_0" or min(elapsed[:-1]) >= 1  # a bench has one turn a tick
-    assert max(elapsed) > 1
-
-
 # -- ends -----------------------------------------------------------------------------------------------------------
 
 
