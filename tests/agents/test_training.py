@@ -196,7 +196,7 @@ def test_kill_9_at_any_moment(tmp_path: Path) -> None:
         last = broken.checkpoint("last")
         return 0 if last is None else int(last.name.partition("-")[2])
 
-    for least in (4 * 64, 14 * 64):
+    for least in (4 * 64, 10 * 64):
         process = start(arguments, broken.path)
         wait_for(lambda least=least: step() >= least, process)  # type: ignore[misc]
         process.kill()

@@ -28,7 +28,7 @@ def test_broken_files_are_readable_errors(each: int) -> None:
     assert not failures, "\n".join(failures)
     # The fuzzer would prove nothing if it broke nothing, or everything.
     assert sum(outcomes.values()) == files
-    assert all(outcomes[f"{kind}: refused"] > 4 for kind in KINDS)
+    assert all(outcomes[f"{kind}: refused"] > each // 8 for kind in KINDS)
     assert sum(outcomes[f"{kind}: loaded"] for kind in KINDS) > 5
 
 
