@@ -16,10 +16,10 @@ from chemlab.envs.players import Memory
 from chemlab.kernels.arrays import BoolArray, Field, FloatArray, Handle, IntArray, MaskArray, ObservationArray
 from chemlab.kernels.jit import inner, kernel, opened
 from chemlab.kernels.tables import Table
-from chemlab.roles.bench import CAMERA_PIXELS, Channel, channel_slices
+from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 from chemlab.roles.distillation_bench import DistillationBench
 
-from .script import SAME_SHADE, Remembering
+from .script import SAME_SHADE, Remembering, shows
 
 __all__ = ["ScriptedDistillation"]
 
@@ -64,6 +64,11 @@ class _Plan(NamedTuple):
     """action that changes the receiver"""
     end: Annotated[int, Field("")]
     """action that ends the experiment"""
+    goal_at: Annotated[int, Field("")]
+    """column of the goal's one-hot"""
+    gauge_at: Annotated[IntArray, Field("2")]
+    """columns of temperature and volume; their ranges [2, 2] in K and L below"""
+    gauge: Annotated[FloatArray, Field("2 2")]
     capacity_l: Annotated[float, Field("")]
     careful: Annotated[int, Field("")]
     """whether it heats in small steps; otherwise with full power"""
@@ -72,21 +77,12 @@ class _Plan(NamedTuple):
 
 
 @inner
-def _shows(picture: ObservationArray, shade: float) -> int:
-    """Count the pixels of one grey value."""
-    count = 0
-    for x in range(CAMERA_PIXELS):
-        count += abs(picture[x] - shade) < _SAME
-    return count
-
-
-@inner
 def _shows_others(picture: ObservationArray, goal: int, plan: _Plan) -> int:
     """Count the pixels of liquids whose grey values differ from the goal's."""
     count = 0
     for k in range(plan.liquids.shape[0]):
         if plan.others[goal, k]:
-            count += _shows(picture, plan.liquids[k])
+            count += shows(picture, plan.liquids[k])
     return count
 
 
@@ -130,7 +126,7 @@ def _collect_step(picture: ObservationArray, goal: int, kelvin: float, litres: f
     """Return the heat in kJ that boils the goal over, but not the heavier liquids that remain after it."""
     boiling = _CAUTION * _KJ_PER_L * (litres - 0.02)
     if plan.heel:
-        left = _shows(picture, plan.shade[goal])
+        left = shows(picture, plan.shade[goal])
         boiling = _CAUTION * _KJ_PER_L * (left - _HEEL_PIXELS) / CAMERA_PIXELS * plan.capacity_l
     step = max(boiling, _KJ_PER_L_K * litres * (plan.boils_at[goal] - kelvin))
     pixels = _shows_others(picture, goal, plan)
@@ -140,26 +136,35 @@ def _collect_step(picture: ObservationArray, goal: int, kelvin: float, litres: f
     return float(step)
 
 
+@inner
+def _gauge(observation: ObservationArray, which: int, plan: _Plan) -> float:
+    """Return what the thermometer (0) or the fill level (1) shows, in K or L."""
+    low, high = plan.gauge[which, 0], plan.gauge[which, 1]
+    return float(low + np.float64(observation[plan.gauge_at[which]]) * (high - low))
+
+
 @kernel
 def _decide(
     observation: ObservationArray,
     mask: MaskArray,
     step: IntArray,
-    goals: IntArray,
-    gauges: FloatArray,
     kept: FloatArray,
     handle: Handle,
     out: IntArray,
 ) -> None:
-    """Decide for B experiments: ``gauges`` [2, B] kelvin and litres, ``kept`` [B, 3] memory, ``out`` [B] actions."""
+    """Decide for B experiments: ``kept`` [B, 3] memory, ``out`` [B] actions."""
     plan = opened(_Plan, handle)
     for b in range(out.shape[0]):
-        picture, goal, kelvin, litres = observation[b], goals[b], gauges[0, b], gauges[1, b]
+        picture, goal = observation[b], 0
+        for g in range(1, plan.boils_at.shape[0]):
+            if observation[b, plan.goal_at + g] > observation[b, plan.goal_at + goal]:
+                goal = g
+        kelvin, litres = _gauge(picture, 0, plan), _gauge(picture, 1, plan)
         boils = math.isfinite(plan.boils_at[goal])
         phase = int(kept[b, _PHASE])
         if step[b] == 0:
             # A vessel that contains the goal and nothing to boil off is distilled over.
-            alone = boils and _shows(picture, plan.shade[goal]) > 0 and not _shows_others(picture, goal, plan)
+            alone = boils and shows(picture, plan.shade[goal]) > 0 and not _shows_others(picture, goal, plan)
             phase = SWAP if alone else STRIP
             kept[b, _LAST_K], kept[b, _TRUST] = 0.0, 1.0
         if phase == STRIP and kelvin >= plan.strip_to[goal]:
@@ -170,7 +175,7 @@ def _decide(
         elif phase == SWAP and mask[b, plan.swap]:
             out[b], phase = plan.swap, COLLECT
         elif phase != DONE:
-            empty = plan.heel and _shows(picture, plan.shade[goal]) <= _HEEL_PIXELS
+            empty = plan.heel and shows(picture, plan.shade[goal]) <= _HEEL_PIXELS
             phase = COLLECT if not empty and kelvin < plan.boils_at[goal] + 1.0 else DONE
             if phase == COLLECT:
                 out[b] = _heat(_collect_step(picture, goal, kelvin, litres, plan), plan)
@@ -191,9 +196,8 @@ class ScriptedDistillation(Remembering):
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
         materials = bench.scenario.materials
-        self._slices = channel_slices(bench.channels)
-        gauges = {channel.name: channel for channel in bench.channels}
-        self._temperature, self._volume = gauges["temperature"], gauges["volume"]
+        slices = channel_slices(bench.channels)
+        gauges = [channel for name in ("temperature", "volume") for channel in bench.channels if channel.name == name]
         liquids = {n: m.boiling_point_k for n, m in materials.items() if m.role in ("solvent", "solute")}
         highest = max(liquids.values(), default=0.0)
         strip_to, boils_at = [], []
@@ -225,6 +229,9 @@ class ScriptedDistillation(Remembering):
                 air=np.array([materials["air"].shade], dtype=np.float32),
                 kilojoules=np.array([m for m, _ in heats]),
                 heats=np.array([action for _, action in heats]),
+                goal_at=slices["goal"].start,
+                gauge_at=np.array([slices[channel.name].start for channel in gauges]),
+                gauge=np.array([(channel.low, channel.high) for channel in gauges]),
                 swap=int(starts[swap]) + int(np.argmax(processes[swap].magnitudes)),
                 end=bench.end_action,
                 capacity_l=bench.spec.start.capacity_l,
@@ -239,15 +246,9 @@ class ScriptedDistillation(Remembering):
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
-        seen, goals = np.ascontiguousarray(observation), observation[:, self._slices["goal"]].argmax(axis=1)
-        gauges = np.stack([self._gauge(seen, self._temperature), self._gauge(seen, self._volume)])
         (kept,) = self._kept.recall(step, members)
         out = np.empty(len(members), dtype=np.int64)
-        _decide(seen, np.ascontiguousarray(mask), step, goals, gauges, kept, self._plan.handle, out)
+        seen, legal = np.ascontiguousarray(observation), np.ascontiguousarray(mask)
+        _decide(seen, legal, step, kept, self._plan.handle, out)
         self._kept.keep(members, kept)
         return out
-
-    def _gauge(self, observation: ObservationArray, channel: Channel) -> FloatArray:
-        """Return the value [B] of a gauge in its unit."""
-        shown = observation[:, self._slices[channel.name]][:, 0].astype(np.float64)
-        return np.asarray(channel.low + shown * (channel.high - channel.low))

@@ -49,8 +49,9 @@ class ScriptedExtraction(Remembering):
     def __init__(self, bench: ExtractionBench, careful: bool = True, margin_k: float = 0.0) -> None:
         materials = bench.scenario.materials
         violent = {name for step in bench.scenario.family.violent for name in step.reactants}
-        self._metals = [m.shade for name, m in materials.items() if m.role == "solid" and name in violent and careful]
-        self._solids = [m.shade for m in materials.values() if m.role == "solid"]
+        solids = {name: m.shade for name, m in materials.items() if m.role == "solid"}
+        self._metals = _greys(*(shade for name, shade in solids.items() if name in violent and careful))
+        self._solids = _greys(*solids.values())
         processes = bench.options.process
         starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
 
@@ -62,6 +63,7 @@ class ScriptedExtraction(Remembering):
 
         drain, add, mix, settle = find("drain", vessel="EV", target="B1"), find("add"), find("mix"), find("settle")
         self._wash_shade = materials[str(processes[add].material)].shade
+        self._wash = _greys(self._wash_shade)
         # (magnitude, action), largest first; the first that fits is used
         self._drains = sorted(
             ((m, int(starts[drain]) + i) for i, m in enumerate(processes[drain].magnitudes)), reverse=True
@@ -119,8 +121,12 @@ class ScriptedExtraction(Remembering):
 
     def _drain_lower(self, picture: ObservationArray, mask: MaskArray) -> int | None:
         """Return the action that drains the lower layer; None if it is drained."""
-        lower = count_pixels(picture, [self._wash_shade])
+        lower = count_pixels(picture, self._wash)
         return self._drain(lower) if lower else None
+
+
+def _greys(*shades: float) -> ObservationArray:
+    return np.array(shades, dtype=np.float32)
 
 
 def _wash_volumes(bench: ExtractionBench, wash: str) -> tuple[int, FloatArray]:

@@ -100,7 +100,7 @@ class ScriptedRealExtraction(ScriptedExtraction):
 
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         super().__init__(bench)
-        self._metals, self._most = [], _WASHES if careful else 1
+        self._metals, self._most = self._metals[:0], _WASHES if careful else 1
 
     def _boundary(self, picture: ObservationArray) -> int:
         """Return the number of pixels from the bottom up to the last aqueous one."""

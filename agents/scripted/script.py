@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -12,18 +12,29 @@ import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.kernels.jit import kernel
-from chemlab.roles.bench import Channel, channel_slices
+from chemlab.kernels.jit import inner, kernel
+from chemlab.roles.bench import CAMERA_PIXELS, Channel, channel_slices
 from chemlab.roles.instruments.table import InstrumentTable
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_view import order_channels
 
-__all__ = ["SAME_SHADE", "Remembering", "ScriptedManager", "Setting", "apart", "cheapest", "count_pixels", "likelihood"]
+__all__ = [
+    "SAME_SHADE",
+    "Remembering",
+    "ScriptedManager",
+    "Setting",
+    "apart",
+    "cheapest",
+    "count_pixels",
+    "likelihood",
+    "shows",
+]
 
 M = TypeVar("M")
 
 SAME_SHADE = 1e-3
 """Grey values closer than this belong to the same material."""
+_SAME = np.float32(SAME_SHADE)
 
 
 def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
@@ -90,9 +101,22 @@ def _likelihood(readings: FloatArray, expected: FloatArray, variance: float, lea
             out[b, k] = np.exp(power) + least if power > vanishes else least
 
 
-def count_pixels(picture: ObservationArray, shades: Iterable[float]) -> int:
-    """Count the pixels of a picture [pixels] whose grey value is one of ``shades``."""
-    return sum(int(np.count_nonzero(np.abs(picture - shade) < SAME_SHADE)) for shade in shades)
+@inner
+def shows(picture: ObservationArray, shade: float) -> int:
+    """Count the pixels of an observed picture, which come first, that have one grey value."""
+    count = 0
+    for x in range(CAMERA_PIXELS):
+        count += abs(picture[x] - shade) < _SAME
+    return count
+
+
+@kernel
+def count_pixels(picture: ObservationArray, shades: ObservationArray) -> int:
+    """Count the pixels of an observed picture whose grey value is one of ``shades``."""
+    count = 0
+    for k in range(shades.shape[0]):
+        count += shows(picture, shades[k])
+    return count
 
 
 class Remembering:

@@ -259,12 +259,11 @@ class Players:
             ValueError: a policy's actions are outside its agent's space; the message names the agent.
         """
         labs = self._labs
-        status = labs.state.status
+        cursor, status = labs.state.cursor, labs.state.status
         for number, policy in enumerate(self._policies):
             if policy is None:
                 continue
-            here = members[labs.turn_of(members) == number]
-            group = here[status[here] == RUNNING]
+            group = members[(cursor[members] == labs.roles[number].cursor) & (status[members] == RUNNING)]
             if len(group):
                 self._act(number, group, self.decide(number, group))
                 after(number, group)

@@ -485,8 +485,10 @@ class LaboratoryEpisodes(RoleEpisodes):
         """Add the consequences of the last turn of any agent to the agent's results."""
         labs, focal = self.laboratories, self.focal
         self.rewards[members] += labs.state.rewards[focal][members]
-        self.costs[members] += labs.cost[members, focal]
-        scores = labs.scores[members, focal]
+        self.costs[members] += labs.state.cost[focal][members]
+        if not labs.experiment_ended:
+            return
+        scores = labs.state.scores[focal][members]
         ended = np.isfinite(scores)
         if ended.any():
             before = self.scores[members[ended]]

@@ -35,7 +35,7 @@ class BenchRole(Role):
     def __init__(self, labs: Laboratories, number: int, bench: Bench, experiments: Experiments) -> None:
         resting = bench.end_action if bench.action_count else -1
         super().__init__(labs, experiments.agent, number, bench, resting)
-        self.number, self.experiments = number, experiments
+        self.number, self.experiments, self._hides = number, experiments, labs.scenario.hides
         self._ended: IntArray = np.zeros(len(experiments.busy), dtype=np.int64)
 
     @property
@@ -71,7 +71,7 @@ class BenchRole(Role):
     def observe(self, members: IntArray, out: ObservationArray, rows: IntArray | None = None) -> None:
         seen = out if rows is None else np.empty((len(members), out.shape[1]), dtype=np.float32)
         self.workplace.observe(self.labs.shelf, self.experiments, members, seen)
-        if self.labs.scenario.hides:  # nothing of a vessel before the first turn
+        if self._hides:  # nothing of a vessel before the first turn
             own = self.experiments
             seen[(own.steps[members] == 0) & (self.labs.state.cursor[members] == MANAGER)] = 0.0
         if rows is not None:
