@@ -19,7 +19,7 @@ from chemlab.kernels.tables import Table
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 from chemlab.roles.distillation_bench import DistillationBench
 
-from .script import SAME_SHADE, Remembering, shows
+from .script import SAME_SHADE, shows
 
 __all__ = ["ScriptedDistillation"]
 
@@ -182,7 +182,7 @@ def _decide(
         kept[b, _PHASE] = phase
 
 
-class ScriptedDistillation(Remembering):
+class ScriptedDistillation:
     """Heats in steps that cannot overshoot, guided by thermometer and fill level; uses the layers once lighter
     materials left.
 
@@ -191,8 +191,6 @@ class ScriptedDistillation(Remembering):
         careful: True stops before the vessel boils to dryness if the scenario prices accidents; False heats with full
             power.
     """
-
-    _MEMORY = ("_kept",)
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:
         materials = bench.scenario.materials
@@ -239,16 +237,24 @@ class ScriptedDistillation(Remembering):
                 heel=int(careful and bench.scenario.safety.reward_price > 0.0),
             )
         )
-        self._kept = Memory(_KEPT)
+        self._memory = Memory(_KEPT)
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.agents.policies.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
-        (kept,) = self._kept.recall(step, members)
+        (kept,) = self._memory.recall(step, members)
         out = np.empty(len(members), dtype=np.int64)
         seen, legal = np.ascontiguousarray(observation), np.ascontiguousarray(mask)
         _decide(seen, legal, step, kept, self._plan.handle, out)
-        self._kept.keep(members, kept)
+        self._memory.keep(members, kept)
         return out
+
+    def get_memory(self) -> Any:
+        """See :class:`chemlab.envs.players.Policy`."""
+        return self._memory.copy()
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`chemlab.envs.players.Policy`."""
+        self._memory.put_back(memory)

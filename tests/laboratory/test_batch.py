@@ -139,6 +139,26 @@ def test_idle_rows_may_be_left_as_they_were(name: str) -> None:
 # -- seeds and resets -----------------------------------------------------------------------------------------------
 
 
+def test_short_infos_change_nothing_else() -> None:
+    """Without complete infos, all else is the same, over the ends of episodes, and no more is told."""
+    name, rng = "wurtz_two_lines", np.random.default_rng(SEED)
+    full, short = BatchedLaboratory(3, name), BatchedLaboratory(3, name, infos=False)
+    seen, brief = full.reset(seed=SEED), short.reset(seed=SEED)
+    ended = 0
+    for _ in range(250):
+        for agent in full.possible_agents:
+            told = {"has_turn", "experiment_over", "score"} | ({"action_mask"} & set(seen[-1][agent]))
+            assert set(brief[-1][agent]) == told
+            np.testing.assert_array_equal(seen[0][agent], brief[0][agent])
+            for key in told:
+                np.testing.assert_array_equal(seen[-1][agent][key], brief[-1][agent][key])
+        actions = stacked(full, [choose(full, member, rng) for member in range(3)])
+        seen, brief = full.step(actions), short.step(actions)
+        np.testing.assert_equal(seen[1:4], brief[1:4])
+        ended += int(seen[2].sum())
+    assert ended > 0
+
+
 def test_seeds_of_members_and_resets_of_some() -> None:
     batch = BatchedLaboratory(4, "wurtz_any")
     seen, _ = batch.reset(seed=[7, 3, 7, 5])
