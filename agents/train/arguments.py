@@ -143,6 +143,7 @@ ABOUT: dict[str, str] = {
     "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
     "own_goals": "Share of training over which starts are for goals of the orders alone, in ever fewer laboratories.",
+    "self_imitation": "Weight of the manager's own turns that went better than expected.",
     "balanced": "Draw every kind of the manager's actions equally often at first.",
 }
 """Descriptions of arguments."""
@@ -445,7 +446,7 @@ class IPPO(Clipped, Arguments, Cloning):
     begin_from: str | None = None
     steps: Many = 250_000
     envs: Count = 256
-    rollout: Turns = 128
+    rollout: Turns = 32
     learning_rate: Positive = 1e-3
     net_arch: Layers = (128, 128)
     manager_gamma: Share = 1.0
@@ -453,7 +454,7 @@ class IPPO(Clipped, Arguments, Cloning):
     gae_lambda: Share = 0.95
     ent_coef: Weight = 0.03
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 3
-    batch_size: Minibatch = 2048
+    batch_size: Minibatch = 1024
     eval_episodes: Count = 50
     play: Play = "better"
     practice: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.5
@@ -461,6 +462,7 @@ class IPPO(Clipped, Arguments, Cloning):
     processed: Share = 0.3
     own_goals: Share = 0.5
     balanced: bool = True
+    self_imitation: Weight = 1.0
 
     @model_validator(mode="before")
     @classmethod
@@ -468,7 +470,7 @@ class IPPO(Clipped, Arguments, Cloning):
         if values.get("bc") is None and values.get("begin_from") is None:
             return values
         return {
-            **dict.fromkeys(("practice", "refund", "processed", "own_goals"), 0.0),
+            **dict.fromkeys(("practice", "refund", "processed", "own_goals", "self_imitation"), 0.0),
             "ent_coef": 0.01,
             "balanced": False,
             **values,

@@ -48,6 +48,8 @@ _FORBIDDEN = -1e9
 """Logit of an action that the mask forbids."""
 _PRACTICE = 20
 """Steps in each environment before each update while benches learn on their own."""
+_REMEMBERED = 1 << 16
+"""Turns of the manager that self-imitation chooses from."""
 _CRITIC_FIRST = 5
 """Updates in which the critic of a policy from elsewhere learns alone."""
 _CLONE = {"epochs": 10, "updates": 1100, "batch": 256, "learning_rate": 1e-3, "entropy": 0.03}
@@ -352,6 +354,64 @@ class _Track:
         self.reward[0] = np.where(waiting.any(axis=0), reward, 0.0)
 
 
+class _Best:
+    """The manager's latest turns and the returns that followed; those that went better than expected are learned again.
+
+    This is self-imitation (`Oh et al., 2018 <https://arxiv.org/abs/1806.05635>`_). Returns are not discounted.
+
+    Args:
+        envs: number of laboratories.
+        track: of the manager.
+    """
+
+    def __init__(self, envs: int, track: _Track) -> None:
+        arrays = {"observed": track.observed, "mask": track.mask, "action": track.action}
+        self._turns = {
+            name: np.zeros((_REMEMBERED, *array.shape[2:]), dtype=array.dtype)
+            for name, array in arrays.items()
+            if array is not None
+        }
+        self._env, self._following = np.full(_REMEMBERED, -1), np.zeros(_REMEMBERED, dtype=np.float32)
+        self._ended, self._earned, self._at = np.zeros(_REMEMBERED, dtype=np.bool_), np.zeros(envs), 0
+
+    def add(self, rows: IntArray, **turns: Arrays) -> None:
+        """Take turns of the laboratories ``rows``."""
+        at = (self._at + np.arange(len(rows))) % _REMEMBERED
+        self._at = int(at[-1] + 1) % _REMEMBERED
+        for name, values in turns.items():
+            self._turns[name][at] = values
+        self._env[at], self._following[at], self._ended[at] = rows, -self._earned[rows], False
+
+    def rewarded(self, reward: Arrays, over: BoolArray) -> None:
+        """Take the rewards [N] of a round, after which some episodes are over."""
+        self._earned += reward
+        if over.any():
+            mine = np.flatnonzero((self._env >= 0) & ~self._ended)
+            mine = mine[over[self._env[mine]]]
+            self._following[mine] += self._earned[self._env[mine]]
+            self._ended[mine] = True
+            self._earned[over] = 0.0
+
+    def learn(self, learner: _Learner, rng: np.random.Generator) -> None:
+        """Make turns more likely whose return is above the critic's value."""
+        known = np.flatnonzero(self._ended)
+        if not len(known):
+            return
+        returns = self._following[known]
+        better = np.maximum(returns - learner.value(self._turns["observed"][known]), 0.0) / (returns.std() + 1e-8)
+        chosen, weight = known[better > 0.0], better[better > 0.0].astype(np.float32)
+        for rows in np.array_split(rng.permutation(len(chosen)), max(1, len(chosen) // learner.settings.batch_size)):
+            own = {name: torch.from_numpy(values[chosen[rows]]) for name, values in self._turns.items()}
+            log_probability = learner.network.distribution(own["observed"], own["mask"]).log_prob(own["action"])
+            # The mean is over all turns: the fewer are better, the less they count.
+            share = len(chosen) / len(known)
+            loss = -learner.settings.self_imitation * share * (torch.from_numpy(weight[rows]) * log_probability).mean()
+            learner.optimizer.zero_grad()
+            loss.backward()  # type: ignore[no-untyped-call]
+            nn.utils.clip_grad_norm_(learner.network.parameters(), 0.5)
+            learner.optimizer.step()
+
+
 class _Practice:
     """Experiments of one bench on its own, where its learner begins.
 
@@ -467,8 +527,11 @@ class PPOTeam:
 
     def _restart(self) -> None:
         """Begin new episodes and forget all turns."""
-        for track in self._tracks.values():
+        self._best: _Best | None = None
+        for agent, track in self._tracks.items():
             track.clear()
+            if role_of(agent) == MANAGER_ROLE and self.settings.self_imitation:
+                self._best = _Best(self.settings.envs, track)
         self.turns = dict.fromkeys(self.learners, 0)
         self.scores: list[float] = []
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
@@ -499,6 +562,8 @@ class PPOTeam:
                 elif role_of(agent) == MANAGER_ROLE and over.any():
                     refund = max(1.0 - (1.0 - remaining) / self.settings.refund, 0.0) if self.settings.refund else 0.0
                     track.reward[t, over] += refund * np.maximum(-score[over], 0.0)
+                if self._best is not None and role_of(agent) == MANAGER_ROLE:
+                    self._best.rewarded(track.reward[t], over)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Actions [N] of an agent in round ``t``; None if it has the turn nowhere."""
@@ -536,6 +601,8 @@ class PPOTeam:
             track.log_probability[t, rows] = log_probability
             if track.mask is not None:
                 track.mask[t, rows] = allowed
+            if self._best is not None and role_of(agent) == MANAGER_ROLE and allowed is not None:
+                self._best.add(rows, observed=observed, mask=allowed, action=played)
             if not track.shared:
                 track.seen[t, rows] = np.concatenate([observed, self.batch.state(rows)], axis=1)
             track.value[t, rows] = learner.value(track.seen[t, rows])
@@ -593,6 +660,8 @@ class PPOTeam:
             count = len(batch["advantage"])  # type: ignore[arg-type]
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
+            if self._best is not None and role == MANAGER_ROLE:
+                self._best.learn(self.learners[role], self.rng)
             learned += count
         return learned
 

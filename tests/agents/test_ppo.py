@@ -107,6 +107,35 @@ def test_help_is_of_the_mask_and_ends() -> None:
     assert (made._helped(mask, rows, 0.8) == mask).all(), "a policy is tried with all actions before training ends"
 
 
+def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
+    """Returns are sums of rewards to the end of each turn's episode; turns of open episodes wait."""
+    made = team(self_imitation=1.0, batch_size=8)
+    learner, best = made.learners["manager"], made._best
+    assert best is not None
+    rows, size, count = np.array([2, 5]), len(learner.columns), len(made.labs.actions)
+    mask, reward = np.ones((2, count), dtype=np.bool_), np.zeros(8)
+    observed = np.random.default_rng(0).random((2, size), dtype=np.float32)
+    over = np.zeros(8, dtype=np.bool_)
+    for action, (first, second) in enumerate([(0.25, 0.5), (0.5, 0.0)]):
+        best.add(rows, observed=observed, mask=mask, action=np.full(2, action))
+        reward[rows] = first, second
+        over[5] = action == 1
+        best.rewarded(reward, over)
+    assert best._ended[:4].tolist() == [False, True, False, True]
+    assert best._following[[1, 3]] == pytest.approx([0.5, 0.0])
+
+    def probability() -> float:
+        """Of the better action."""
+        return float(
+            learner.network.distribution(torch.from_numpy(observed[1:]), None).log_prob(torch.tensor([0])).exp()
+        )
+
+    before = probability()
+    for _ in range(20):
+        best.learn(learner, np.random.default_rng(1))
+    assert probability() > 2.0 * before
+
+
 def test_balanced_logits_give_every_kind_the_same_share() -> None:
     network = team(balanced=True).learners["manager"].network
     kinds = team().labs.actions.table[:, 0]
