@@ -66,7 +66,8 @@ class _Network(nn.Module):
         super().__init__()
         self.discrete = discrete
         self.actor = _layers(observed, hidden, actions, 0.01)
-        self.critic = _layers(observed + state, hidden, 1, 1.0)
+        # Values begin at 0: with others and no discount, it can seem better never to end an episode.
+        self.critic = _layers(observed + state, hidden, 1, 0.01)
         if not discrete:
             self.log_std = nn.Parameter(torch.full((actions,), -1.0))
             nn.init.constant_(self.actor[-1].bias, 0.5)  # type: ignore[arg-type]
@@ -365,21 +366,20 @@ class _Best:
     """
 
     def __init__(self, envs: int, track: _Track) -> None:
-        arrays = {"observed": track.observed, "mask": track.mask, "action": track.action}
         self._turns = {
             name: np.zeros((_REMEMBERED, *array.shape[2:]), dtype=array.dtype)
-            for name, array in arrays.items()
-            if array is not None
+            for name, array in track.arrays().items()
+            if name in ("observed", "seen", "mask", "action")
         }
         self._env, self._following = np.full(_REMEMBERED, -1), np.zeros(_REMEMBERED, dtype=np.float32)
         self._ended, self._earned, self._at = np.zeros(_REMEMBERED, dtype=np.bool_), np.zeros(envs), 0
 
-    def add(self, rows: IntArray, **turns: Arrays) -> None:
-        """Take turns of the laboratories ``rows``."""
+    def add(self, track: _Track, t: int, rows: IntArray) -> None:
+        """Take turns of the laboratories ``rows`` in round ``t``."""
         at = (self._at + np.arange(len(rows))) % _REMEMBERED
         self._at = int(at[-1] + 1) % _REMEMBERED
-        for name, values in turns.items():
-            self._turns[name][at] = values
+        for name, kept in self._turns.items():
+            kept[at] = getattr(track, name)[t, rows]
         self._env[at], self._following[at], self._ended[at] = rows, -self._earned[rows], False
 
     def rewarded(self, reward: Arrays, over: BoolArray) -> None:
@@ -398,7 +398,8 @@ class _Best:
         if not len(known):
             return
         returns = self._following[known]
-        better = np.maximum(returns - learner.value(self._turns["observed"][known]), 0.0) / (returns.std() + 1e-8)
+        seen = self._turns.get("seen", self._turns["observed"])[known]
+        better = np.maximum(returns - learner.value(seen), 0.0) / (returns.std() + 1e-8)
         chosen, weight = known[better > 0.0], better[better > 0.0].astype(np.float32)
         for rows in np.array_split(rng.permutation(len(chosen)), max(1, len(chosen) // learner.settings.batch_size)):
             own = {name: torch.from_numpy(values[chosen[rows]]) for name, values in self._turns.items()}
@@ -534,6 +535,7 @@ class PPOTeam:
                 self._best = _Best(self.settings.envs, track)
         self.turns = dict.fromkeys(self.learners, 0)
         self.scores: list[float] = []
+        self._earned = np.zeros(self.settings.envs)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
 
     def practise(self, remaining: float) -> int:
@@ -552,16 +554,18 @@ class PPOTeam:
                 agent: action for agent in self.agents if (action := self._chosen(agent, t, remaining)) is not None
             }
             self._observed, rewards, over, _, self._infos = self.batch.step(actions)
-            score = self._infos["manager_0"]["score"]
-            self.scores += score[over].tolist()
+            self.scores += self._infos["manager_0"]["score"][over].tolist()
             for agent, track in self._tracks.items():
                 track.reward[t] = rewards[agent]
                 track.ended[t] = over
                 if role_of(agent) != MANAGER_ROLE and self._own_episodes:
                     track.ended[t] |= self._infos[agent]["experiment_over"]
-                elif role_of(agent) == MANAGER_ROLE and over.any():
-                    refund = max(1.0 - (1.0 - remaining) / self.settings.refund, 0.0) if self.settings.refund else 0.0
-                    track.reward[t, over] += refund * np.maximum(-score[over], 0.0)
+                elif role_of(agent) == MANAGER_ROLE and self.settings.refund:
+                    # At once, and not at the end: what costs something is not avoided then.
+                    refund = max(1.0 - (1.0 - remaining) / self.settings.refund, 0.0)
+                    earned = self._earned + rewards[agent]
+                    track.reward[t] += refund * (np.maximum(-earned, 0.0) - np.maximum(-self._earned, 0.0))
+                    self._earned = np.where(over, 0.0, earned)
                 if self._best is not None and role_of(agent) == MANAGER_ROLE:
                     self._best.rewarded(track.reward[t], over)
 
@@ -601,11 +605,11 @@ class PPOTeam:
             track.log_probability[t, rows] = log_probability
             if track.mask is not None:
                 track.mask[t, rows] = allowed
-            if self._best is not None and role_of(agent) == MANAGER_ROLE and allowed is not None:
-                self._best.add(rows, observed=observed, mask=allowed, action=played)
             if not track.shared:
                 track.seen[t, rows] = np.concatenate([observed, self.batch.state(rows)], axis=1)
             track.value[t, rows] = learner.value(track.seen[t, rows])
+            if self._best is not None and role_of(agent) == MANAGER_ROLE:
+                self._best.add(track, t, rows)
         space = self.batch.action_space(agent)
         out = np.zeros((self.settings.envs, *(space.shape or ())), dtype=played.dtype)
         out[rows] = played if played.dtype.kind == "i" else np.clip(played, space.low, space.high)  # type: ignore[attr-defined]

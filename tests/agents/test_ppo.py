@@ -107,17 +107,31 @@ def test_help_is_of_the_mask_and_ends() -> None:
     assert (made._helped(mask, rows, 0.8) == mask).all(), "a policy is tried with all actions before training ends"
 
 
+def test_a_refund_makes_the_sum_of_rewards_not_negative() -> None:
+    """It comes with each cost, and is taken back as far as the score rises again."""
+    made = team(refund=1.0, rollout=400, envs=4, self_imitation=0.0)
+    made.collect(1.0)
+    track = made._tracks["manager_0"]
+    ends = np.flatnonzero(track.ended[:, 0])
+    scores = made.scores
+    assert len(ends)
+    sums = [float(part.sum()) for part in np.split(track.reward[:, 0], ends + 1)[: len(ends)]]
+    assert min(scores) < -0.01, "random managers lose"
+    assert min(sums) >= -1e-6
+    assert max(sums) <= max(*scores, 0.0) + 1e-6
+
+
 def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
     """Returns are sums of rewards to the end of each turn's episode; turns of open episodes wait."""
     made = team(self_imitation=1.0, batch_size=8)
     learner, best = made.learners["manager"], made._best
     assert best is not None
-    rows, size, count = np.array([2, 5]), len(learner.columns), len(made.labs.actions)
-    mask, reward = np.ones((2, count), dtype=np.bool_), np.zeros(8)
-    observed = np.random.default_rng(0).random((2, size), dtype=np.float32)
-    over = np.zeros(8, dtype=np.bool_)
+    rows, track, reward, over = np.array([2, 5]), made._tracks["manager_0"], np.zeros(8), np.zeros(8, dtype=np.bool_)
+    observed = np.random.default_rng(0).random((2, len(learner.columns)), dtype=np.float32)
+    track.observed[1, rows], track.mask[1, rows] = observed, True
     for action, (first, second) in enumerate([(0.25, 0.5), (0.5, 0.0)]):
-        best.add(rows, observed=observed, mask=mask, action=np.full(2, action))
+        track.action[1, rows] = action
+        best.add(track, 1, rows)
         reward[rows] = first, second
         over[5] = action == 1
         best.rewarded(reward, over)
@@ -126,9 +140,9 @@ def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
 
     def probability() -> float:
         """Of the better action."""
-        return float(
-            learner.network.distribution(torch.from_numpy(observed[1:]), None).log_prob(torch.tensor([0])).exp()
-        )
+        with torch.no_grad():
+            drawn = learner.network.distribution(torch.from_numpy(observed[1:]), None)
+            return float(drawn.log_prob(torch.tensor([0])).exp())
 
     before = probability()
     for _ in range(20):
