@@ -531,27 +531,6 @@ def test_no_reward_is_lost(name: str, policy: str) -> None:
         assert env.scenario.world.draws or all(scored[f"{key}_0"] != 0.0 for key in env.scenario.benches)
 
 
-def test_a_cooperative_laboratory_shares_the_managers_result() -> None:
-    values = mapping(WURTZ)
-    values["rewards"] = {"bench_local": 0.5, "bench_team": 0.25, "manager_local": 0.75, "manager_team": 0.0}
-    env = raw_env(load_scenario(values))
-    policies = make_policies("scripted", env.laboratories)
-
-    def act(inner: raw_env, agent: str, observation: Any) -> Any:
-        number = inner.possible_agents.index(agent)
-        step = inner.laboratories.state.actions if number == 0 else inner.laboratories.experiments[number - 1].steps
-        mask = inner.infos[agent].get("action_mask")
-        mask = None if mask is None else mask[None]
-        return policies[agent].act(observation[None], mask, step[:1], inner.laboratories.members)[0]
-
-    seen, _, scored = play_and_count(env, act)
-    result = scored["manager_0"]
-    assert result > 0.0
-    assert seen["manager_0"] == pytest.approx(0.75 * result, rel=1e-12)
-    for agent in ("rxn_0", "ext_0", "dit_0"):
-        assert seen[agent] == pytest.approx(0.5 * scored[agent] + 0.25 * result, rel=1e-12)
-
-
 # -- endings --------------------------------------------------------------------------------------------------------
 
 
