@@ -9,28 +9,21 @@ import pickle
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import litres
-from pettingzoo.test import api_test, parallel_api_test, seed_test
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
 from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
-from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs, named_events
-from chemlab.laboratory import env as laboratory_env
-from chemlab.laboratory import parallel_env
 from chemlab.physics.chemistry import AMOUNTS, CLOCK
-from chemlab.record import Play, Recorder, verify_record
 from chemlab.roles.bench import channel_slices
-from chemlab.roles.manager_actions import SUBMIT
 
 HERE = Path(__file__).parent
 FILE = HERE / "my_laboratory.toml"
@@ -52,19 +45,6 @@ def channel(laboratories: Laboratories, agent: int, name: str, member: int = 0) 
     """What an agent sees in one of its channels."""
     seen = laboratories.observe(agent, np.array([member]))[0]
     return np.asarray(seen[channel_slices(laboratories.roles[agent].channels)[name]])
-
-
-def chosen(laboratories: Laboratories, agent: int, rng: np.random.Generator, member: int = 0) -> Any:
-    """A legal action, seldom one that ends something."""
-    mask = laboratories.mask(agent, np.array([member]))
-    if mask is None:
-        return rng.random(laboratories.action_space(agent).shape)
-    legal = np.flatnonzero(mask[0])
-    if agent == 0:
-        legal = legal[laboratories.actions.table[legal, 0] != SUBMIT]
-    elif rng.random() < 0.8 and len(legal) > 1:
-        legal = legal[legal != laboratories.benches[agent - 1].end_action]
-    return int(rng.choice(legal))
 
 
 # -- what each part says, worked out by hand ----------------------------------------------------------------------
@@ -176,15 +156,6 @@ def test_a_kernel_is_the_same_operation(tmp_path: Path) -> None:
 # -- everywhere the same ------------------------------------------------------------------------------------------
 
 
-def test_interface() -> None:
-    env = laboratory_env(FILE)
-    for i, agent in enumerate(env.possible_agents):
-        env.action_space(agent).seed(i)
-    api_test(env, num_cycles=300)
-    seed_test(lambda: laboratory_env(FILE), num_cycles=100)
-    parallel_api_test(parallel_env(FILE), num_cycles=100)
-
-
 @pytest.mark.parametrize(("members", "threads"), [(1, 1), (3, 2), (7, 3)])
 def test_a_batch_of_benches_plays_what_one_plays(members: int, threads: int) -> None:
     batch = RoleVectorEnv(members, FILE, bench="ext", autoreset_mode="Disabled", threads=threads)
@@ -200,88 +171,6 @@ def test_a_batch_of_benches_plays_what_one_plays(members: int, threads: int) -> 
         np.testing.assert_array_equal(rewards, [step[1] for step in played])
         np.testing.assert_array_equal(infos["cost"], [step[4]["cost"] for step in played])
     batch.close()
-
-
-def test_a_batch_of_laboratories_plays_what_one_plays() -> None:
-    batch = BatchedLaboratory(3, FILE)
-    singles = [parallel_env(FILE) for _ in range(3)]
-    batch.reset(seed=11)
-    for i, env in enumerate(singles):
-        env.reset(seed=11 + i)
-    rngs = [np.random.default_rng(i) for i in range(3)]
-    used: set[str] = set()
-    for _ in range(60):
-        labs = [env.unwrapped.laboratories for env in singles]
-        actions: dict[str, Any] = {}
-        for agent in batch.possible_agents:
-            shape = batch.action_space(agent).shape or ()
-            actions[agent] = np.zeros((3, *shape), dtype=np.float64 if shape else np.int64)
-        steps = []
-        for i, env in enumerate(singles):
-            turns = np.flatnonzero(labs[i].turns(np.arange(1))[:, 0]).tolist()
-            mine = {labs[i].agents[n]: chosen(labs[i], n, rngs[i]) for n in turns}
-            used |= set(mine)
-            for agent, action in mine.items():
-                actions[agent][i] = action
-            steps.append(env.step(mine))
-        _, rewards, terminated, truncated, _ = batch.step(actions)
-        assert not terminated.any()
-        assert not truncated.any()
-        for agent in batch.possible_agents:
-            np.testing.assert_array_equal(rewards[agent], [step[1].get(agent, 0.0) for step in steps])
-            for i in range(3):
-                if agent in steps[i][0]:
-                    np.testing.assert_array_equal(labs[i].state.reading[0], batch.laboratories.state.reading[i])
-        np.testing.assert_array_equal(
-            batch.laboratories.shelf.vessels, np.concatenate([lab.shelf.vessels for lab in labs])
-        )
-    assert used == set(batch.possible_agents)
-
-
-def test_snapshots() -> None:
-    env = raw_env(FILE)
-    env.reset(seed=2)
-    labs, rng = env.laboratories, np.random.default_rng(2)
-    for _ in range(40):
-        env.step(chosen(labs, labs.turn(), rng))
-    saved, state = labs.snapshot(), rng.bit_generator.state
-
-    def going_on() -> list[Any]:
-        found = []
-        for _ in range(40):
-            agent = labs.turn()
-            labs.act(agent, labs.members, labs.checked(agent, chosen(labs, agent, rng)))
-            found.append((agent, labs.rewards.tolist(), labs.observe(agent, labs.members).tolist()))
-        return found
-
-    first = going_on()
-    labs.restore(saved)
-    rng.bit_generator.state = state
-    assert going_on() == first
-
-
-def test_a_record_replays(tmp_path: Path) -> None:
-    """With the scenario's file beside it, and its code trusted."""
-    scenario = copied(tmp_path)
-    env = raw_env(scenario)
-    labs, path, rng = env.laboratories, tmp_path / "episode.jsonl", np.random.default_rng(4)
-    env.reset(seed=4)
-    played: set[str] = set()
-    with Recorder(path, labs) as recorder:
-        recorder.begin(4)
-        while labs.state.status[0] == 0:
-            agent = labs.turn()
-            seen, mask = labs.observe(agent, labs.members)[0], labs.mask(agent, labs.members)
-            action = labs.checked(agent, chosen(labs, agent, rng))
-            if agent == 0 and len(played) == len(labs.agents):
-                action = np.array([labs.actions.encode("submit", int(np.argmax(labs.shelf.vessels[0, :8, 5])))])
-            labs.act(agent, labs.members, action)
-            recorder.turn([Play(agent, seen, None if mask is None else mask[0], action[0])])
-            played.add(labs.agents[agent])
-    result = verify_record(path, scenario, trust=True)
-    assert result.status == "ok", result.message
-    assert verify_record(path, scenario).status == "unchecked"
-    assert "vapour_mol" in path.read_text()
 
 
 def test_pictures_and_text() -> None:
