@@ -20,7 +20,7 @@ from chemlab.openchem.activity import is_molecule, make_pairs, measured_pairs
 from chemlab.openchem.writing import pair_text
 
 HERE = Path(__file__).resolve().parent
-SHIPPED = HERE.parent / "chemlab" / "data" / "pairs" / "unifac.toml"
+SHIPPED = HERE.parents[1] / "chemlab" / "data" / "pairs" / "unifac.toml"
 SOLUBILITIES = HERE / "solubilities.toml"
 
 
