@@ -283,11 +283,6 @@ def rates(seconds: float, quick: bool) -> dict[str, Any]:
             f"manager's view, {count} at once, benches scripted, decisions": manager_view(count, seconds)
             for count in (64, 256)
         },
-        **{
-            f"PPO's collection, 256 at once, {who}, `{scenario}`, turns": collection(4.0 * seconds, scenario, every)
-            for who, every in (("manager over scripted benches", False), ("every role", True))
-            for scenario in ("rush@1", "unlabelled@1")
-        },
     }
     return result
 
@@ -343,6 +338,16 @@ def table(result: dict[str, Any]) -> str:
     return "\n".join([*lines, f"peak memory of a process with a batch of 4,096: {memory}"])
 
 
+def collections(seconds: float) -> list[str]:
+    """Return the rates of :func:`collection` as Markdown: medians of rounds."""
+    lines = ["| scenario | manager over scripted benches | every role |", "|---|--:|--:|"]
+    for scenario in ("rush@1", "unlabelled@1"):
+        found = [[collection(seconds, scenario, every) for every in (False, True)] for _ in range(ROUNDS)]
+        rates = " | ".join(f"{statistics.median(column):,.0f}" for column in zip(*found, strict=True))
+        lines.append(f"| `{scenario.removesuffix('@1')}` | {rates} |")
+    return [*lines, "", f"Load average {os.getloadavg()[0]:.1f}."]
+
+
 def short_table(result: dict[str, Any]) -> str:
     """Return the figures for README."""
     base = result["cartpole_single"]
@@ -362,6 +367,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--quick", action="store_true", help="fewer sizes, one round, no cold start")
+    parser.add_argument("--collection", action="store_true", help="only PPO's collection (needs PyTorch)")
     parser.add_argument(
         "--update",
         type=Path,
@@ -371,6 +377,12 @@ def main() -> None:
         help="replace the tables between the marks `throughput` (all) or `speed` (a few) in Markdown files",
     )
     arguments = parser.parse_args()
+    if arguments.collection:
+        lines = collections(1.0)
+        print("\n".join(lines))
+        for file in arguments.update:
+            replace_between(file, "collection", lines)
+        return
     result = measure(0.3, arguments.quick)
     for file in arguments.update:
         if "<!-- speed: begin -->" in file.read_text(encoding="utf-8"):

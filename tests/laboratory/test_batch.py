@@ -19,7 +19,7 @@ SEED = 30
 
 
 def choose(batch: BatchedLaboratory, member: int, rng: np.random.Generator) -> dict[str, Any]:
-    """Actions of whoever has the turn in one laboratory: three of four legal."""
+    """Actions of the agents with the turn in one laboratory: three of four legal."""
     labs, members = batch.laboratories, np.array([member])
     actions: dict[str, Any] = {}
     for number in np.flatnonzero(labs.turns(members)[:, 0]):
@@ -140,7 +140,7 @@ def test_idle_rows_may_be_left_as_they_were(name: str) -> None:
 
 
 def test_short_infos_change_nothing_else() -> None:
-    """Without complete infos, all else is the same, over the ends of episodes, and no more is told."""
+    """Without complete infos, all else is the same, over the ends of episodes."""
     name, rng = "wurtz_two_lines", np.random.default_rng(SEED)
     full, short = BatchedLaboratory(3, name), BatchedLaboratory(3, name, infos=False)
     seen, brief = full.reset(seed=SEED), short.reset(seed=SEED)
