@@ -144,7 +144,6 @@ ABOUT: dict[str, str] = {
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
     "own_goals": "Share of training over which starts are for goals of the orders alone, in ever fewer laboratories.",
     "self_imitation": "Weight of the manager's own turns that went better than expected.",
-    "balanced": "Draw every kind of the manager's actions equally often at first.",
 }
 """Descriptions of arguments."""
 
@@ -434,8 +433,8 @@ class TD3(Replay):
 class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
 
-    ``practice``, ``refund``, ``processed``, ``own_goals`` and ``balanced`` help to learn from nothing, in training
-    alone. A team that begins from policies or clones has none unless it is asked for, and less entropy.
+    ``practice``, ``refund``, ``processed``, ``own_goals`` and ``self_imitation`` help to learn from nothing, in
+    training alone. A team that begins from policies or clones has none unless it is asked for, and less entropy.
     """
 
     algo: Literal["ippo"] = "ippo"
@@ -461,7 +460,6 @@ class IPPO(Clipped, Arguments, Cloning):
     refund: Share = 0.5
     processed: Share = 0.3
     own_goals: Share = 0.5
-    balanced: bool = True
     self_imitation: Weight = 1.0
 
     @model_validator(mode="before")
@@ -472,7 +470,6 @@ class IPPO(Clipped, Arguments, Cloning):
         return {
             **dict.fromkeys(("practice", "refund", "processed", "own_goals", "self_imitation"), 0.0),
             "ent_coef": 0.01,
-            "balanced": False,
             **values,
         }
 

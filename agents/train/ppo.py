@@ -26,7 +26,7 @@ from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Channel, channel_slices
-from chemlab.roles.manager_actions import DISCARD, KINDS, START, SUBMIT
+from chemlab.roles.manager_actions import DISCARD, START, SUBMIT
 
 from ..advice import Advisor
 from ..policies import Policy, agent_policy
@@ -508,8 +508,6 @@ class PPOTeam:
                 columns = _columns(full.roles[number].channels, labs.roles[number].channels)
                 size = count or int(space.shape[0])  # type: ignore[index]
                 network = _Network(len(columns), state, size, bool(count), settings.net_arch)
-                if role == MANAGER_ROLE and settings.balanced:
-                    _balance(network, labs.actions.table[:, 0])
                 gamma = settings.manager_gamma if role == MANAGER_ROLE else settings.gamma
                 self.learners[role] = _Learner(columns, whole, network, settings, gamma)
             seen = len(self.learners[role].columns)
@@ -796,10 +794,3 @@ def wide_columns(scenario: Scenario) -> IntArray:
     return np.setdiff1d(
         np.arange(whole.observation_sizes[0]), _columns(whole.roles[0].channels, kept.roles[0].channels)
     )
-
-
-def _balance(network: _Network, kinds: IntArray) -> None:
-    """Set the last biases so that every kind of action is drawn equally often at first."""
-    counts = np.bincount(kinds, minlength=len(KINDS))
-    with torch.no_grad():
-        network.actor[-1].bias.copy_(torch.from_numpy(-np.log(counts[kinds]).astype(np.float32)))  # type: ignore[operator]

@@ -150,14 +150,6 @@ def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
     assert probability() > 2.0 * before
 
 
-def test_balanced_logits_give_every_kind_the_same_share() -> None:
-    network = team(balanced=True).learners["manager"].network
-    kinds = team().labs.actions.table[:, 0]
-    bias = network.actor[-1].bias.detach().numpy()
-    shares = np.bincount(kinds, weights=np.exp(bias))
-    assert shares[np.bincount(kinds) > 0] == pytest.approx(1.0, rel=1e-5)
-
-
 def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
     """Weights of wide readings are 0: the exported policy is the network."""
     out = tmp_path / "run"
