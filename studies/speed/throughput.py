@@ -340,7 +340,7 @@ def table(result: dict[str, Any]) -> str:
 
 def collections(seconds: float) -> list[str]:
     """Return the rates of :func:`collection` as Markdown: medians of rounds."""
-    lines = ["| scenario | manager over scripted benches | every role |", "|---|--:|--:|"]
+    lines = ["| scenario | manager alone | every role |", "|---|--:|--:|"]
     for scenario in ("rush@1", "unlabelled@1"):
         found = [[collection(seconds, scenario, every) for every in (False, True)] for _ in range(ROUNDS)]
         rates = " | ".join(f"{statistics.median(column):,.0f}" for column in zip(*found, strict=True))
