@@ -356,7 +356,7 @@ class _Track:
 
 
 class _Best:
-    """The manager's latest turns and the returns that followed, to learn again from turns that went better than expected.
+    """The manager's latest turns with their returns, to learn again from turns that went better than expected.
 
     This is self-imitation (`Oh et al., 2018 <https://arxiv.org/abs/1806.05635>`_). Returns are not discounted.
 
