@@ -579,6 +579,8 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "period": (0,),
     "refund": (-0.1, 1.1, NAN),
     "processed": (-0.1, 1.1, NAN),
+    "own_goals": (-0.1, 1.1, NAN),
+    "self_imitation": (-0.1, NAN, INFINITY),
     "practice": (-0.1, 1.0, NAN),
 }
 EDGES: dict[str, tuple[Any, ...]] = {
