@@ -75,7 +75,7 @@ class Memory:
 
     def recall(self, step: IntArray, members: IntArray) -> list[npt.NDArray[np.float64]]:
         """Return [B, size] of each array for the members; see :meth:`Policy.act`."""
-        lacking = int(members.max()) + 1 - len(self._arrays[0])
+        lacking = int(members.max(initial=-1)) + 1 - len(self._arrays[0])
         if lacking > 0:
             self._arrays = [np.concatenate([a, np.zeros((lacking, a.shape[1]))]) for a in self._arrays]
         return [np.where(step[:, None] == 0, 0.0, array[members]) for array in self._arrays]
