@@ -399,14 +399,14 @@ class _Best:
             return
         returns = self._following[known]
         seen = self._turns.get("seen", self._turns["observed"])[known]
-        better = np.maximum(returns - learner.value(seen), 0.0) / (returns.std() + 1e-8)
-        chosen, weight = known[better > 0.0], better[better > 0.0].astype(np.float32)
+        better = (returns - learner.value(seen)) / (returns.std() + 1e-8)
+        chosen, weight = known[better > 0.0], better[better > 0.0]
+        # The loss is a mean over all turns: the fewer are better, the less they count.
+        scale = learner.settings.self_imitation * len(chosen) / len(known)
         for rows in np.array_split(rng.permutation(len(chosen)), max(1, len(chosen) // learner.settings.batch_size)):
             own = {name: torch.from_numpy(values[chosen[rows]]) for name, values in self._turns.items()}
             log_probability = learner.network.distribution(own["observed"], own["mask"]).log_prob(own["action"])
-            # The mean is over all turns: the fewer are better, the less they count.
-            share = len(chosen) / len(known)
-            loss = -learner.settings.self_imitation * share * (torch.from_numpy(weight[rows]) * log_probability).mean()
+            loss = -scale * (torch.from_numpy(weight[rows]) * log_probability).mean()
             learner.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(learner.network.parameters(), 0.5)

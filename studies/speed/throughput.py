@@ -189,8 +189,13 @@ def parallel(seconds: float) -> float:
     return rate(step, seconds)
 
 
-def batched_laboratory(count: int, seconds: float, scenario: str | Scenario = "wurtz_dodecane") -> float:
-    """Return turns per processor second of ``count`` laboratories at once, random legal actions of all roles."""
+def batched_laboratory(
+    count: int,
+    seconds: float,
+    scenario: str | Scenario = "wurtz_dodecane",
+    clock: Callable[[], float] = time.perf_counter,
+) -> float:
+    """Return turns per second of ``count`` laboratories at once, random legal actions of all roles."""
     batch = BatchedLaboratory(count, scenario, copy=False)
     policies = {
         agent: RandomPolicy((batch.action_space(agent).shape or (0,))[0], seed)
@@ -210,7 +215,7 @@ def batched_laboratory(count: int, seconds: float, scenario: str | Scenario = "w
         observations, _, _, _, infos = batch.step(actions)
         return turns
 
-    return rate(step, seconds, time.process_time)
+    return rate(step, seconds, clock)
 
 
 def manager_view(count: int, seconds: float) -> float:
@@ -344,7 +349,7 @@ def collections(seconds: float) -> list[str]:
     for scenario in ("rush@1", "unlabelled@1"):
         found = [[collection(seconds, scenario, every) for every in (False, True)] for _ in range(ROUNDS)]
         rates = " | ".join(f"{statistics.median(column):,.0f}" for column in zip(*found, strict=True))
-        lines.append(f"| `{scenario.removesuffix('@1')}` | {rates} |")
+        lines.append(f"| `{scenario}` | {rates} |")
     return [*lines, "", f"Load average {os.getloadavg()[0]:.1f}."]
 
 
@@ -374,7 +379,7 @@ def main() -> None:
         nargs="+",
         default=[],
         metavar="FILE",
-        help="replace the tables between the marks `throughput` (all) or `speed` (a few) in Markdown files",
+        help="replace the tables between the marks `throughput` (all), `speed` (a few) or `collection` in Markdown files",
     )
     arguments = parser.parse_args()
     if arguments.collection:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import time
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -29,8 +30,8 @@ def measure(names: list[str], seconds: float, turns: int) -> dict[str, Any]:
         plain = drawn.model_copy(update={"world": WorldSpec()})
         found: dict[str, list[float]] = {"worlds": [], "one_world": []}
         for _ in range(turns):
-            found["worlds"].append(batched_laboratory(LABORATORIES, seconds, drawn))
-            found["one_world"].append(batched_laboratory(LABORATORIES, seconds, plain))
+            for kind, spec in (("worlds", drawn), ("one_world", plain)):
+                found[kind].append(batched_laboratory(LABORATORIES, seconds, spec, time.process_time))
         ratio = median(a / b for a, b in zip(found["worlds"], found["one_world"], strict=True))
         result[name] = {"turns_a_second": found, "ratio": ratio}
     return result
