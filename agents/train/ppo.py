@@ -403,7 +403,8 @@ class _Best:
         chosen, weight = known[better > 0.0], better[better > 0.0]
         # The loss is a mean over all turns: the fewer are better, the less they count.
         scale = learner.settings.self_imitation * len(chosen) / len(known)
-        for rows in np.array_split(rng.permutation(len(chosen)), max(1, len(chosen) // learner.settings.batch_size)):
+        parts = max(1, len(chosen) // learner.settings.batch_size)
+        for rows in np.array_split(rng.permutation(len(chosen)), parts) if len(chosen) else ():
             own = {name: torch.from_numpy(values[chosen[rows]]) for name, values in self._turns.items()}
             log_probability = learner.network.distribution(own["observed"], own["mask"]).log_prob(own["action"])
             loss = -scale * (torch.from_numpy(weight[rows]) * log_probability).mean()

@@ -379,7 +379,7 @@ def main() -> None:
         nargs="+",
         default=[],
         metavar="FILE",
-        help="replace the tables between the marks `throughput` (all), `speed` (a few) or `collection` in Markdown files",
+        help="replace the tables between the marks `throughput`, `speed` or `collection` in Markdown files",
     )
     arguments = parser.parse_args()
     if arguments.collection:

@@ -148,6 +148,10 @@ def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
     for _ in range(20):
         best.learn(learner, np.random.default_rng(1))
     assert probability() > 2.0 * before
+    best._following[:] = -9.0  # none is better than expected
+    before = probability()
+    best.learn(learner, np.random.default_rng(1))
+    assert probability() == before
 
 
 def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
