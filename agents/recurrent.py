@@ -53,7 +53,7 @@ class MaskedLstmPolicy(RecurrentActorCriticPolicy):
     def __init__(
         self,
         observation_space: gymnasium.spaces.Box,
-        action_space: gymnasium.spaces.Discrete,
+        action_space: Any,  # Discrete, which only some versions of Gymnasium declare generic
         lr_schedule: Any,
         **settings: Any,
     ) -> None:

@@ -48,7 +48,7 @@ class Rendered:
         if self.render_mode == "human":
             self.render()
 
-    def render(self) -> str | npt.NDArray[np.uint8] | None:
+    def render(self) -> Any:  # versions of Gymnasium declare different types
         """Return a text (mode ``ansi``) or a picture [540, 960, 3] (``rgb_array``), or show it in a window (``human``).
 
         In a scenario with hidden parameters these show what a person in the laboratory would see: fill levels and
