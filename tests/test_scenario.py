@@ -813,7 +813,7 @@ SHIPPED = {
     "recrystallization": "414e6c47dc38aa77",
     "refine": "fba9b02d2b83c322",
     "relay": "6de823432b274539",
-    "runaway": "ad0e8c6e0efda956",
+    "runaway": "2c0bb4e5d23c2878",
     "rush": "9c8ac1a79eab336b",
     "salt_from_oil": "feee34ab975676ab",
     "selectivity": "1d6861efb6edcea7",

@@ -29,11 +29,8 @@ if TYPE_CHECKING:
 
 __all__ = ["learned_scores"]
 
-_ENVS, _ROLLOUT = 64, 64
-_DONORS, _LEAST_STD = 16, 0.02
-"""Episodes of every context that are cloned, and the clones' least standard deviation of continuous actions."""
-_CHECKS, _CHECKED = 2, 64
-"""Checkpoints in training, of which the best is kept, and the episodes of their evaluation."""
+_DONORS = 16
+"""Episodes of every context that are cloned."""
 _CHECK_SEED = 4_600_000
 
 
@@ -45,10 +42,10 @@ def learned_scores(
     begin: Mapping[Context, TeamPlan] | None = None,
     split: str = "test",
 ) -> list[float]:
-    """Train a team with PPO, and score it.
+    """Train a team as ``chemlab train SCENARIO --roles all`` does, with its defaults, and score it.
 
-    Every agent's reward is the team's result. Of the clone and two checkpoints, each played greedily and with sampled
-    actions, the best in ``validation`` is scored.
+    Every agent's reward is the team's result. The best evaluation in ``validation``, greedy or sampled, is scored; that
+    of the clone counts, too.
 
     Args:
         scenario: where.
@@ -64,20 +61,19 @@ def learned_scores(
     from ..train.ppo import PPOTeam
 
     spec = scenario.configured(rewards="cooperative")
-    refund = 0.5 if begin is None else 0.0
-    settings = IPPO(envs=_ENVS, rollout=_ROLLOUT, practice=0.0, refund=refund, processed=0.0, ent_coef=0.01)
+    # A team that begins from a policy has no help.
+    settings = IPPO(begin_from=None if begin is None else "open loop")
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
     if begin is not None:
-        _clone(team, spec, begin)
+        _clone(team, spec, begin, settings.bc_std)
     best: tuple[float, dict[str, Any], bool] = (-np.inf, {}, False)
-    learned = 0
-    for check in range(begin is None and turns > 0, _CHECKS + 1 if turns else 1):
-        while learned < turns * check // _CHECKS:
-            remaining = 1.0 - learned / turns
-            team.collect(remaining)
-            learned += max(team.update(remaining, remaining, list(team.learners)), 1)
+    learned, rounds, checks = 0, 0, settings.evaluations if turns else 0
+    for check in range(begin is None and turns > 0, checks + 1):
+        while learned * checks < turns * check:
+            learned += team.learn(learned / turns, rounds)
+            rounds += 1
         for sampled in (False, True):
-            score = float(np.mean(_score(team, spec, _CHECKED, _CHECK_SEED, "validation", sampled)))
+            score = float(np.mean(_score(team, spec, settings.eval_episodes, _CHECK_SEED, "validation", sampled)))
             if score > best[0]:
                 states = {role: copy.deepcopy(own.network.state_dict()) for role, own in team.learners.items()}
                 best = score, states, sampled
@@ -91,7 +87,7 @@ class _Learned:
     """A role of a team as a policy."""
 
     def __init__(self, team: PPOTeam, role: str, sampled: bool) -> None:
-        self._learner, self._sampled = team.learners[role], sampled
+        self._learner, self._sampled = team.learners[role], sampled and role not in team.fixed
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -128,7 +124,7 @@ class _Recorded:
         return actions
 
 
-def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan]) -> None:
+def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan], least_std: float) -> None:
     """Fit the networks to what open-loop policies play in training worlds, and to what that came to."""
     from ..train.ppo import joined
 
@@ -147,4 +143,4 @@ def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan]) -> 
         observed = batch["observed"]
         assert observed is not None
         batch["observed"] = batch["seen"] = observed[:, learner.columns]
-        learner.clone(batch, team.rng, _LEAST_STD)
+        learner.clone(batch, team.rng, least_std)

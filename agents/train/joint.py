@@ -142,26 +142,14 @@ class Team(Trainee):
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
-        a, team, done = self.arguments, self.team, progress.step / self.steps
-        if team.practices and done < a.practice:
-            turns = team.practise(1.0 - done)
-            means = {role: float(np.mean(one.scores)) for role, one in team.practices.items() if one.scores}
+        team = self.team
+        turns, self.note = team.learn(progress.step / self.steps, progress.rounds), ""
+        means = {role: float(np.mean(one.scores)) for role, one in team.practices.items() if one.scores}
+        if means:
             for role, mean in means.items():
                 self.logger.record(f"practice/{role}", mean)
                 team.practices[role].scores = []
             self.note = "practice: " + ", ".join(f"{role} {mean:.3f}" for role, mean in means.items())
-        else:
-            self.note = ""
-            # The help in the laboratory fades from its own beginning.
-            begun = a.practice if team.practices else 0.0
-            remaining = (1.0 - done) / (1.0 - begun)
-            # Under a manager that starts them at random, benches would forget what they have learned.
-            team.fixed = set(team.practices) if MANAGER_ROLE in self.learning else set()
-            roles = [role for role in self.learning if role not in team.fixed]
-            at = progress.rounds // a.period % len(roles)
-            team.collect(remaining)
-            learning = roles if a.regime == "together" else [roles[at]]
-            turns = max(team.update(remaining, 1.0 - done, learning), 1)
         scores, team.scores = team.scores, []
         for role, had in team.turns.items():
             self.logger.record(f"turns/{role}", had)

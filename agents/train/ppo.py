@@ -537,7 +537,26 @@ class PPOTeam:
         self._earned = np.zeros(self.settings.envs)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
 
-    def practise(self, remaining: float) -> int:
+    def learn(self, done: float, rounds: int) -> int:
+        """Learn from a rollout; return the number of turns, at least 1.
+
+        Args:
+            done: share of training that is over.
+            rounds: how many there were.
+        """
+        s = self.settings
+        if self.practices and done < s.practice:
+            return self._practise(1.0 - done)
+        # The help in the laboratory fades from its own beginning.
+        remaining = (1.0 - done) / (1.0 - (s.practice if self.practices else 0.0))
+        # Under a manager that starts them at random, benches would forget what they have learned.
+        self.fixed = set(self.practices) if MANAGER_ROLE in self.learners else set()
+        roles = [role for role in self.learners if role not in self.fixed]
+        self.collect(remaining)
+        learning = roles if s.regime == "together" else [roles[rounds // s.period % len(roles)]]
+        return max(self.update(remaining, 1.0 - done, learning), 1)
+
+    def _practise(self, remaining: float) -> int:
         """Let each bench learn from a rollout of experiments on its own; return the number of turns."""
         turns = 0
         for role, practice in self.practices.items():
