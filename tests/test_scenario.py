@@ -811,7 +811,7 @@ SHIPPED = {
     "failing": "5a3a4a6b751448e6",
     "fictitious": "123b34a8dd336967",
     "recrystallization": "414e6c47dc38aa77",
-    "refine": "fba9b02d2b83c322",
+    "refine": "30b240f0e9759435",
     "relay": "6de823432b274539",
     "runaway": "2c0bb4e5d23c2878",
     "rush": "9c8ac1a79eab336b",
