@@ -11,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
+import gc
 import hashlib
 import importlib
 import math
@@ -28,7 +29,7 @@ import numpy as np
 import numpy.typing as npt
 from llvmlite import ir
 from numba import extending, types
-from numba.core import cgutils
+from numba.core import cgutils, event
 from numba.core.typing import templates
 
 from .arrays import SLOT, FloatArray, Handle, declared
@@ -40,6 +41,7 @@ _EXTENDING: Any = extending
 _TYPES: Any = types
 _BUILD: Any = cgutils
 _TEMPLATES: Any = templates
+_EVENT: Any = event
 """numba's modules, which have no type annotations."""
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -68,12 +70,39 @@ def kernel(function: F) -> F:
     return cast(F, _cached(_NUMBA.njit, function, "chemlab", **_INSIDE))
 
 
+class _Helper:
+    """A function for kernels. Its version for Python is compiled separately, when Python first calls it.
+
+    numba spends about half of a small function's compilation on the conversion of Python's arguments.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        functools.update_wrapper(self, function)
+        self.py_func = function
+        self.inside = _NUMBA.njit(no_cpython_wrapper=True, **_INSIDE)(function)
+
+    @functools.cached_property
+    def outside(self) -> Any:
+        return _cached(_NUMBA.njit, self.py_func, self.py_func.__module__, **_INSIDE)
+
+    def __call__(self, *arguments: Any) -> Any:
+        return self.outside(*arguments)
+
+    def __reduce__(self) -> str:
+        return self.py_func.__qualname__  # pickled by name, as a function
+
+
+@_EXTENDING.typeof_impl.register(_Helper)  # type: ignore[untyped-decorator]
+def _typeof(value: _Helper, context: Any) -> Any:
+    return _TYPES.Dispatcher(value.inside)
+
+
 def helper(function: F) -> F:
     """Compile ``function`` once for all kernels that call it; Python may also call it.
 
-    It is not cached on its own: a cached kernel contains it.
+    A cached kernel contains it; only the version for Python is cached on its own.
     """
-    return cast(F, _NUMBA.njit(**_INSIDE)(function))
+    return cast(F, _Helper(function)) if COMPILED else function
 
 
 def inner(function: F) -> F:
@@ -100,6 +129,24 @@ def chained(
     scope |= {"otherwise": otherwise, "__name__": __name__}
     exec(f"def {name}(number, work, chem):\n{''.join(calls)}    return otherwise\n", scope)
     return inner(cast(Callable[[int, Any, Handle], Any], scope[name]))
+
+
+class _NoCollection(_EVENT.Listener):  # type: ignore[misc]  # numba has no types
+    """Stops the garbage collector while numba compiles: it would search the same structures again and again."""
+
+    def __init__(self) -> None:
+        self.running: list[bool] = []
+
+    def on_start(self, event: Any) -> None:
+        self.running.append(gc.isenabled())
+        gc.disable()
+
+    def on_end(self, event: Any) -> None:
+        if self.running.pop():
+            gc.enable()
+
+
+_EVENT.register("numba:compile", _NoCollection())
 
 
 # -- cache -----------------------------------------------------------------------------------------------------------

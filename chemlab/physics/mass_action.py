@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 from ..kernels.arrays import FloatArray, Handle
-from ..kernels.jit import helper, kernel, opened
+from ..kernels.jit import helper, opened
 from .backends import rate_constant
 from .chemistry import AMOUNTS, Chemistry
 from .constants import GAS_CONSTANT
@@ -89,7 +89,7 @@ def _rates(
     return lowest
 
 
-@kernel
+@helper
 def integrate(
     row: FloatArray,
     chem: Handle,

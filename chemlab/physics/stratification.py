@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 
 from ..kernels.arrays import FloatArray, Handle, IntArray, StreamArray
-from ..kernels.jit import inner, kernel, opened, scratch
+from ..kernels.jit import helper, inner, kernel, opened, scratch
 from ..kernels.rng import uniforms
 from .backends import find_layers, layer_density, layer_shade, solid_mol, solid_volume
 from .chemistry import AMOUNTS, CLOCK, PRESENT, Chemistry
@@ -50,7 +50,7 @@ def _stack(volumes: FloatArray, count: int, total: float, out: FloatArray) -> No
         low = high
 
 
-@kernel
+@helper
 def _solve(matrix: FloatArray, rhs: FloatArray, size: int) -> None:
     """Solve a small positive-definite system in place by Cholesky; ``rhs`` becomes the solution."""
     for i in range(size):
@@ -173,7 +173,7 @@ def _dot(a: FloatArray, b: FloatArray, size: int) -> float:
     return (s0 + s1) + (s2 + s3)
 
 
-@kernel
+@helper
 def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> None:
     """Shift the offsets by Newton's method until every fluid's pixels add up to its target; then fill ``out``.
 

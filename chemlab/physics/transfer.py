@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from ..config.materials import COLDEST_K, HOTTEST_K
 from ..kernels.arrays import FloatArray, Handle, IntArray
-from ..kernels.jit import helper, kernel, opened
+from ..kernels.jit import helper, opened
 from .backends import drain_layer, solid_volume
 from .chemistry import AMOUNTS, CAPACITY, CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE, Chemistry
 from .constants import SOLIDS, TRACE_MOL
@@ -170,7 +170,7 @@ def pour_out(row: FloatArray, material: int, mol: float, chem: Handle, waste: Fl
     add(row, rest, litres / chemistry.molar_volume[rest], ambient, chem, waste, events)
 
 
-@kernel
+@helper
 def drain(
     source: FloatArray,
     target: FloatArray,
@@ -222,7 +222,7 @@ def free_liquid(row: FloatArray, cake_liquid: float, chem: Handle) -> float:
     return max(liquid_volume(row, chem) - cake_liquid * solid_volume(row, chem), 0.0)
 
 
-@kernel
+@helper
 def strain(
     source: FloatArray,
     target: FloatArray,

@@ -20,7 +20,7 @@ from numba.extending import overload
 
 from ...kernels import jit
 from ...kernels.arrays import FloatArray, Handle, IntArray
-from ...kernels.jit import COMPILED, kernel, opened
+from ...kernels.jit import COMPILED, helper, opened
 from ..chemistry import TIERS, Chemistry, ChemistryTable
 from ..surroundings import Surroundings
 
@@ -126,21 +126,21 @@ if COMPILED:
         return found
 
 
-@kernel
+@helper
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Return the vapour pressure of the liquids in a vessel in kPa."""
     found: float = _call("vapor_pressure", chem, (row, chem))
     return found
 
 
-@kernel
+@helper
 def headspace_gas(row: FloatArray, chem: Handle) -> float:
     """Return mol of gas above the contents of a sealed vessel, without vapour."""
     found: float = _call("headspace_gas", chem, (row, chem))
     return found
 
 
-@kernel
+@helper
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """Open the relief valve: above ``rated`` kPa, gas leaves until the pressure is back at ``rated``.
 
@@ -149,7 +149,7 @@ def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events:
     _call("vent", chem, (row, rated, chem, waste, events))
 
 
-@kernel
+@helper
 def heat(
     row: FloatArray,
     receiver: FloatArray,
@@ -179,7 +179,7 @@ def heat(
     return found
 
 
-@kernel
+@helper
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
     """Apply the processes that follow every operation in any vessel: violent reactions, dissolution, precipitation.
 
@@ -193,7 +193,7 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     _call("settle_phases", chem, (row, chem, waste, events, work))
 
 
-@kernel
+@helper
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Update the dissolved amounts of a vessel from CLOCK_WAS to CLOCK; none becomes negative and totals are conserved.
 
@@ -205,7 +205,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     _call("partition", chem, (row, chem, work))
 
 
-@kernel
+@helper
 def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
     """Find the solids, fluid layers and air of a vessel, densest fluid first.
 
@@ -222,35 +222,35 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
     return found
 
 
-@kernel
+@helper
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
     """Return mol of a material in a vessel that is solid."""
     found: float = _call("solid_mol", chem, (row, material, chem))
     return found
 
 
-@kernel
+@helper
 def solid_volume(row: FloatArray, chem: Handle) -> float:
     """Return the volume of non-liquid contents in L."""
     found: float = _call("solid_volume", chem, (row, chem))
     return found
 
 
-@kernel
+@helper
 def layer_density(row: FloatArray, layer: int, chem: Handle) -> float:
     """Return the density in kg/L of a layer, given by its code from :func:`find_layers`."""
     found: float = _call("layer_density", chem, (row, layer, chem))
     return found
 
 
-@kernel
+@helper
 def layer_shade(row: FloatArray, layer: int, chem: Handle) -> float:
     """Return the grey value of a layer in the camera picture."""
     found: float = _call("layer_shade", chem, (row, layer, chem))
     return found
 
 
-@kernel
+@helper
 def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float, chem: Handle) -> float:
     """Move ``share`` (0 to 1) of a layer, or of the solids, with its contents; return the moved heat capacity in
     J/K.
@@ -259,14 +259,14 @@ def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float
     return found
 
 
-@kernel
+@helper
 def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
     """Return the rate constant of a reaction at ``temperature`` (K), in its own unit."""
     found: float = _call("rate_constant", chem, (reaction, temperature, chem))
     return found
 
 
-@kernel
+@helper
 def react(
     row: FloatArray,
     dt: float,
@@ -298,7 +298,7 @@ def react(
     return found
 
 
-@kernel
+@helper
 def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
     """Draw air over the contents of an open vessel.
 
@@ -308,7 +308,7 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
     _call("dry", chem, (row, litres, chem, waste))
 
 
-@kernel
+@helper
 def elapse(
     row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> bool:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import re
 from typing import Annotated, Any, NamedTuple
 
+import numba
 import numpy as np
+from numba.extending import overload
 
 from ...config.materials import DataError
 from ...config.parts import PartError, blamed, checked_numbers, load_part
 from ...config.scenario import Scenario
+from ...kernels import jit
 from ...kernels.arrays import Field, FloatArray, Handle, IntArray, StreamArray
-from ...kernels.jit import chained, helper, kernel, opened
+from ...kernels.jit import COMPILED, helper, kernel, opened
 from ...kernels.rng import normal
 from ...kernels.tables import Table
 from ...physics.chemistry import ChemistryTable
@@ -25,14 +28,39 @@ __all__ = ["InstrumentRules", "InstrumentTable"]
 
 _TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_position"})
 
-_read = chained("read", [instrument.read for instrument in INSTRUMENTS.values()], 0.0)
+
+def _read_by(read: int, reading: Reading, chem: Handle) -> None:
+    """Let a built-in instrument write its reading; nothing for -1. ``read`` is an :attr:`InstrumentRules.read`."""
+    if read >= 0:
+        list(INSTRUMENTS.values())[read].read(reading, chem)
+
+
+def _signature() -> Any:
+    """Return the numba signature of :attr:`Instrument.read`."""
+    types: Any = numba.types
+    number, whole, bits = types.float64, types.int64, types.uint64
+    kinds = [(number, 1), (whole, 1), (bits, 1), (whole, 1), (number, 2), (number, 2), (number, 1), (number, 1)]
+    return number(types.NamedTuple([types.Array(kind, axes, "C") for kind, axes in kinds], Reading), whole)
+
+
+if COMPILED:
+
+    @overload(_read_by)
+    def _called(read, reading, chem):  # type: ignore[no-untyped-def]  # numba wants no types here
+        call = jit.call_address("read", _signature())
+
+        def found(read, reading, chem):  # type: ignore[no-untyped-def]
+            if read >= 0:
+                call(read, (reading, chem))
+
+        return found
 
 
 class InstrumentRules(NamedTuple):
     """Arrays of a scenario's instruments: I instruments, A analytes in total, C layers."""
 
-    kind: Annotated[IntArray, Field("I")]
-    """[I] index of the kind; user-defined kinds follow the built-in ones"""
+    read: Annotated[IntArray, Field("I")]
+    """[I] address of a built-in instrument's code (without compilation: its index in ``INSTRUMENTS``), or -1"""
     start: Annotated[IntArray, Field("I+1")]
     """[I + 1] offset of each reading in the concatenated readings"""
     price: Annotated[FloatArray, Field("I")]
@@ -88,7 +116,7 @@ def _take(
         m, i = members[b], used[b]
         chem, row = chemistry[arrays.variant[m]], arrays.rows[m * arrays.vessels + slots[b]]
         out = readings[m, slots[b], rules.start[i] : rules.start[i + 1]]
-        _read(rules.kind[i], _reading(i, row, stream[m], out, rules), chem)
+        _read_by(rules.read[i], _reading(i, row, stream[m], out, rules), chem)
         if rules.sample[i] > 0.0:
             remove_fraction(row, rules.sample[i], chem, arrays.waste[m])
 
@@ -167,7 +195,7 @@ class InstrumentTable:
         ]
         self.rules = Table(
             InstrumentRules(
-                kind=np.array([builtin.index(k) if k in builtin else len(builtin) for k in self.kinds], dtype=np.int64),
+                read=self._code(),
                 start=np.cumsum([0, *(channel.size for channel in self.channels)]),
                 price=np.array([spec.price for spec in specs], dtype=np.float64),
                 sample=np.array([spec.sample_fraction for spec in specs], dtype=np.float64),
@@ -186,6 +214,20 @@ class InstrumentTable:
         )
 
         self._right = np.zeros((1, int(self.rules.arrays.start[-1])))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        self.rules.arrays.read[:] = self._code()  # addresses are invalid in another process
+
+    def _code(self) -> IntArray:
+        """Return :attr:`InstrumentRules.read`. Instruments that the scenario lacks are not compiled."""
+        builtin, found = list(INSTRUMENTS.values()), np.full(len(self.kinds), -1, dtype=np.int64)
+        for i, kind in enumerate(self.kinds):
+            if kind in builtin:
+                code: Any = kind.read
+                at = builtin.index(kind)
+                found[i] = jit.code_address(code, _signature(), code.__module__) if COMPILED else at
+        return found
 
     @property
     def start(self) -> IntArray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...config.parts import Part
 from ...kernels.arrays import FloatArray, Handle, IntArray
-from ...kernels.jit import helper
+from ...kernels.jit import inner
 from ...physics.transfer import volume
 
 if TYPE_CHECKING:
@@ -84,13 +84,13 @@ class Operation(Part):
     numbers: Callable[[Bench], FloatArray] = no_numbers
 
 
-@helper
+@inner
 def always(turn: Turn, chem: Handle) -> bool:
     """Return True: legal at any time."""
     return True
 
 
-@helper
+@inner
 def not_empty(turn: Turn, chem: Handle) -> bool:
     """Return True if the vessel is not empty."""
     return bool(volume(turn.row, chem) > 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import kernel, opened
+from ....kernels.jit import helper, opened
 from ...chemistry import AMOUNTS, TEMPERATURE, Chemistry
 from ...constants import TRACE_MOL
 from ...events import BOILED_DRY, DRY_HEATING
@@ -13,7 +13,7 @@ from ...transfer import add, heat_capacity, take
 __all__ = ["heat"]
 
 
-@kernel
+@helper
 def heat(
     row: FloatArray,
     receiver: FloatArray,

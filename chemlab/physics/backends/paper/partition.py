@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, kernel, opened
+from ....kernels.jit import helper, opened
 from ...chemistry import AMOUNTS, CLOCK, CLOCK_WAS, Chemistry
 from ...constants import TRACE_MOL
 from ...shelf import T_MIX
@@ -91,7 +91,7 @@ def set_dissolved_total(row: FloatArray, chem: Handle, k: int, total: float, sha
             row[first + layer] += (total - before) * share[layer]
 
 
-@kernel
+@helper
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Update the dissolved amounts from CLOCK_WAS to CLOCK by the paper's three-case rule.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, kernel, opened
+from ....kernels.jit import helper, opened
 from ...chemistry import AIR, AMOUNTS, CAPACITY, ROLE_SOLUTE, ROLE_SOLVENT, TEMPERATURE, Chemistry
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...events import RELIEF
@@ -51,7 +51,7 @@ def headspace_gas(row: FloatArray, chem: Handle) -> float:
     return float(row[AIR])
 
 
-@kernel
+@helper
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """Open the relief valve: above ``rated`` kPa, gas leaves until the pressure is back at ``rated``.
 
@@ -84,7 +84,7 @@ def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events:
             events[RELIEF] += lost
 
 
-@kernel
+@helper
 def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
     """Remove air saturated with every liquid's x_i p_i(T), in steps of a fixed evaporated share."""
     chemistry = opened(Chemistry, chem)

@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, inner, kernel, opened
+from ....kernels.jit import helper, inner, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from ...transfer import heat_capacity
@@ -279,7 +279,7 @@ def _heat_released(chem: Handle, work: FloatArray, proton: float, hydroxide: flo
     return -heat, capacity
 
 
-@kernel
+@helper
 def settle_acids(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Bring acids, bases and water of the aqueous layer to equilibrium; the heat changes the temperature.
 

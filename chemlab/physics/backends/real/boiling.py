@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, kernel, opened, scratch
+from ....kernels.jit import helper, opened, scratch
 from ...chemistry import TEMPERATURE
 from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import BOILED_DRY, DRY_HEATING
@@ -83,13 +83,14 @@ def _boil(
         price = (1.0 + still.returned) * latent_heat(n, boiling, partial, chem, liquids)
         mol = min(mol, left / price)
         if still.trays > 0:
-            overhead(n, still.trays, still.returned, begun or attempt > 0, chem, liquids, still.ladder, partial)
+            overhead(n, still.trays, still.returned, begun, chem, liquids, still.ladder, partial)
         evaporate(n, 0.5 * mol, partial, before, before, liquids)
         for a in range(n):
             halfway[a] = liquids.mol[a]
         warmer = bubble_point(n, ambient, boiling, chem, liquids, partial)
         if still.trays > 0:
-            overhead(n, still.trays, still.returned, True, chem, liquids, still.ladder, partial)
+            begun = attempt >= 0  # True; numba would compile the function again for a constant
+            overhead(n, still.trays, still.returned, begun, chem, liquids, still.ladder, partial)
         evaporate(n, mol, partial, before, halfway, liquids)
         # The pot follows its boiling point up to the temperature of the heat source.
         rise = max(min(2.0 * (warmer - boiling), still.hottest - boiling), 0.0)
@@ -129,7 +130,7 @@ def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: floa
     return float(capacity * (row[TEMPERATURE] - was))
 
 
-@kernel
+@helper
 def heat(
     row: FloatArray,
     receiver: FloatArray,

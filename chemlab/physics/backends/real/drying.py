@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import kernel, scratch
+from ....kernels.jit import helper, scratch
 from ...chemistry import TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .boiling import evaporate
@@ -19,7 +19,7 @@ _STEP = 0.1
 _MOST_STEPS = 400
 
 
-@kernel
+@helper
 def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
     """Remove air saturated with x gamma p_i(T) of each liquid; small amounts of a liquid decay at first order.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, kernel, opened
+from ....kernels.jit import helper, opened
 from ...chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
 from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...shelf import CLOCK_SETTLED, T_MIX
@@ -90,7 +90,7 @@ def _is_acid(material: int, chem: Handle) -> bool:
     return False
 
 
-@kernel
+@helper
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Update the phases from CLOCK_WAS to CLOCK: more stirring brings the activities closer.
 

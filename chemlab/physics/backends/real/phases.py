@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import inner, kernel, opened
+from ....kernels.jit import helper, inner, opened
 from ...chemistry import AIR, AMOUNTS, ROLE_GAS, TEMPERATURE
 from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
@@ -69,7 +69,7 @@ def _let_out(row: FloatArray, chem: Handle, waste: FloatArray) -> None:
             row[AMOUNTS + i] = 0.0
 
 
-@kernel
+@helper
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
     """Apply equilibria that hold at any time: violent reactions, acids and bases, salts.
 
@@ -95,7 +95,7 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
         spill(row, chem, waste, events)
 
 
-@kernel
+@helper
 def elapse(
     row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> bool:

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import inner, kernel, opened
+from ....kernels.jit import helper, inner, opened
 from ...chemistry import TEMPERATURE
 from ...events import RELIEF
 from ...surroundings import Surroundings
@@ -72,7 +72,7 @@ def _foreseen(now: float, before: float, part: float, last: float, following: fl
     return min(max(now + trend, 0.0), _STEEPEST * max(now, 0.0))
 
 
-@kernel
+@helper
 def react(
     row: FloatArray,
     dt: float,

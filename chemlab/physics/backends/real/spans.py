@@ -107,7 +107,9 @@ def _probe(row: FloatArray, chem: Handle, work: FloatArray, u: int, mol: float, 
         for c in range(chemistry.changes.shape[1]):
             j = chemistry.changes[chemistry.independent[u], c]
             if j >= 0:
-                add_species(probe, chem, j, chemistry.stoichiometry[chemistry.independent[u], j] * mol, True)
+                # Instead of True, for which numba would compile the function again.
+                shifts = u < n
+                add_species(probe, chem, j, chemistry.stoichiometry[chemistry.independent[u], j] * mol, shifts)
     else:
         probe[AMOUNTS + m + 2 * int(work[PLACE, u - n]) + AQUEOUS] += mol
         probe[AMOUNTS + chemistry.dissolved[int(work[PLACE, u - n])]] += mol

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, inner, kernel, opened, scratch
+from ....kernels.jit import helper, inner, opened, scratch
 from ...chemistry import AIR, AMOUNTS, CAPACITY, ROLE_GAS, TEMPERATURE
 from ...constants import GAS_CONSTANT, LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
@@ -52,7 +52,7 @@ def headspace_gas(row: FloatArray, chem: Handle) -> float:
     return float(total)
 
 
-@kernel
+@helper
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Return the sum of x gamma p_i(T) over the liquids in kPa; immiscible layers add up."""
     liquids = clear_liquids()
@@ -113,7 +113,7 @@ def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: L
     return temperature
 
 
-@kernel
+@helper
 def boiling_point(row: FloatArray, chem: Handle) -> float:
     """Return the boiling point in K of the contents of an open vessel; 10,000 if nothing boils."""
     liquids = clear_liquids()
@@ -159,7 +159,7 @@ def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handl
     return taken
 
 
-@kernel
+@helper
 def flash_off(
     row: FloatArray, pressure: float, heat: float, condenser: float, chem: Handle, waste: FloatArray
 ) -> float:
@@ -217,7 +217,7 @@ def flash_off(
     return lost
 
 
-@kernel
+@helper
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """Open the relief valve of a sealed vessel: above ``rated`` kPa, gas and vapour leave in proportion to their
     pressures.
