@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import shutil
 import signal
+import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -41,8 +43,38 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+def _all_tests(config: pytest.Config) -> bool:
+    """Return True if the command names no tests."""
+    return config.args_source is config.ArgsSource.TESTPATHS
+
+
+_COMPILED = (
+    "from chemlab.physics.backends import law_addresses; law_addresses('real')",
+    "import sys; from chemlab.cli import main; sys.argv[1:] = ['warm', 'wurtz_dodecane']; main()",
+)
+"""Programs that compile most of what the tests need, and nothing twice."""
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile for all of xdist's processes before they start: each would compile everything itself."""
+    options = session.config.option
+    if hasattr(session.config, "workerinput") or options.collectonly or not _all_tests(session.config):
+        return
+    if getattr(options, "numprocesses", None) and not os.environ.get("NUMBA_DISABLE_JIT"):
+        # Not in a checkout, whose chemlab would be found before an installed one.
+        place: Any = {"cwd": _state.name, "stdout": subprocess.DEVNULL}
+        for program in [subprocess.Popen([sys.executable, "-c", code], **place) for code in _COMPILED]:
+            program.wait()  # what fails here fails in a test, too
+
+
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what has passed before."""
+    """Leave out what has passed; if the command names no tests, mark all cases of a test but the first as slow."""
+    cases = Counter[str]()
+    for item in items if _all_tests(config) else []:
+        cases[test := item.nodeid.partition("[")[0]] += item.get_closest_marker("slow") is None
+        if cases[test] > 1:
+            item.add_marker("slow")
     file = config.getoption("--passed")
     passed = set(file.read_text("utf-8").splitlines()) if file and file.exists() else set()
     config.hook.pytest_deselected(items=[item for item in items if item.nodeid in passed])
