@@ -104,14 +104,15 @@ class Live:
         """True while a policy cannot play: a person has the turn, the episode is over, or is too long for a page."""
         return self.room.over or self.turn in self.taken or self.film.turns >= MOST_TURNS
 
-    def step(self) -> None:
-        """Let the policy of the agent that has the turn play; nothing happens where :attr:`waits`."""
-        with self._lock:
-            if self.waits:
-                return
-            labs = self.room.laboratories
-            number = labs.turn()
-            self.room.play(labs.agents[number], self._players.decide(number, labs.members)[0])
+    def step(self, turns: int = 1) -> None:
+        """Let policies play so many turns; fewer where :attr:`waits`."""
+        for _ in range(turns):
+            with self._lock:
+                if self.waits:
+                    return
+                labs = self.room.laboratories
+                number = labs.turn()
+                self.room.play(labs.agents[number], self._players.decide(number, labs.members)[0])
 
     def call(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
         """A turn of the person at a seat."""
@@ -243,11 +244,12 @@ class _Show:
                 await self.changed.wait_for(lambda: not live.waits and (self.playing or self.due[live] > 0))
             self.due[live] = max(self.due[live] - 1, 0)
             began = asyncio.get_running_loop().time()
-            await anyio.to_thread.run_sync(live.step)
+            turns = max(int(self.speed * _NEWS_S), 1) if self.playing else 1
+            await anyio.to_thread.run_sync(live.step, turns)
             await self.after(live)
             if self.playing:
                 taken = asyncio.get_running_loop().time() - began
-                await asyncio.sleep(max(1.0 / self.speed - taken, 0.0))
+                await asyncio.sleep(max(turns / self.speed - taken, 0.0))
 
     async def after(self, live: Live) -> None:
         """Tell the news of a turn; at the end of the episode, check the record."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import warnings
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -22,7 +23,7 @@ from .advice import AdvisedPolicy, Advisor
 from .discretised import NearestPolicy
 from .former_names import current_name, split_way
 from .open_loop import plan_for
-from .pretrained import PretrainedPolicy, pretrained_for
+from .pretrained import PretrainedPolicy, pretrained_for, pretrained_names
 from .random_policy import RandomPolicy
 from .roles import role_of
 from .saved import find_saved, is_saved
@@ -240,9 +241,10 @@ def agent_policy(
     own, way = _way(own)
     if own not in policy_names():
         if not is_saved(own):
+            near = difflib.get_close_matches(own, [*policy_names(), *pretrained_names()], 1)
             raise ValueError(
                 f"policy: must be one of {', '.join(policy_names())}, a bundled policy, or an existing path; "
-                f"given {own!r}"
+                f"given {own!r:.200}{f'; did you mean {near[0]}?' if near else ''}"
             )
         saved = find_saved(own)
         if role_of(agent) in saved.load:

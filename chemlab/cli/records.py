@@ -25,7 +25,7 @@ _COLORS = {
     "chosen": "yellow",
     "unchecked": "red",
 }
-_VIDEOS = (".mp4", ".webm", ".mov", ".avi", ".mkv")
+_VIDEOS = (".webm", ".mov", ".avi", ".mkv")
 _WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "chosen", "torn", "ok")
 
 
@@ -107,8 +107,8 @@ def replay(
         typer.Option(
             "--output",
             "-o",
-            help="Output file: a page (.html), or of one record an animation (.gif, .webp; needs the extra `plot`) or "
-            "a protocol of its procedure (.md). Default: the record's name with .html.",
+            help="Output file: a page (.html), or of one record an animation (.gif, .webp, with ffmpeg .mp4; needs the "
+            "extra `plot`) or a protocol of its procedure (.md). Default: the record's name with .html.",
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite an existing page.")] = False,
@@ -120,11 +120,11 @@ def replay(
     from ..record import read_record
 
     path = output or files[0].with_name(f"{'-'.join(file.stem for file in files)}.html")
-    animated, written = path.suffix in (".gif", ".webp"), path.suffix == ".md"
+    animated, written = path.suffix in (".gif", ".webp", ".mp4"), path.suffix == ".md"
     if len(files) > (1 if animated or written else 2):
         raise ValueError(f"a page shows at most two records, an animation or a protocol one, given {len(files)}")
     if path.suffix in _VIDEOS:
-        raise ValueError(f"{path}: videos are not made; name a .gif or .webp, which other programs convert")
+        raise ValueError(f"{path}: is not made; name a .gif, .webp or .mp4, which other programs convert")
     if path.exists() and not force:
         raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
     check_result(path, *files)

@@ -1,8 +1,13 @@
-"""A record as an animated picture."""
+"""A record as an animated picture or a video."""
 
 from __future__ import annotations
 
 import io
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,25 +27,45 @@ _BEGINNING, _END = 1500, 4000
 def animation(
     record: Record, form: str, trust: bool = False, frames: int = 80, size: tuple[int, int] = (960, 540)
 ) -> bytes:
-    """Replay a record and return its scenes, with the true contents, as an animated picture.
+    """Replay a record and return its scenes, with the true contents, as an animated picture, or as a video.
 
     Args:
         record: a record, finished or not.
-        form: ``gif`` or ``webp``.
+        form: ``gif`` or ``webp``; ``mp4``, which the program ffmpeg encodes.
         trust: allow imports of code that the record names.
         frames: maximum number of frames, which are evenly spaced over the turns.
         size: width and height in pixels.
 
     Raises:
         ImportError: Pillow is not installed (``pip install '.[plot]'``).
+        ValueError: a video without ffmpeg.
         RecordError: the record cannot be replayed here.
     """
     images = [Image.fromarray(draw(scene, *size)) for scene in _scenes(record, frames, trust)]
-    milliseconds = [_BEGINNING, *[_MILLISECONDS] * (len(images) - 2), _END][-len(images) :]
+    milliseconds: list[int] = [_BEGINNING, *[_MILLISECONDS] * (len(images) - 2), _END][-len(images) :]
+    if form == "mp4":
+        return _video(images, milliseconds)
     made = io.BytesIO()
     best: dict[str, dict[str, Any]] = {"gif": {"optimize": True}, "webp": {"quality": 70, "method": 4}}
     images[0].save(made, form, save_all=True, append_images=images[1:], duration=milliseconds, loop=0, **best[form])
     return made.getvalue()
+
+
+def _video(images: Sequence[Any], milliseconds: Sequence[int]) -> bytes:
+    """Encode frames with ffmpeg."""
+    program = shutil.which("ffmpeg")
+    if program is None:
+        raise ValueError("a video needs the program ffmpeg; install it, or name a .gif or .webp")
+    pixels = [
+        image.tobytes() for image, time in zip(images, milliseconds, strict=True) for _ in range(time // _MILLISECONDS)
+    ]
+    size = "x".join(map(str, images[0].size))
+    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(1000 // _MILLISECONDS), "-i", "-"]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "video.mp4"
+        command = [program, "-loglevel", "error", *given, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+        subprocess.run(command, input=b"".join(pixels), check=True)
+        return path.read_bytes()
 
 
 def _scenes(record: Record, most: int, trust: bool) -> list[Scene]:

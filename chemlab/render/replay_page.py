@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import base64
 import dataclasses
+import functools
 import hashlib
 import html
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -35,7 +36,8 @@ _LONG = 30
 """Lists of numbers in [0, 1] of at least this length (spectra, pictures) are stored in thousandths."""
 _STATIC = ("kind", "scenario", "title", "materials", "largest_capacity_l", "temperature_range_k", "costs", "result")
 """Keys that frames omit: constant in all frames, or stored as columns of numbers."""
-_INLINE = 14
+_INLINE = 3
+"""Longest tuple that is not an entry of the pool."""
 MOST_TURNS = 20_000
 """Maximum number of turns of a page; browsers cannot show longer ones."""
 _EVENT_WORDS = {
@@ -47,6 +49,7 @@ _EVENT_WORDS = {
 }
 
 
+@functools.lru_cache(maxsize=4096)
 def _rounded(value: float) -> float:
     return float(f"{value:.{_DIGITS}g}")
 
@@ -60,56 +63,63 @@ class _Pool:
     """
 
     def __init__(self) -> None:
-        self.shapes: list[list[str]] = []
-        self.entries: list[list[Any]] = []
+        self.shapes: list[tuple[str, ...]] = []
+        self.entries: list[tuple[Any, ...]] = []
         self._shape_of: dict[tuple[str, ...], int] = {}
-        self._entry_of: dict[str, int] = {}
+        self._entry_of: dict[tuple[Any, ...], int] = {}
         self._before: dict[Any, Any] = {}
         self._now: dict[Any, Any] = {}
 
     def frame(self, parts: Mapping[str, Any]) -> Any:
         """Return the packed form of a frame; pictures that the frame before had, too, cost next to nothing."""
         self._before, self._now = self._now, {}
-        return self._object(parts)
+        return self._object(tuple(parts), parts.values())
 
     def _pack(self, value: Any) -> Any:
-        """Return the packed form of a picture, a tuple, a list, a number or a text."""
+        """Return the packed form of a picture, a tuple, a number or a text."""
         if isinstance(value, float):
             return _rounded(value)
-        if isinstance(value, (tuple, list)):
-            if len(value) >= _LONG and all(isinstance(item, (int, float)) for item in value):
-                return self._reference([-1, *[round(1000 * item) for item in value]])
-            return self._reference([-1, *map(self._pack, value)])
-        if not dataclasses.is_dataclass(value):
+        keys = _keys(type(value))
+        if keys is None:
             return value
-        packed = self._now.get(value) or self._before.get(value)
+        packed = self._before.get(value)
         if packed is None:
-            packed = self._object({field.name: getattr(value, field.name) for field in dataclasses.fields(value)})
+            if keys:
+                packed = self._object(keys, [getattr(value, key) for key in keys])
+            elif len(value) >= _LONG and isinstance(value[0], float):
+                packed = self._reference((-1, *[round(1000 * item) for item in value]))
+            else:
+                packed = self._reference((-1, *map(self._pack, value)))
         self._now[value] = packed
         return packed
 
-    def _object(self, parts: Mapping[str, Any]) -> Any:
-        keys = tuple(parts)
+    def _object(self, keys: tuple[str, ...], values: Iterable[Any]) -> Any:
         shape = self._shape_of.setdefault(keys, len(self.shapes))
         if shape == len(self.shapes):
-            self.shapes.append(list(keys))
-        return self._reference(
-            [shape, *(self._hundredths(v) if k == "mixture" else self._pack(v) for k, v in parts.items())]
-        )
+            self.shapes.append(keys)
+        parts = [self._hundredths(v) if k == "mixture" else self._pack(v) for k, v in zip(keys, values, strict=True)]
+        return self._reference((shape, *parts))
 
-    def _hundredths(self, mixture: Sequence[Sequence[float]]) -> Any:
-        slices = (self._reference([-1, *[round(100 * share) for share in part]]) for part in mixture)
-        return self._reference([-1, *slices])
+    def _hundredths(self, mixture: tuple[tuple[float, ...], ...]) -> tuple[Any, ...]:
+        slices = (self._reference((-1, *[round(100 * share) for share in part])) for part in mixture)
+        return self._reference((-1, *slices))
 
-    def _reference(self, packed: list[Any]) -> list[Any]:
+    def _reference(self, packed: tuple[Any, ...]) -> tuple[Any, ...]:
         """Return the packed value itself if it is short, otherwise a reference to its entry."""
-        text = json.dumps(packed)
-        if len(text) <= _INLINE:
+        if len(packed) <= _INLINE:
             return packed
-        entry = self._entry_of.setdefault(text, len(self.entries))
+        entry = self._entry_of.setdefault(packed, len(self.entries))
         if entry == len(self.entries):
             self.entries.append(packed)
-        return [-2, entry]
+        return (-2, entry)
+
+
+@functools.cache
+def _keys(kind: type) -> tuple[str, ...] | None:
+    """Return the names of a picture's parts; nothing for a tuple, and None for a number or a text."""
+    if dataclasses.is_dataclass(kind):
+        return tuple(field.name for field in dataclasses.fields(kind))
+    return () if kind is tuple else None
 
 
 def _outcome(labs: Laboratories, turn: dict[str, Any], plays: Sequence[Play]) -> str:
@@ -201,7 +211,7 @@ class Film:
         frame = {field.name: getattr(scene, field.name) for field in dataclasses.fields(scene)}
         # Spectra are drawn from amounts per litre of liquid; the volume is stored because amounts alone do not
         # determine it.
-        frame["liquid_l"] = [liquid_volume(row, chem) for row in labs.shelf.vessels[0]]
+        frame["liquid_l"] = tuple(liquid_volume(row, chem) for row in labs.shelf.vessels[0])
         self._frames.append(self._pool.frame({key: part for key, part in frame.items() if key not in _STATIC}))
         self._costs.append(self._spent())
         self._results.append(_rounded(scene.result))

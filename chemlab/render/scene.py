@@ -26,7 +26,7 @@ from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray, IntArray
 from ..lab.engine import Laboratories
 from ..lab.experiments import ExperimentBatch
-from ..physics.chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, ROLE_SOLID
+from ..physics.chemistry import AMOUNTS, PRESENT, ROLE_GAS, ROLE_ION, ROLE_SOLID
 from ..physics.constants import FIRST_PHASE, SOLIDS
 from ..physics.shelf import Shelf
 from ..physics.stratification import profile
@@ -281,9 +281,11 @@ class Camera:
     """
 
     def __init__(self, scenario: Scenario, shelf: Shelf) -> None:
-        self.shelf, self.known = shelf, shelf.known()
+        self._scenario, self.shelf, self.known = scenario, shelf, shelf.known()
         columns = shelf.layout.fluid_columns
         self.colors = [material.color.lower() for material in scenario.materials.values()]
+        self._scales: dict[int, tuple[float, tuple[float, float]]] = {}
+        self._solvents = set(self.known.solvents.tolist())
         self._latest: dict[tuple[int, int], tuple[bytes, VesselPicture]] = {}
         self._layers: IntArray = np.zeros(columns + 1, dtype=np.int64)
         self._shares: FloatArray = np.zeros((columns, CAMERA_PIXELS))
@@ -295,8 +297,8 @@ class Camera:
         """Return the picture of the vessel at ``place``, which is vessel ``role`` of ``experiments``; None if there is
         none.
         """
-        vessel = self.shelf.vessel(member, place)
-        if not vessel.present:
+        row = self.shelf.vessels[member, place]
+        if not row[PRESENT] > 0.0:
             return None
         image: FloatArray = np.zeros(0)
         if experiments is not None and hasattr(experiments, "image") and experiments.layers[member, role, 0] > 0:
@@ -306,16 +308,17 @@ class Camera:
                 experiments.profile[member, role],
                 experiments.image[member, role],
             )
-            state = b"".join(array.tobytes() for array in (vessel.row, layers, shares, image))
+            state = b"".join(array.tobytes() for array in (row, layers, shares, image))
         else:
-            layers, shares, state = self._layers, self._shares, vessel.row.tobytes()
+            layers, shares, state = self._layers, self._shares, row.tobytes()
         before, picture = self._latest.get((member, place), (b"", None))
         if before == state:
             return picture
         if layers is self._layers:
-            profile(vessel.row, self.shelf.chem(), layers, shares, self._work)
+            profile(row, self.shelf.chem(), layers, shares, self._work)
+        vessel = self.shelf.vessel(member, place)
         volume, amounts = vessel.volume_l, vessel.amounts(_SHOWN_MOL)
-        listed, mixture = self._layered(vessel.row, amounts, layers, shares, max(vessel.capacity_l, volume))
+        listed, mixture = self._layered(row, amounts, layers, shares, max(vessel.capacity_l, volume))
         picture = VesselPicture(
             position=position,
             capacity_l=vessel.capacity_l,
@@ -329,6 +332,12 @@ class Camera:
         )
         self._latest[member, place] = state, picture
         return picture
+
+    def scales(self, benches: Iterable[Bench], member: int) -> tuple[float, tuple[float, float]]:
+        """Return the largest capacity in litres and the temperature range in kelvin of an episode's pictures."""
+        if member not in self._scales:
+            self._scales[member] = _ranges(self._scenario, benches, self.shelf, member)
+        return self._scales[member]
 
     def _layered(
         self, row: FloatArray, amounts: dict[str, float], layers: IntArray, shares: FloatArray, total_l: float
@@ -373,7 +382,7 @@ class Camera:
         return LayerPicture(self.shelf.layout.solvents[phase], "liquid", volume_l, color)
 
     def _wet(self, kinds: IntArray) -> bool:
-        return bool(np.isin(kinds, self.known.solvents).any())
+        return not self._solvents.isdisjoint(kinds.tolist())
 
     def _layer(self, material: int, phase: str, volume_l: float) -> LayerPicture:
         return LayerPicture(self.shelf.layout.materials[material], phase, volume_l, self.colors[material])
@@ -487,7 +496,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
     result = float(labs.result(np.array([member]))[0])
     if running and scenario.demand.feedback != 0.0:  # what the submissions are worth is not known yet
         result = -sum(costs.values())
-    largest, temperatures = _ranges(scenario, labs.benches, labs.shelf, member)
+    largest, temperatures = camera.scales(labs.benches, member)
     return Scene(
         kind="laboratory",
         scenario=scenario.name,

@@ -132,6 +132,8 @@ def test_an_unknown_policy_is_refused() -> None:
         make_policies("omniscient", env.laboratories)
     for name in policy_names():
         assert name in str(caught.value)
+    with pytest.raises(ValueError, match=r"did you mean scripted\?"):
+        make_policies("scriptd", env.laboratories)
 
 
 @pytest.fixture

@@ -184,6 +184,7 @@ def test_an_episode_is_played_by_keys(tmp_path: Path, visitor: Any) -> None:
                 raise AssertionError(f"the keyboard does not reach {name}")
             seat.keyboard.press("Enter")
 
+        seat.evaluate("now = null")  # as before the first news
         press("Take this seat")
         until(lambda: "manager_0" in lab.lives[0].taken)
         lab.order(do="play")

@@ -6,6 +6,8 @@ import base64
 import hashlib
 import json
 import re
+import shutil
+import subprocess
 import time
 from collections.abc import Iterator
 from importlib.resources import files
@@ -57,7 +59,7 @@ def page_file(episode: Path) -> Path:
 
 def unpack(data: dict[str, Any], value: Any) -> Any:
     """What the page's own ``unpack`` does."""
-    if not isinstance(value, list):
+    if not isinstance(value, (list, tuple)):
         return value
     if value[0] == -2:
         return unpack(data, data["pool"][value[1]])
@@ -536,10 +538,29 @@ def test_a_record_as_an_animation(episode: Path, tmp_path: Path, suffix: str) ->
     assert np.abs(last - ends).mean() < np.abs(last - begins).mean()
 
 
+@pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg")
+def test_a_record_as_a_video(episode: Path, tmp_path: Path) -> None:
+    """Its pictures are those of the animation, of which the first and the last are shown longer."""
+    path = tmp_path / "a.mp4"
+    path.write_bytes(animation(read_record(episode), "mp4", frames=5, size=(480, 270)))
+    command = ["ffmpeg", "-loglevel", "error", "-i", str(path), "-f", "rawvideo", "-pix_fmt", "rgb24", "-"]
+    pixels = np.frombuffer(subprocess.run(command, check=True, capture_output=True).stdout, dtype=np.uint8)
+    frames = pixels.reshape(-1, 270, 480, 3).astype(int)
+    assert len(frames) == 6 + 3 + 16
+    begins = draw(laboratory_scene(Replay(read_record(episode)).laboratories), 480, 270)
+    assert np.abs(frames[0] - begins).mean() < np.abs(frames[-1] - begins).mean()
+
+
+def test_a_video_without_its_program(episode: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(ValueError, match="needs the program ffmpeg"):
+        animation(read_record(episode), "mp4", frames=2, size=(480, 270))
+
+
 @pytest.mark.parametrize(
     ("output", "extra", "said"),
     [
-        ("a.mp4", (), "videos are not made"),
+        ("a.mov", (), "name a .gif, .webp or .mp4"),
         ("a.gif", ("b",), "an animation or a protocol one"),
         ("a.html", ("b", "c"), "at most two"),
     ],
