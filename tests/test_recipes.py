@@ -71,6 +71,28 @@ def test_kept_results_are_no_toys(path: Path) -> None:
     assert f"recipes/results/{path.name}" in found["command"]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("trainer", "package"), [("sb3", "sb3_contrib"), ("torchrl", "torchrl"), ("chemlab", "torch")])
+def test_first_teams_learn(trainer: str, package: str, tmp_path: Path) -> None:
+    """A run of seconds has a curve up to the turns that were asked for."""
+    pytest.importorskip(package)
+    path = ROOT / "recipes" / "first_team" / "trainers.py"
+    command = [sys.executable, str(path), trainer, "--steps", "100", "--out", str(tmp_path)]
+    subprocess.run(command, cwd=ROOT, check=True, timeout=1800)
+    found = json.loads((tmp_path / f"{trainer}.json").read_text(encoding="utf-8"))
+    assert found["curve"][-1][0] >= 100
+    assert all(math.isfinite(mean) for _, mean in found["curve"])
+    assert found["random"] < found["scripted"]
+
+
+def test_kept_curves_are_of_the_printed_command() -> None:
+    """All three end near the scripted bench, as the page says, and began as bad as random play."""
+    for path in sorted((ROOT / "recipes" / "first_team" / "results").glob("*.json")):
+        found = json.loads(path.read_text(encoding="utf-8"))
+        assert found["command"] == f"python recipes/first_team/trainers.py {path.stem} --steps 8000"
+        assert found["curve"][-1][1] > 0.8 * found["scripted"] > found["random"]
+
+
 def test_a_multiplier_takes_cost_off_rewards_and_ascends(monkeypatch: pytest.MonkeyPatch) -> None:
     for package in LEARNING:
         pytest.importorskip(package)

@@ -79,7 +79,7 @@ class _Pool:
         """Return the packed form of a picture, a tuple, a number or a text."""
         if isinstance(value, float):
             return _rounded(value)
-        keys = _keys(type(value))
+        keys = _keys(value.__class__)
         if keys is None:
             return value
         packed = self._before.get(value)

@@ -2,6 +2,7 @@
 
     python studies/speed/live.py
     python studies/speed/live.py --scenario failing --episodes 2
+    python studies/speed/live.py --update docs/how-to/live.md
 
 The server and the spectator are two processes. The spectator receives every scene, and begins a new episode where one
 ends. The processor time of the server alone is counted, which holds on a busy machine, too: `core` is its time a turn
@@ -14,6 +15,7 @@ import argparse
 import http.client
 import json
 import multiprocessing
+import os
 import socket
 import tempfile
 import threading
@@ -22,6 +24,7 @@ from pathlib import Path
 
 from chemlab import load_scenario
 from chemlab.agents.live import Live, live_app, live_server
+from chemlab.config.files import replace_between
 
 BOUND, TURNS_A_SECOND = 0.25, 60
 
@@ -82,11 +85,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scenario", action="append", help="default: wurtz_dodecane and relay")
     parser.add_argument("--episodes", type=int, default=4)
+    parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
     arguments = parser.parse_args()
+    table = ["| scenario | turns | processor time of a turn (ms) | share of a core |", "|---|--:|--:|--:|"]
     print(f"{'scenario':<24} {'turns':>6} {'ms a turn':>10} {'core':>6}  bound {BOUND}")
     for scenario in arguments.scenario or ("wurtz_dodecane", "relay"):
         found = measure(scenario, arguments.episodes)
         print(f"{scenario:<24} {found['turns']:>6.0f} {found['ms']:>10.2f} {found['core']:>6.2f}", flush=True)
+        table.append(f"| `{scenario}` | {found['turns']:.0f} | {found['ms']:.2f} | {found['core']:.2f} |")
+    if arguments.update is not None:
+        replace_between(arguments.update, "live", [*table, "", f"Load average {os.getloadavg()[0]:.1f}."])
 
 
 if __name__ == "__main__":

@@ -1,0 +1,97 @@
+"""Time of a newcomer's first steps: install, a moving laboratory, a trained team with its curve, an own scenario.
+
+    python studies/speed/newcomer.py --update docs/getting-started.md
+
+Every step runs in a new clone of the last commit, in a new virtual environment and with an empty kernel cache. Wall
+time includes downloads and depends on what else the machine does; processor time (summed over processes) does less.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from chemlab.config.files import replace_between
+
+ROOT = Path(__file__).parents[2]
+TEAM = (
+    "chemlab train wurtz_dodecane_direct --roles all --rewards mixed --bc scripted --bc-steps 4000 --learning-rate 1e-4"
+    " --steps 10000 --evaluations 4 --eval-episodes 10 --final-episodes 10 --out runs/team --quiet"
+)
+STEPS = {
+    "install": ("python -m pip install .",),
+    "first episode, which compiles the kernels": ("chemlab run wurtz_dodecane_direct --record first.jsonl",),
+    "the episode as a page that moves": ("chemlab replay first.jsonl -o first.html",),
+    "install the learners": ("python -m pip install TORCH .[train,plot]",),
+    "train a team": (TEAM,),
+    "its curve, and an episode of it": (
+        "chemlab plot curves runs/team -o curve.png",
+        "chemlab run wurtz_dodecane_direct --policy runs/team",
+    ),
+    "an own scenario, checked and played": (
+        "chemlab check my_lab.toml",
+        "chemlab run my_lab.toml --policy random",
+    ),
+    "train in it": ("chemlab train my_lab.toml --bench rxn --goals dodecane --steps 20000 --out runs/mine --quiet",),
+}
+"""Steps and their commands; ``my_lab.toml`` is the first block of ``docs/how-to/scenario.md``."""
+
+
+def run(commands: tuple[str, ...], folder: Path, torch: str) -> tuple[float, float]:
+    """Return s of wall and processor time of commands in the clone."""
+    programs = str(folder / "venv" / ("Scripts" if sys.platform == "win32" else "bin"))
+    # Nothing of this process's environment is found, and no kernels are.
+    given = {name: value for name, value in os.environ.items() if name not in ("PYTHONPATH", "VIRTUAL_ENV")}
+    given |= {"PATH": os.pathsep.join((programs, given["PATH"])), "NUMBA_CACHE_DIR": str(folder / "kernels")}
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    for command in commands:
+        words = [torch if word == "TORCH" else word for word in command.split()]
+        done = subprocess.run(words, cwd=folder / "chemlab", env=given, capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(f"{' '.join(words)}: {done.stdout[-2000:]}{done.stderr[-2000:]}")
+    wall, after = time.perf_counter() - begun, resource.getrusage(resource.RUSAGE_CHILDREN)
+    return wall, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def measure(torch: str) -> list[str]:
+    """Return the table of steps."""
+    lines = ["| step | commands | wall (s) | processor (s) |", "|---|---|--:|--:|"]
+    total = [0.0, 0.0]
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        subprocess.run(["git", "clone", "-q", str(ROOT), str(folder / "chemlab")], check=True)
+        subprocess.run([sys.executable, "-m", "venv", str(folder / "venv")], check=True)
+        page = (folder / "chemlab" / "docs" / "how-to" / "scenario.md").read_text(encoding="utf-8")
+        block = re.search(r"^```toml\n(# file: my_lab\.toml\n.*?)^```", page, re.S | re.M)
+        assert block is not None, "the page has the scenario"
+        (folder / "chemlab" / "my_lab.toml").write_text(block[1], encoding="utf-8")
+        for step, commands in STEPS.items():
+            wall, processor = run(commands, folder, torch)
+            total = [total[0] + wall, total[1] + processor]
+            shown = "<br>".join(f"`{command}`" for command in commands).replace(" TORCH", "")
+            lines.append(f"| {step} | {shown} | {wall:.0f} | {processor:.0f} |")
+            print(lines[-1], flush=True)
+    return [*lines, f"| together | | {total[0]:.0f} | {total[1]:.0f} |", "", f"Load average {os.getloadavg()[0]:.1f}."]
+
+
+def main() -> None:
+    """Print the table, and write it into a page."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--torch", default="torch", help="PyTorch as pip is given it, for instance torch==2.13.0")
+    parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
+    arguments = parser.parse_args()
+    table = measure(arguments.torch)
+    print("\n".join(table))
+    if arguments.update is not None:
+        replace_between(arguments.update, "newcomer", table)
+
+
+if __name__ == "__main__":
+    main()
