@@ -817,7 +817,7 @@ SHIPPED = {
     "rush": "9c8ac1a79eab336b",
     "salt_from_oil": "feee34ab975676ab",
     "selectivity": "1d6861efb6edcea7",
-    "unlabelled": "03331840c41d7542",
+    "unlabelled": "1657bfd950a45805",
     "wurtz_any": "f423b6d9860f5d2f",
     "wurtz_dodecane": "eba80ccee7c23250",
     "wurtz_dodecane_direct": "5191221eee3bff26",
