@@ -336,11 +336,11 @@ def test_every_role_has_typed_verbs_for_all_its_actions(name: str) -> None:
 
 def test_methods_return_text_and_raise_one_kind_of_error(room: Room) -> None:
     tools: Any = LabTools(room, "manager_0")
-    assert tools.measure(0, instrument="uv_vis").startswith("Done; cost 0.015.")
+    assert tools.measure(0, instrument="uv_vis").startswith("Done; cost 0.02.")
     for mistake in (lambda: tools.measure(99, "uv_vis"), lambda: tools.measure(1, 2, 3, 4, 5), lambda: tools.measure()):
         with pytest.raises(ToolError, match="measure: "):
             mistake()
-    assert tools.get_reward() == pytest.approx(-0.015 - load_scenario("unlabelled").demand.missed)
+    assert tools.get_reward() == pytest.approx(-0.02 - load_scenario("unlabelled").demand.missed)
 
 
 @pytest.mark.parametrize(
