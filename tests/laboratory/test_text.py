@@ -122,4 +122,4 @@ def test_readings_of_records_are_complete() -> None:
     env.step(labs.actions.encode("measure", 0, "uv_vis"))
     words = reading_words(labs, 0, "uv_vis")
     assert words.startswith("nm:% 200:")
-    assert "price 0.015" in words
+    assert "price 0.02" in words
