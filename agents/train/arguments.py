@@ -143,7 +143,10 @@ ABOUT: dict[str, str] = {
     "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
     "own_goals": "Share of training over which starts are for goals of the orders alone, in ever fewer laboratories.",
-    "self_imitation": "Weight of the manager's own turns that went better than expected.",
+    "revealed": "Share of training over which the manager observes hidden parameters, in ever fewer laboratories.",
+    "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",
+    "self_imitation": "Share of training over which the manager imitates its own turns that went better than expected.",
+    "tied": "Whether slots share the manager's weights, and orders, too. Default: where parameters are hidden.",
 }
 """Descriptions of arguments."""
 
@@ -430,11 +433,15 @@ class TD3(Replay):
     action_noise: Weight = 0.1
 
 
+_HELP = ("practice", "refund", "processed", "own_goals", "revealed", "free_readings", "self_imitation")
+"""Options that help to learn from nothing."""
+
+
 class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
 
-    ``practice``, ``refund``, ``processed``, ``own_goals`` and ``self_imitation`` help to learn from nothing, in
-    training alone. A team that begins from policies or clones has none unless it is asked for, and less entropy.
+    The options of ``_HELP`` help to learn from nothing, in training alone. A team that begins from policies or clones
+    has none of it unless it is asked for, less entropy, and no shared weights.
     """
 
     algo: Literal["ippo"] = "ippo"
@@ -460,7 +467,10 @@ class IPPO(Clipped, Arguments, Cloning):
     refund: Share = 0.5
     processed: Share = 0.3
     own_goals: Share = 0.5
-    self_imitation: Weight = 1.0
+    revealed: Share = 0.5
+    free_readings: Share = 0.8
+    self_imitation: Share = 1.0
+    tied: bool | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -468,7 +478,8 @@ class IPPO(Clipped, Arguments, Cloning):
         if values.get("bc") is None and values.get("begin_from") is None:
             return values
         return {
-            **dict.fromkeys(("practice", "refund", "processed", "own_goals", "self_imitation"), 0.0),
+            **dict.fromkeys(_HELP, 0.0),
+            "tied": False,
             "ent_coef": 0.01,
             **values,
         }

@@ -24,9 +24,10 @@ from chemlab.config.scenario import Scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
-from chemlab.lab.engine import Laboratories
+from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import DISCARD, START, SUBMIT
+from chemlab.roles.manager_state import INSTRUMENTS
 
 from ..advice import Advisor
 from ..policies import Policy, agent_policy
@@ -37,6 +38,8 @@ from .arguments import IPPO, MAPPO
 try:
     import torch
     from torch import nn
+
+    from .tied import TiedLinear, action_units, tied_layers
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
@@ -62,10 +65,21 @@ Arrays = npt.NDArray[Any]
 class _Network(nn.Module):
     """Actor and critic of one role."""
 
-    def __init__(self, observed: int, state: int, actions: int, discrete: bool, hidden: Sequence[int]) -> None:
+    def __init__(
+        self,
+        observed: int,
+        state: int,
+        actions: int,
+        discrete: bool,
+        hidden: Sequence[int],
+        tied: Laboratories | None = None,
+    ) -> None:
         super().__init__()
         self.discrete = discrete
-        self.actor = _layers(observed, hidden, actions, 0.01)
+        if tied is None:
+            self.actor = _layers(observed, hidden, actions, 0.01)
+        else:
+            self.actor = tied_layers(tied, action_units(tied), hidden, 0.01)
         # Values begin at 0: with others and no discount, it can seem better never to end an episode.
         self.critic = _layers(observed + state, hidden, 1, 0.01)
         if not discrete:
@@ -106,17 +120,32 @@ def compact(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"manager": scenario.manager.model_copy(update={"readings": kept})})
 
 
+def _told(scenario: Scenario) -> Scenario:
+    """A scenario whose manager observes all hidden parameters; itself if it observes any already, or there are none."""
+    world = scenario.world
+    if not world.draws or world.told_to(MANAGER_ROLE):
+        return scenario
+    draws = {name: draw.model_copy(update={"told": (*draw.told, MANAGER_ROLE)}) for name, draw in world.draws.items()}
+    return scenario.model_copy(update={"world": world.model_copy(update={"draws": draws})})
+
+
 def _columns(whole: Sequence[Channel], part: Sequence[Channel]) -> IntArray:
-    """Columns of the channels ``part`` in an observation of the channels ``whole``."""
+    """Columns of the channels ``part`` in an observation of the channels ``whole``; -1 where they are not in it."""
     slices = channel_slices(whole)
-    return np.concatenate([np.arange(slices[one.name].start, slices[one.name].stop) for one in part])
+    return np.concatenate(
+        [
+            np.arange(slices[one.name].start, slices[one.name].stop) if one.name in slices else np.full(one.size, -1)
+            for one in part
+        ]
+    )
 
 
 class _Learner:
     """One role: its network and optimizer.
 
     Args:
-        columns: where what it observes stands in the observation of the whole scenario, of ``size`` numbers.
+        columns: where what it observes stands in the observation of the whole scenario, of ``size`` numbers; -1 for
+            hidden parameters, which it observes in a part of training alone.
     """
 
     def __init__(self, columns: IntArray, size: int, network: _Network, settings: IPPO, gamma: float) -> None:
@@ -160,6 +189,7 @@ class _Learner:
         for group in self.optimizer.param_groups:
             group["lr"] = s.learning_rate * max(remaining, 0.05)
         count = len(tensors["advantage"])  # type: ignore[arg-type]
+        self.network.train()
         for _ in range(s.epochs):
             for rows in torch.from_numpy(rng.permutation(count)).split(s.batch_size):  # type: ignore[no-untyped-call]
                 if len(rows) < 2:  # advantages are normalized
@@ -202,7 +232,7 @@ class _Learner:
         with torch.no_grad():
             for i, layer in enumerate(linear):
                 weight = policy.weights[f"{i}.weight"]
-                layer.weight.copy_(torch.from_numpy(weight if i else weight[:, self.columns]))
+                layer.weight.copy_(torch.from_numpy(weight if i else weight[:, self.columns] * (self.columns >= 0)))
                 layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
             if LOG_STD in policy.weights:
                 self.network.log_std.copy_(torch.from_numpy(policy.weights[LOG_STD]))
@@ -218,6 +248,7 @@ class _Learner:
         count, network = len(tensors["target"]), self.network
         parts = max(1, count // int(_CLONE["batch"]))
         epochs = max(int(_CLONE["epochs"]), -(-int(_CLONE["updates"]) // parts))
+        network.train()
         optimizer = torch.optim.Adam(network.parameters(), lr=_CLONE["learning_rate"])
         falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * parts)
         for _ in range(epochs):
@@ -241,6 +272,11 @@ class _Learner:
             missing = (chosen - tensors["action"]).square().mean(dim=0).sqrt()
             network.log_std.copy_(missing.clamp(min=least_std).log())
             return float((chosen - tensors["action"]).abs().mean())
+
+
+def _fading(share: float, remaining: float) -> float:
+    """Return the part of a help that is left, where it fades over a share of training."""
+    return max(1.0 - (1.0 - remaining) / share, 0.0) if share else 0.0
 
 
 def _entropy(distribution: torch.distributions.Distribution) -> torch.Tensor:
@@ -392,8 +428,14 @@ class _Best:
             self._ended[mine] = True
             self._earned[over] = 0.0
 
-    def learn(self, learner: _Learner, rng: np.random.Generator) -> None:
-        """Make turns more likely whose return is above the critic's value."""
+    def learn(self, learner: _Learner, rng: np.random.Generator, strength: float) -> None:
+        """Make turns more likely whose return is above the critic's value.
+
+        Args:
+            learner: the manager's.
+            rng: draws turns.
+            strength: factor of the loss.
+        """
         known = np.flatnonzero(self._ended)
         if not len(known):
             return
@@ -401,8 +443,9 @@ class _Best:
         seen = self._turns.get("seen", self._turns["observed"])[known]
         better = (returns - learner.value(seen)) / (returns.std() + 1e-8)
         chosen, weight = known[better > 0.0], better[better > 0.0]
+        learner.network.train()
         # The loss is a mean over all turns: the fewer are better, the less they count.
-        scale = learner.settings.self_imitation * len(chosen) / len(known)
+        scale = strength * len(chosen) / len(known)
         parts = max(1, len(chosen) // learner.settings.batch_size)
         for rows in np.array_split(rng.permutation(len(chosen)), parts) if len(chosen) else ():
             own = {name: torch.from_numpy(values[chosen[rows]]) for name, values in self._turns.items()}
@@ -487,8 +530,10 @@ class PPOTeam:
         self.settings, seed = settings, settings.seed
         torch.manual_seed(seed)
         self.rng = np.random.default_rng(seed)
-        full = Laboratories(scenario, 1)
+        full, hides = Laboratories(scenario, 1), bool(scenario.world.draws)
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
+        if MANAGER_ROLE in roles and settings.revealed:
+            seen_by_all = _told(seen_by_all)
         self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, infos=False, split=settings.split)
         self.labs = labs = self.batch.laboratories
         self.agents = self.batch.possible_agents
@@ -508,7 +553,9 @@ class PPOTeam:
                 whole = full.observation_sizes[number]
                 columns = _columns(full.roles[number].channels, labs.roles[number].channels)
                 size = count or int(space.shape[0])  # type: ignore[index]
-                network = _Network(len(columns), state, size, bool(count), settings.net_arch)
+                ties = hides if settings.tied is None else settings.tied
+                tied = labs if role == MANAGER_ROLE and ties else None
+                network = _Network(len(columns), state, size, bool(count), settings.net_arch, tied)
                 gamma = settings.manager_gamma if role == MANAGER_ROLE else settings.gamma
                 self.learners[role] = _Learner(columns, whole, network, settings, gamma)
             seen = len(self.learners[role].columns)
@@ -534,8 +581,10 @@ class PPOTeam:
                 self._best = _Best(self.settings.envs, track)
         self.turns = dict.fromkeys(self.learners, 0)
         self.scores: list[float] = []
-        self._earned = np.zeros(self.settings.envs)
+        self._earned, self._paid = np.zeros(self.settings.envs), np.zeros(self.settings.envs)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
+        self._reveal(0.0)
+        self._to_come = self._helped_score(self.labs.result(self.labs.members), self._paid, 1.0)
 
     def learn(self, done: float, rounds: int) -> int:
         """Learn from a rollout; return the number of turns, at least 1.
@@ -565,27 +614,63 @@ class PPOTeam:
             turns += learned
         return turns
 
+    def _helps(self, share: float, done: float) -> BoolArray:
+        """Return [N] in which laboratories a help goes on that is given for a share of training."""
+        places = np.arange(self.settings.envs) + 0.5
+        return done * self.settings.envs < share * places
+
+    def _reveal(self, done: float) -> None:
+        """Hide the hidden parameters from the manager where its help is over: there, they are 0."""
+        if MANAGER_ROLE in self.learners:
+            hidden = np.flatnonzero(self.learners[MANAGER_ROLE].columns < 0)
+            rows = np.flatnonzero(self._infos[MANAGER_AGENT]["has_turn"])
+            shown, at = self._helps(self.settings.revealed, done)[rows, None], np.ix_(rows, hidden)
+            seen = self._observed[MANAGER_AGENT]
+            seen[at] = np.where(shown, seen[at], 0.0)
+
     def collect(self, remaining: float) -> None:
         """Play a rollout."""
+        done = 1.0 - remaining
+        for learner in self.learners.values():
+            learner.network.eval()
         for t in range(1, self.settings.rollout + 1):
             actions = {
                 agent: action for agent in self.agents if (action := self._chosen(agent, t, remaining)) is not None
             }
             self._observed, rewards, over, _, self._infos = self.batch.step(actions)
+            self._reveal(done)
             self.scores += self._infos["manager_0"]["score"][over].tolist()
             for agent, track in self._tracks.items():
-                track.reward[t] = rewards[agent]
-                track.ended[t] = over
-                if role_of(agent) != MANAGER_ROLE and self._own_episodes:
+                track.reward[t], track.ended[t] = rewards[agent], over
+                if role_of(agent) == MANAGER_ROLE:
+                    track.reward[t] += self._at_once(rewards[agent], over, remaining)
+                    if self._best is not None:
+                        self._best.rewarded(track.reward[t], over)
+                elif self._own_episodes:
                     track.ended[t] |= self._infos[agent]["experiment_over"]
-                elif role_of(agent) == MANAGER_ROLE and self.settings.refund:
-                    # At once, and not at the end: what costs something is not avoided then.
-                    refund = max(1.0 - (1.0 - remaining) / self.settings.refund, 0.0)
-                    earned = self._earned + rewards[agent]
-                    track.reward[t] += refund * (np.maximum(-earned, 0.0) - np.maximum(-self._earned, 0.0))
-                    self._earned = np.where(over, 0.0, earned)
-                if self._best is not None and role_of(agent) == MANAGER_ROLE:
-                    self._best.rewarded(track.reward[t], over)
+
+    def _helped_score(self, score: Arrays, paid: Arrays, remaining: float) -> Arrays:
+        """Scores [N] with refunds, of which ``paid`` [N] are those of measurements."""
+        hides = bool(self.labs.scenario.world.draws)
+        found = score + (_fading(self.settings.free_readings, remaining) * paid if hides else 0.0)
+        return np.asarray(found + _fading(self.settings.refund, remaining) * np.maximum(-found, 0.0))
+
+    def _at_once(self, rewards: Arrays, over: BoolArray, remaining: float) -> Arrays:
+        """Return [N] what makes the manager's rewards come at once, and of help.
+
+        The laboratory charges costs, and pays orders without feedback, at the end of the episode. In training, what a
+        turn changes in the score comes with it. Sums stay the same but for refunds and the score of an episode that
+        ends at once.
+        """
+        score, paid = self.labs.result(self.labs.members), self.labs.state.charges[:, INSTRUMENTS]
+        final = self._infos["manager_0"]["score"]
+        self._earned += rewards
+        running = self._helped_score(score, paid, remaining)
+        at_end = self._helped_score(final, self._paid, remaining) - final
+        change = np.where(over, at_end, running - self._earned) - self._to_come
+        self._earned[over], self._paid = 0.0, paid.copy()
+        self._to_come = running - self._earned
+        return np.asarray(change)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Actions [N] of an agent in round ``t``; None if it has the turn nowhere."""
@@ -643,8 +728,7 @@ class PPOTeam:
         kinds, helped = table[:, 0], mask.copy()
         starts, submits, discards = (np.flatnonzero(kinds == kind) for kind in (START, SUBMIT, DISCARD))
         own, limited = (
-            np.flatnonzero(done * settings.envs < share * (rows + 0.5))
-            for share in (settings.own_goals, settings.processed)
+            np.flatnonzero(self._helps(share, done)[rows]) for share in (settings.own_goals, settings.processed)
         )
         wanted = (table[starts, 3][None, :, None] == state.goal[rows[own]][:, None, :]).any(axis=2)
         helped[np.ix_(own, starts)] &= wanted
@@ -682,8 +766,9 @@ class PPOTeam:
             count = len(batch["advantage"])  # type: ignore[arg-type]
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
-            if self._best is not None and role == MANAGER_ROLE:
-                self._best.learn(self.learners[role], self.rng)
+            strength = _fading(self.settings.self_imitation, remaining)
+            if self._best is not None and role == MANAGER_ROLE and strength:
+                self._best.learn(self.learners[role], self.rng, strength)
             learned += count
         return learned
 
@@ -727,13 +812,13 @@ class PPOTeam:
     def weights(self, role: str) -> dict[str, Arrays]:
         """Weights of a role's actor over the whole observation: ``{i}.weight`` [out, in] and ``{i}.bias`` [out]."""
         learner = self.learners[role]
-        linear = [layer for layer in learner.network.actor if isinstance(layer, nn.Linear)]
+        linear = [layer for layer in learner.network.actor if isinstance(layer, (nn.Linear, TiedLinear))]
         found: dict[str, Arrays] = {}
         for i, layer in enumerate(linear):
             weight = layer.weight.detach().numpy()
             if i == 0:
-                whole = np.zeros((len(weight), learner.size), dtype=np.float32)
-                whole[:, learner.columns] = weight
+                whole, kept = np.zeros((len(weight), learner.size), dtype=np.float32), learner.columns >= 0
+                whole[:, learner.columns[kept]] = weight[:, kept]
                 weight = whole
             found[f"{i}.weight"], found[f"{i}.bias"] = weight.copy(), layer.bias.detach().numpy().copy()
         if not learner.network.discrete:

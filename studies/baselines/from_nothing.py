@@ -1,9 +1,10 @@
 """Managers and teams that learned from nothing, beside untrained managers over scripted benches.
 
 ``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
-(``studies/baselines/from_nothing.toml``) and, on the same episodes, the scripted, the random and the idle manager and
-the best of ``--plans`` open-loop plans. It adds the scores to ``results/from_nothing.json``. Without RESULTS nothing is
-played: the table of docs/training.md is written from that file.
+(``studies/baselines/from_nothing.toml``), also where no measurement can be paid, and, on the same episodes, the
+scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. It adds the scores to
+``results/from_nothing.json``. Without RESULTS nothing is played: the table of docs/training.md is written from that
+file.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ SCORES = Path(__file__).parent / "results" / "from_nothing.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
 SPLIT, EPISODES = "validation", 100
 MANAGERS = ("nothing", "random", "plan", "scripted")
+NO_BUDGET = 1e-9
+"""Of measurements; instruments that are free can still be used."""
 
 
 def means(spec: Scenario, policy: str) -> list[float]:
@@ -59,8 +62,11 @@ def learned(run: Run) -> dict[str, Any]:
     assert result is not None
     scenario = config["scenario"]
     own = {"scenario": scenario, "roles": config["bench"], "seed": result.seed, "steps": result.steps}
-    score = statistics.mean(means(load_scenario(scenario), str(run.path)))
-    return {**own, "best_step": result.best_step, "best": score, "last": result.last_mean, "sampled": result.sampled}
+    spec = load_scenario(scenario)
+    poor = spec.model_copy(update={"limits": spec.limits.model_copy(update={"budget": NO_BUDGET})})
+    score, blind = (statistics.mean(means(one, str(run.path))) for one in (spec, poor))
+    found = {"best_step": result.best_step, "best": score, "blind": blind, "last": result.last_mean}
+    return {**own, **found, "sampled": result.sampled}
 
 
 def table(scores: dict[str, Any]) -> list[str]:

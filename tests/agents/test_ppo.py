@@ -22,10 +22,12 @@ from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _Track
+from chemlab.agents.train.tied import TiedLinear, Unit, action_units, observed_units
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
+from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, read_record, verify_record
-from chemlab.roles.manager_actions import DISCARD, START, SUBMIT
+from chemlab.roles.manager_actions import DISCARD, MEASURE, START, SUBMIT
 
 QUICK = {"envs": 8, "rollout": 16, "batch_size": 64, "evaluations": 2, "eval_episodes": 4, "final_episodes": 4}
 
@@ -146,12 +148,87 @@ def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
 
     before = probability()
     for _ in range(20):
-        best.learn(learner, np.random.default_rng(1))
+        best.learn(learner, np.random.default_rng(1), 1.0)
     assert probability() > 2.0 * before
     best._following[:] = -9.0  # none is better than expected
     before = probability()
-    best.learn(learner, np.random.default_rng(1))
+    best.learn(learner, np.random.default_rng(1), 1.0)
     assert probability() == before
+
+
+def managers(scenario: str, **given: Any) -> PPOTeam:
+    """A manager that learns in a scenario."""
+    arguments = IPPO(scenario=scenario, roles=("manager",), **{**QUICK, **given})
+    return PPOTeam(load_scenario(scenario), ["manager"], arguments, "scripted", False)
+
+
+def test_hidden_parameters_are_revealed_in_ever_fewer_laboratories() -> None:
+    """What is exported has no weights for them."""
+    made = managers("rush", revealed=0.5)
+    hidden = np.flatnonzero(made.learners["manager"].columns < 0)
+    labs = made.labs
+    assert len(hidden) == labs.scenario.world.numbers(list(labs.scenario.world.draws))
+    for done, first in ((0.0, 0), (0.25, 4), (0.5, 8)):
+        made.collect(1.0 - done)
+        rows = np.flatnonzero(made._infos["manager_0"]["has_turn"])
+        shown = made._observed["manager_0"][np.ix_(rows, hidden)]
+        assert not shown[rows < first].any()
+        assert shown[rows >= first].any(axis=1).all()
+    whole = Laboratories(load_scenario("rush"), 1)
+    assert made.weights("manager")["0.weight"].shape[1] == whole.observation_sizes[0]
+    told = managers("rush@1", revealed=0.5)
+    assert (told.learners["manager"].columns >= 0).all(), "all of it is observed in play, too"
+
+
+@pytest.mark.parametrize(("remaining", "kept"), [(1.0, 0.0), (0.75, 0.5), (0.5, 1.0)])
+def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> None:
+    made = managers("rush", free_readings=0.5, refund=0.0, revealed=0.0, rollout=1)
+    measures = np.flatnonzero(made.labs.actions.table[:, 0] == MEASURE)
+    mask = made._infos["manager_0"]["action_mask"]
+    mask[:] = 0
+    mask[:, measures[0]] = 1
+    made.collect(remaining)
+    price = load_scenario("rush").instruments["gas_chromatograph"].price
+    assert made._tracks["manager_0"].reward[1] == pytest.approx(-kept * price, abs=1e-6)
+
+
+def test_slots_and_orders_share_weights() -> None:
+    """Where two slots and two orders change places, so do their actions; the matrix is exported."""
+    made = managers("rush", tied=True)
+    labs, learner = made.labs, made.learners["manager"]
+    observed, acted = observed_units(labs), action_units(labs)
+    assert len(observed) == len(learner.columns)
+
+    def exchanged(units: list[Unit]) -> list[int]:
+        """Where each unit goes when slots 0 and 3, and orders 1 and 2, change places."""
+        slots, orders = {0: 3, 3: 0}, {1: 2, 2: 1}
+        return [units.index((kind, slots.get(s, s), orders.get(o, o))) for kind, s, o in units]
+
+    seen = torch.rand(5, len(observed))
+    for mode in (True, False):  # in evaluation the whole matrix is made once
+        learner.network.train(mode)
+        with torch.no_grad():
+            logits = learner.network.logits(seen, None)
+            other = learner.network.logits(seen[:, exchanged(observed)], None)
+        assert other.numpy() == pytest.approx(logits[:, exchanged(acted)].numpy(), abs=1e-6)
+        assert not np.allclose(other.numpy(), logits.numpy(), atol=1e-4)
+    weights = made.weights("manager")
+    x = np.zeros((5, learner.size), dtype=np.float32)
+    kept = learner.columns >= 0
+    x[:, learner.columns[kept]] = seen[:, kept].numpy()
+    seen[:, ~kept] = 0.0
+    for i in range(3):
+        x = x @ weights[f"{i}.weight"].T + weights[f"{i}.bias"]
+        x = np.tanh(x) if i < 2 else x
+    with torch.no_grad():
+        assert learner.network.logits(seen, None).numpy() == pytest.approx(x, abs=1e-5)
+
+
+@pytest.mark.parametrize(("scenario", "given", "tied"), [("rush", {}, True), ("rush", {"tied": False}, False)])
+def test_weights_are_shared_where_parameters_are_hidden(scenario: str, given: dict[str, Any], tied: bool) -> None:
+    layers = managers(scenario, **given).learners["manager"].network.actor
+    assert isinstance(layers[0], TiedLinear) == tied
+    assert not isinstance(team().learners["manager"].network.actor[0], TiedLinear)
 
 
 def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:

@@ -580,7 +580,9 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "refund": (-0.1, 1.1, NAN),
     "processed": (-0.1, 1.1, NAN),
     "own_goals": (-0.1, 1.1, NAN),
-    "self_imitation": (-0.1, NAN, INFINITY),
+    "revealed": (-0.1, 1.1, NAN),
+    "free_readings": (-0.1, 1.1, NAN),
+    "self_imitation": (-0.1, 1.1, NAN),
     "practice": (-0.1, 1.0, NAN),
 }
 EDGES: dict[str, tuple[Any, ...]] = {
