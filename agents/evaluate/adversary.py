@@ -79,6 +79,7 @@ def learned_scores(
                 best = score, states, sampled
     for role, own in team.learners.items():
         own.network.load_state_dict(best[1][role])
+        own.network.eval()
     torch.manual_seed(seed)
     return _score(team, spec, episodes, seed, split, best[2])
 
@@ -94,7 +95,7 @@ class _Learned:
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
         allowed = None if mask is None else mask != 0
-        actions, _ = self._learner.act(observation[:, self._learner.columns], allowed, greedy=not self._sampled)
+        actions, _ = self._learner.act(self._learner.seen(observation), allowed, greedy=not self._sampled)
         return actions if mask is not None else np.clip(actions, 0.0, 1.0).astype(np.float64)
 
 
@@ -142,5 +143,5 @@ def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan], lea
         learner, batch = team.learners[role], joined(own)
         observed = batch["observed"]
         assert observed is not None
-        batch["observed"] = batch["seen"] = observed[:, learner.columns]
+        batch["observed"] = batch["seen"] = learner.seen(observed)
         learner.clone(batch, team.rng, least_std)

@@ -153,6 +153,10 @@ class _Learner:
         self.settings, self.critic_first = settings, 0
         self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, eps=1e-5)
 
+    def seen(self, whole: Arrays) -> Arrays:
+        """Return its part [B, columns] of observations [B, size] of the whole scenario; hidden parameters are 0."""
+        return np.where(self.columns >= 0, whole[:, self.columns], np.float32(0.0))
+
     def act(self, observed: Arrays, mask: BoolArray | None, greedy: bool = False) -> tuple[Arrays, Arrays]:
         """Draw actions, or take the most probable ones; return them with their log-probabilities."""
         with torch.inference_mode():
@@ -232,7 +236,7 @@ class _Learner:
         with torch.no_grad():
             for i, layer in enumerate(linear):
                 weight = policy.weights[f"{i}.weight"]
-                layer.weight.copy_(torch.from_numpy(weight if i else weight[:, self.columns] * (self.columns >= 0)))
+                layer.weight.copy_(torch.from_numpy(weight if i else self.seen(weight)))
                 layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
             if LOG_STD in policy.weights:
                 self.network.log_std.copy_(torch.from_numpy(policy.weights[LOG_STD]))

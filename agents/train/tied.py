@@ -49,7 +49,7 @@ class TiedLinear(nn.Module):
 
     def __init__(self, ins: Sequence[Unit], outs: Sequence[Unit], gain: float) -> None:
         super().__init__()
-        self.out_features = len(outs)
+        self.in_features, self.out_features = len(ins), len(outs)
         kinds, rows = (_numbered([unit[0] for unit in units]) for units in (ins, outs))
         slots = _relation([slot for _, slot, _ in ins], [slot for _, slot, _ in outs])
         orders = _relation([order for _, _, order in ins], [order for _, _, order in outs])

@@ -64,22 +64,22 @@ def learned(run: Run) -> dict[str, Any]:
     own = {"scenario": scenario, "roles": config["bench"], "seed": result.seed, "steps": result.steps}
     spec = load_scenario(scenario)
     poor = spec.model_copy(update={"limits": spec.limits.model_copy(update={"budget": NO_BUDGET})})
-    score, blind = (statistics.mean(means(one, str(run.path))) for one in (spec, poor))
-    found = {"best_step": result.best_step, "best": score, "blind": blind, "last": result.last_mean}
+    score, unpaid = (statistics.mean(means(one, str(run.path))) for one in (spec, poor))
+    found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled}
 
 
 def table(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table: medians over the seeds of training, and the worst where there are several."""
     lines = [
-        f"| scenario | learners | {' | '.join(MANAGERS)} | learned | last | steps of the best, of all | seeds |",
-        f"| --- | --- |{' --: |' * (len(MANAGERS) + 4)}",
+        f"| scenario | learners | {' | '.join(MANAGERS)} | learned | unpaid | last | steps of best, of all | seeds |",
+        f"| --- | --- |{' --: |' * (len(MANAGERS) + 5)}",
     ]
     keys = sorted({(run["scenario"], len(run["roles"]), run["roles"]) for run in scores["runs"]})
     for scenario, _, roles in keys:
         runs = [run for run in scores["runs"] if (run["scenario"], run["roles"]) == (scenario, roles)]
         cells = [f"{scores['untrained'][scenario][one]:.3f}" for one in MANAGERS]
-        for name in ("best", "last"):
+        for name in ("best", "unpaid", "last"):
             values = [run[name] for run in runs]
             worst = f" ({min(values):.3f})" if len(runs) > 1 else ""
             cells.append(f"{statistics.median(values):.3f}{worst}")

@@ -226,7 +226,7 @@ def test_in_rounds_learners_play_and_the_policy_is_asked(monkeypatch: pytest.Mon
 
 def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
     """The exported actor has the size of the observation; the critic's first layer has that of the state as well."""
-    arguments = MAPPO(**SMALL, scenario="rush", net_arch=(48, 24))
+    arguments = MAPPO(**SMALL, scenario="rush", net_arch=(48, 24), tied=False)
     team = team_of(arguments)
     state = team.batch.state_space.shape[0]
     for role, learner in team.learners.items():

@@ -217,6 +217,7 @@ def test_slots_and_orders_share_weights() -> None:
     kept = learner.columns >= 0
     x[:, learner.columns[kept]] = seen[:, kept].numpy()
     seen[:, ~kept] = 0.0
+    assert (learner.seen(x) == seen.numpy()).all()
     for i in range(3):
         x = x @ weights[f"{i}.weight"].T + weights[f"{i}.bias"]
         x = np.tanh(x) if i < 2 else x
