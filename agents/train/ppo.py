@@ -534,7 +534,8 @@ class PPOTeam:
         self.settings, seed = settings, settings.seed
         torch.manual_seed(seed)
         self.rng = np.random.default_rng(seed)
-        full, hides = Laboratories(scenario, 1), bool(scenario.world.draws)
+        full = Laboratories(scenario, 1)
+        self._hides = _told(scenario) is not scenario
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
         if MANAGER_ROLE in roles and settings.revealed:
             seen_by_all = _told(seen_by_all)
@@ -557,7 +558,7 @@ class PPOTeam:
                 whole = full.observation_sizes[number]
                 columns = _columns(full.roles[number].channels, labs.roles[number].channels)
                 size = count or int(space.shape[0])  # type: ignore[index]
-                ties = hides if settings.tied is None else settings.tied
+                ties = self._hides if settings.tied is None else settings.tied
                 tied = labs if role == MANAGER_ROLE and ties else None
                 network = _Network(len(columns), state, size, bool(count), settings.net_arch, tied)
                 gamma = settings.manager_gamma if role == MANAGER_ROLE else settings.gamma
@@ -655,8 +656,7 @@ class PPOTeam:
 
     def _helped_score(self, score: Arrays, paid: Arrays, remaining: float) -> Arrays:
         """Scores [N] with refunds, of which ``paid`` [N] are those of measurements."""
-        hides = bool(self.labs.scenario.world.draws)
-        found = score + (_fading(self.settings.free_readings, remaining) * paid if hides else 0.0)
+        found = score + (_fading(self.settings.free_readings, remaining) * paid if self._hides else 0.0)
         return np.asarray(found + _fading(self.settings.refund, remaining) * np.maximum(-found, 0.0))
 
     def _at_once(self, rewards: Arrays, over: BoolArray, remaining: float) -> Arrays:

@@ -225,8 +225,11 @@ def test_slots_and_orders_share_weights() -> None:
         assert learner.network.logits(seen, None).numpy() == pytest.approx(x, abs=1e-5)
 
 
-@pytest.mark.parametrize(("scenario", "given", "tied"), [("rush", {}, True), ("rush", {"tied": False}, False)])
+@pytest.mark.parametrize(
+    ("scenario", "given", "tied"), [("rush", {}, True), ("rush@1", {}, False), ("rush", {"tied": False}, False)]
+)
 def test_weights_are_shared_where_parameters_are_hidden(scenario: str, given: dict[str, Any], tied: bool) -> None:
+    """Level 1 reveals them."""
     layers = managers(scenario, **given).learners["manager"].network.actor
     assert isinstance(layers[0], TiedLinear) == tied
     assert not isinstance(team().learners["manager"].network.actor[0], TiedLinear)
