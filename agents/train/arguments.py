@@ -145,7 +145,7 @@ ABOUT: dict[str, str] = {
     "own_goals": "Share of training over which starts are for goals of the orders alone, in ever fewer laboratories.",
     "revealed": "Share of training over which the manager observes hidden parameters, in ever fewer laboratories.",
     "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",
-    "self_imitation": "Share of training over which the manager imitates its own turns that went better than expected.",
+    "self_imitation": "Weight of the manager's own turns that went better than expected.",
     "tied": "Whether slots share the manager's weights, and orders, too. Default: where parameters are hidden.",
 }
 """Descriptions of arguments."""
@@ -469,7 +469,7 @@ class IPPO(Clipped, Arguments, Cloning):
     own_goals: Share = 0.5
     revealed: Share = 0.5
     free_readings: Share = 0.8
-    self_imitation: Share = 1.0
+    self_imitation: Weight = 1.0
     tied: bool | None = None
 
     @model_validator(mode="before")

@@ -76,12 +76,13 @@ class _Network(nn.Module):
     ) -> None:
         super().__init__()
         self.discrete = discrete
+        # Values begin at 0: with others and no discount, it can seem better never to end an episode.
         if tied is None:
             self.actor = _layers(observed, hidden, actions, 0.01)
+            self.critic = _layers(observed + state, hidden, 1, 0.01)
         else:
-            self.actor = tied_layers(tied, action_units(tied), hidden, 0.01)
-        # Values begin at 0: with others and no discount, it can seem better never to end an episode.
-        self.critic = _layers(observed + state, hidden, 1, 0.01)
+            self.actor = tied_layers(tied, 0, action_units(tied), hidden, 0.01)
+            self.critic = tied_layers(tied, state, [("value", -1, -1)], hidden, 0.01)
         if not discrete:
             self.log_std = nn.Parameter(torch.full((actions,), -1.0))
             nn.init.constant_(self.actor[-1].bias, 0.5)  # type: ignore[arg-type]
@@ -432,14 +433,8 @@ class _Best:
             self._ended[mine] = True
             self._earned[over] = 0.0
 
-    def learn(self, learner: _Learner, rng: np.random.Generator, strength: float) -> None:
-        """Make turns more likely whose return is above the critic's value.
-
-        Args:
-            learner: the manager's.
-            rng: draws turns.
-            strength: factor of the loss.
-        """
+    def learn(self, learner: _Learner, rng: np.random.Generator) -> None:
+        """Make turns more likely whose return is above the critic's value."""
         known = np.flatnonzero(self._ended)
         if not len(known):
             return
@@ -449,7 +444,7 @@ class _Best:
         chosen, weight = known[better > 0.0], better[better > 0.0]
         learner.network.train()
         # The loss is a mean over all turns: the fewer are better, the less they count.
-        scale = strength * len(chosen) / len(known)
+        scale = learner.settings.self_imitation * len(chosen) / len(known)
         parts = max(1, len(chosen) // learner.settings.batch_size)
         for rows in np.array_split(rng.permutation(len(chosen)), parts) if len(chosen) else ():
             own = {name: torch.from_numpy(values[chosen[rows]]) for name, values in self._turns.items()}
@@ -586,10 +581,9 @@ class PPOTeam:
                 self._best = _Best(self.settings.envs, track)
         self.turns = dict.fromkeys(self.learners, 0)
         self.scores: list[float] = []
-        self._earned, self._paid = np.zeros(self.settings.envs), np.zeros(self.settings.envs)
+        self._earned = np.zeros(self.settings.envs)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
         self._reveal(0.0)
-        self._to_come = self._helped_score(self.labs.result(self.labs.members), self._paid, 1.0)
 
     def learn(self, done: float, rounds: int) -> int:
         """Learn from a rollout; return the number of turns, at least 1.
@@ -635,46 +629,32 @@ class PPOTeam:
 
     def collect(self, remaining: float) -> None:
         """Play a rollout."""
-        done = 1.0 - remaining
+        done, refund = 1.0 - remaining, _fading(self.settings.refund, remaining)
+        free = _fading(self.settings.free_readings, remaining) if self._hides else 0.0
         for learner in self.learners.values():
             learner.network.eval()
         for t in range(1, self.settings.rollout + 1):
             actions = {
                 agent: action for agent in self.agents if (action := self._chosen(agent, t, remaining)) is not None
             }
+            paid = self.labs.state.charges[:, INSTRUMENTS].copy()
             self._observed, rewards, over, _, self._infos = self.batch.step(actions)
             self._reveal(done)
             self.scores += self._infos["manager_0"]["score"][over].tolist()
             for agent, track in self._tracks.items():
                 track.reward[t], track.ended[t] = rewards[agent], over
                 if role_of(agent) == MANAGER_ROLE:
-                    track.reward[t] += self._at_once(rewards[agent], over, remaining)
+                    # Where an episode has ended, the charges are those of the next one.
+                    measured = np.maximum(self.labs.state.charges[:, INSTRUMENTS] - paid, 0.0)
+                    earned = self._earned + rewards[agent] + free * measured
+                    # At once, and not at the end: what costs something is not avoided then.
+                    refunds = np.maximum(-earned, 0.0) - np.maximum(-self._earned, 0.0)
+                    track.reward[t] += free * measured + refund * refunds
+                    self._earned = np.where(over, 0.0, earned)
                     if self._best is not None:
                         self._best.rewarded(track.reward[t], over)
                 elif self._own_episodes:
                     track.ended[t] |= self._infos[agent]["experiment_over"]
-
-    def _helped_score(self, score: Arrays, paid: Arrays, remaining: float) -> Arrays:
-        """Scores [N] with refunds, of which ``paid`` [N] are those of measurements."""
-        found = score + (_fading(self.settings.free_readings, remaining) * paid if self._hides else 0.0)
-        return np.asarray(found + _fading(self.settings.refund, remaining) * np.maximum(-found, 0.0))
-
-    def _at_once(self, rewards: Arrays, over: BoolArray, remaining: float) -> Arrays:
-        """Return [N] what makes the manager's rewards come at once, and of help.
-
-        The laboratory charges costs, and pays orders without feedback, at the end of the episode. In training, what a
-        turn changes in the score comes with it. Sums stay the same but for refunds and the score of an episode that
-        ends at once.
-        """
-        score, paid = self.labs.result(self.labs.members), self.labs.state.charges[:, INSTRUMENTS]
-        final = self._infos["manager_0"]["score"]
-        self._earned += rewards
-        running = self._helped_score(score, paid, remaining)
-        at_end = self._helped_score(final, self._paid, remaining) - final
-        change = np.where(over, at_end, running - self._earned) - self._to_come
-        self._earned[over], self._paid = 0.0, paid.copy()
-        self._to_come = running - self._earned
-        return np.asarray(change)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Actions [N] of an agent in round ``t``; None if it has the turn nowhere."""
@@ -770,9 +750,8 @@ class PPOTeam:
             count = len(batch["advantage"])  # type: ignore[arg-type]
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
-            strength = _fading(self.settings.self_imitation, remaining)
-            if self._best is not None and role == MANAGER_ROLE and strength:
-                self._best.learn(self.learners[role], self.rng, strength)
+            if self._best is not None and role == MANAGER_ROLE:
+                self._best.learn(self.learners[role], self.rng)
             learned += count
         return learned
 

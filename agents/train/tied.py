@@ -57,10 +57,10 @@ class TiedLinear(nn.Module):
         found, index = np.unique(which, return_inverse=True)
         index = index.reshape(which.shape)
         uses = np.stack([np.bincount(row, minlength=len(found))[row] for row in index])
-        # Between the sum and the mean of inputs that share a weight: with sums a step changes too much at once.
-        share = uses**-0.5
+        # Inputs that share a weight count by their mean: with sums a step changes too much at once.
+        share = 1.0 / uses
         spread = np.zeros(len(found))
-        spread[index] = gain * (share**2).sum(axis=1, keepdims=True) ** -0.5
+        spread[index] = gain * share.sum(axis=1, keepdims=True) ** -0.5
         for name, array in (("index", index), ("share", share.astype(np.float32)), ("rows", rows)):
             self.register_buffer(name, torch.from_numpy(array))
         self.values = nn.Parameter(torch.randn(len(found)) * torch.from_numpy(spread).float())
@@ -142,16 +142,20 @@ def action_units(labs: Laboratories) -> list[Unit]:
     return units
 
 
-def tied_layers(labs: Laboratories, outs: Sequence[Unit], hidden: Sequence[int], gain: float) -> nn.Sequential:
-    """Layers from the manager's observation, with tanh between them.
+def tied_layers(
+    labs: Laboratories, state: int, outs: Sequence[Unit], hidden: Sequence[int], gain: float
+) -> nn.Sequential:
+    """Layers from the manager's observation and the laboratory's state, with tanh between them.
 
     Args:
         labs: the laboratories.
+        state: size of the state, which is 0 for an actor.
         outs: units of the output.
         hidden: twice the units of the laboratory in each hidden layer; a slot has an eighth of it, an order a 16th.
         gain: of the last layer.
     """
-    layers, scenario = [observed_units(labs)], labs.scenario
+    first: list[Unit] = [*observed_units(labs), *((("state", k), -1, -1) for k in range(state))]
+    layers, scenario = [first], labs.scenario
     for number, size in enumerate(hidden):
         units: list[Unit] = [((number, k), -1, -1) for k in range(-(-size // 2))]
         units += [((number, "slot", k), s, -1) for s in range(scenario.shelf.slots) for k in range(-(-size // 8))]

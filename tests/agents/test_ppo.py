@@ -148,11 +148,11 @@ def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
 
     before = probability()
     for _ in range(20):
-        best.learn(learner, np.random.default_rng(1), 1.0)
+        best.learn(learner, np.random.default_rng(1))
     assert probability() > 2.0 * before
     best._following[:] = -9.0  # none is better than expected
     before = probability()
-    best.learn(learner, np.random.default_rng(1), 1.0)
+    best.learn(learner, np.random.default_rng(1))
     assert probability() == before
 
 
@@ -189,7 +189,8 @@ def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> N
     mask[:, measures[0]] = 1
     made.collect(remaining)
     price = load_scenario("rush").instruments["gas_chromatograph"].price
-    assert made._tracks["manager_0"].reward[1] == pytest.approx(-kept * price, abs=1e-6)
+    # The laboratory charges it at the end of the episode.
+    assert made._tracks["manager_0"].reward[1] == pytest.approx((1.0 - kept) * price, abs=1e-6)
 
 
 def test_slots_and_orders_share_weights() -> None:

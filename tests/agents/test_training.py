@@ -582,7 +582,7 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "own_goals": (-0.1, 1.1, NAN),
     "revealed": (-0.1, 1.1, NAN),
     "free_readings": (-0.1, 1.1, NAN),
-    "self_imitation": (-0.1, 1.1, NAN),
+    "self_imitation": (-0.1, NAN, INFINITY),
     "practice": (-0.1, 1.0, NAN),
 }
 EDGES: dict[str, tuple[Any, ...]] = {
