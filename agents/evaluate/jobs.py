@@ -34,7 +34,17 @@ from .informed import informed_scores
 from .plans import FoundPlan, PlanSearch, Tape, TeamPlan, replay_actions
 from .search import best_in_episode, search_plan
 
-__all__ = ["AUDIT_SEED", "BUDGETS", "AuditBudget", "Crew", "Job", "budget_of", "foreseen", "planner_jobs"]
+__all__ = [
+    "AUDIT_SEED",
+    "BUDGETS",
+    "AuditBudget",
+    "Crew",
+    "Job",
+    "budget_of",
+    "foreseen",
+    "planner_jobs",
+    "without_instruments",
+]
 
 AUDIT_SEED = 4_000_000
 """Of the first episode that is scored: seeds that neither training nor a search plays."""
@@ -130,7 +140,7 @@ def _play(
         mute = {key: bench.model_copy(update={"report": None}) for key, bench in scenario.benches.items()}
         scenario = scenario.model_copy(update={"benches": mute})
     if not instruments:
-        scenario = _without_instruments(scenario)
+        scenario = without_instruments(scenario)
 
     def policies(labs: Laboratories) -> Any:
         with warnings.catch_warnings():
@@ -180,7 +190,8 @@ def _idle(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
     return {"scores": PlanSearch(scenario, "scripted", nothing, 0).play(budget.episodes, AUDIT_SEED, "test").tolist()}
 
 
-def _without_instruments(scenario: Scenario) -> Scenario:
+def without_instruments(scenario: Scenario) -> Scenario:
+    """Return a scenario without a budget for measurements; instruments that are free can still be used."""
     limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
     return scenario.model_copy(update={"limits": limits})
 
@@ -189,7 +200,7 @@ def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: li
     """Score a team that has learned, from nothing or from the last open-loop policy of each context."""
     from .adversary import learned_scores  # needs PyTorch
 
-    spec = scenario if instruments else _without_instruments(scenario)
+    spec = scenario if instruments else without_instruments(scenario)
     begin = {context: teams[-1] for context, teams in _known(plans).items()}
     return {"scores": learned_scores(spec, budget.turns, budget.episodes, AUDIT_SEED, begin or None)}
 
@@ -197,7 +208,7 @@ def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: li
 def _inform(scenario: Scenario, budget: AuditBudget, opening: str, central: bool, plans: list[Any]) -> dict[str, Any]:
     """Score a controller without instruments that chooses among plans by observations."""
     scores = informed_scores(
-        _without_instruments(scenario),
+        without_instruments(scenario),
         opening,
         central,
         _known(plans),

@@ -484,6 +484,12 @@ class IPPO(Clipped, Arguments, Cloning):
             **values,
         }
 
+    @model_validator(mode="after")
+    def _check_weights(self) -> Self:
+        if self.tied and self.begin_from is not None:
+            raise ValueError("tied: the policy of begin_from has weights of its own for each slot; leave it out")
+        return self
+
     @property
     def label(self) -> str:
         """Name of the algorithm in figures and tables."""

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.episodes import play_laboratory
+from chemlab.agents.evaluate.jobs import without_instruments
 from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.policies import Policy, as_policy, make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
@@ -31,8 +32,6 @@ SCORES = Path(__file__).parent / "results" / "from_nothing.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
 SPLIT, EPISODES = "validation", 100
 MANAGERS = ("nothing", "random", "plan", "scripted")
-NO_BUDGET = 1e-9
-"""Of measurements; instruments that are free can still be used."""
 
 
 def means(spec: Scenario, policy: str) -> list[float]:
@@ -64,10 +63,9 @@ def learned(run: Run) -> dict[str, Any]:
     scenario = config["scenario"]
     own = {"scenario": scenario, "roles": config["bench"], "seed": result.seed, "steps": result.steps}
     spec = load_scenario(scenario)
-    poor = spec.model_copy(update={"limits": spec.limits.model_copy(update={"budget": NO_BUDGET})})
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*has changed since it was trained")  # the budget has
-        score, unpaid = (statistics.mean(means(one, str(run.path))) for one in (spec, poor))
+        score, unpaid = (statistics.mean(means(one, str(run.path))) for one in (spec, without_instruments(spec)))
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled}
 

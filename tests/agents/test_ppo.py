@@ -351,3 +351,9 @@ def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
     result = train(IPPO(scenario="wurtz_dodecane", roles=("manager",)), tmp_path / "run")
     assert result.scripted_mean is not None
     assert result.mean > result.scripted_mean > 0.7
+
+
+def test_a_policy_to_begin_from_has_no_shared_weights() -> None:
+    assert IPPO(scenario="rush", roles=("manager",), begin_from="runs/first").tied is False
+    with pytest.raises(ValueError, match="tied: the policy of begin_from has weights of its own for each slot"):
+        IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
