@@ -25,8 +25,6 @@ from chemlab import __version__
 from chemlab.cli import PANELS, app, screen
 from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import TextConsole, hanging, page, show_table
-from chemlab.cli.training import _curve
-from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
 from chemlab.config.materials import DataError, shipped_materials
 from chemlab.envs.aec import env
@@ -149,36 +147,6 @@ def test_compare_updates_a_file(tmp_path: Path) -> None:
     page.write_text("no marks")
     assert runner.invoke(app, arguments).exit_code == 2
     assert page.read_text() == "no marks"
-
-
-def test_starts_can_be_recorded(tmp_path: Path) -> None:
-    """Recorded vessels name known materials and goals, and stay below their vessel's capacity."""
-    path = tmp_path / "starts.json"
-    assert runner.invoke(app, ["export", "starts", "salt_from_oil", "--episodes", "1", "-o", str(path)]).exit_code == 0
-    scenario = load_scenario("salt_from_oil")
-    recorded = json.loads(path.read_text())
-    assert set(recorded["benches"]) == {"ext", "dit", "submit"}
-    for found in recorded["benches"].values():
-        assert found
-        assert set(found) <= set(scenario.goals)
-        for vessel in (recorded["vessels"][i] for indices in found.values() for i in indices):
-            litres = sum(
-                mol * scenario.materials[name].molar_mass_g_mol / scenario.materials[name].density_kg_l / 1000.0
-                for name, mol in vessel["contents_mol"].items()
-            )
-            assert 0.0 < litres <= vessel["capacity_l"]
-
-
-def test_files_survive_a_failed_write(tmp_path: Path) -> None:
-    """A write that fails leaves the old file and no litter."""
-    path = tmp_path / "kept.txt"
-    write_text(path, "kept")
-    with pytest.raises(UnicodeEncodeError):
-        write_text(path, "\ud800")
-    assert path.read_text() == "kept"
-    assert list(tmp_path.iterdir()) == [path]
-    with pytest.raises(ValueError, match="needs the lines"):
-        replace_between(path, "mark", ["x"])
 
 
 def test_version() -> None:
@@ -592,31 +560,6 @@ def test_a_terminal_that_knows_no_umlauts(tmp_path: Path) -> None:
         assert (done.returncode, done.stderr) == (0, ""), done.stderr
     assert "S\\xe4ure" in done.stdout
     assert (tmp_path / "é.jsonl").exists()
-
-
-def test_the_curve_of_a_run_is_drawn_from_zero_or_its_lowest_to_its_highest_return() -> None:
-    levels = " .:#"
-    assert _curve({0: 0.0, 1: 0.5, 3: 1.0}, levels) == ".: #"
-    assert _curve({0: -1.0, 1: 0.0, 2: 1.0}, levels) == ".:#"
-    assert _curve({0: -2.0, 1: -1.0}, levels) == ".:"
-    assert _curve({0: 0.0}, levels) == "."
-
-
-@pytest.mark.slow
-def test_a_terminal_without_columns() -> None:
-    """Where there are none it has as many as usual, and where there are few no letter is left out."""
-    shown = {}
-    for columns in ("0", "1", "80"):
-        command = [sys.executable, "-m", "chemlab", "list"]
-        environment = {**os.environ, "COLUMNS": columns}
-        shown[columns] = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
-    assert shown["0"] == shown["80"]
-    for name in (*scenario_names(), *synthesis_names()):
-        assert name in shown["80"]
-        assert name in "".join(shown["1"].split())
-    helped = [sys.executable, "-m", "chemlab", "--help"]
-    environment = {**os.environ, "COLUMNS": "0"}
-    assert "laboratory" in subprocess.run(helped, env=environment, capture_output=True, text=True, check=True).stdout
 
 
 def test_without_the_extra_chem_one_line_names_it(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from helpers import FEATURED, slow_but
 from typer.testing import CliRunner
 
 from chemlab.cli import app
-from chemlab.config.loading import scenario_names, synthesis_names
+from chemlab.config.loading import load_scenario, scenario_names, synthesis_names
 from chemlab.conformance import CHECKS, check_scenario
 
 PARTS = Path(__file__).parent / "parts"
@@ -51,8 +51,9 @@ def test_bundled_scenarios_conform(name: str) -> None:
     assert [(result.name, result.error) for result in results if result.error] == []
 
 
-def test_parts_of_a_user_conform(tmp_path: Path) -> None:
-    assert [result.error for result in check_scenario(written(tmp_path, "", ""))] == [None] * len(CHECKS)
+def test_parts_of_a_user_and_discrete_actions_conform(tmp_path: Path) -> None:
+    for one in (written(tmp_path, "", ""), load_scenario("wurtz_dodecane").configured(actions="discrete")):
+        assert [result.error for result in check_scenario(one)] == [None] * len(CHECKS)
 
 
 @pytest.mark.parametrize("check", FAULTS)

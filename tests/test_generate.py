@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import hashlib
 import json
 import math
@@ -15,7 +14,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from helpers import script
@@ -23,7 +21,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from typer.testing import CliRunner
 
-import chemlab.config.files
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
@@ -260,39 +257,6 @@ def test_seeds_are_different_chemistries_with_the_same_spaces() -> None:
     assert len(spaces) == 1
 
 
-def test_a_disk_without_room_has_all_files_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Whichever of them has no room any more; what was there stays."""
-    made = generated(3, physics="real", name="one")
-    sync, count = chemlab.config.files.sync_file, len(made.files())
-    assert count == 4
-    folder = tmp_path / "made"
-    for last in range(count):
-        calls: list[Path] = []
-
-        def full(path: Path, last: int = last, calls: list[Path] = calls) -> None:
-            calls.append(path)
-            if len(calls) > last:
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            sync(path)
-
-        with monkeypatch.context() as patch:
-            patch.setattr("chemlab.config.files.sync_file", full)
-            with pytest.raises(OSError, match=r"No space left on device: '.*one.*toml'"):
-                made.write(folder)
-        assert list(folder.iterdir()) == []
-    (folder / "one_pairs.toml").mkdir()
-    with pytest.raises(ValueError, match=r"one_pairs\.toml: is a folder"):
-        made.write(folder, force=True)
-    assert [file.name for file in folder.iterdir()] == ["one_pairs.toml"]
-
-
-def test_gymnasium_takes_a_generated_scenario() -> None:
-    env = gymnasium.make("chemlab/Bench-v1", scenario=chemistry(7), bench="rxn")
-    observation, _ = env.reset(seed=0)
-    assert env.observation_space.contains(observation)
-    assert env.action_space.shape == (2 + 3,)
-
-
 def test_it_needs_no_extra() -> None:
     code = (
         "import sys\nfor name in ('rdkit', 'thermo', 'chemicals', 'ugropy', 'torch'): sys.modules[name] = None\n"
@@ -325,13 +289,6 @@ def test_kernels_are_compiled_for_no_chemistry_of_its_own() -> None:
     for seed, steps in enumerate((1, 2, 5)):
         play(chemistry(seed, steps=steps, materials=2 * steps + 4))
     assert len(getattr(reaction._step, "overloads", ())) == known
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("physics", ["paper", "real"])
-def test_many_chemistries_play(physics: str) -> None:
-    for seed in range(1000, 1020):
-        play(chemistry(seed, difficulty=list(LEVELS)[seed % 3], physics=physics))
 
 
 @settings(max_examples=10)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "studies" / "speed"))  # they import one another
 
 from chemlab.lab.engine import Laboratories
-from studies.speed.growth import AXES, Play, isomers, memory, slope
+from studies.speed.growth import AXES, isomers, memory
 
 
 @pytest.mark.parametrize(("materials", "reactions"), [(10, 6), (20, 200), (200, 6)])
@@ -24,32 +23,12 @@ def test_a_laboratory_of_isomers_is_as_large_as_asked_for(materials: int, reacti
     assert total == pytest.approx(1e5, rel=1e-4), "together they are as fast as ever"
 
 
-def test_sizes_are_those_of_the_axis() -> None:
-    labs = {
-        name: [Laboratories(scenario(size), 1) for size in sizes[:2]] for name, (sizes, scenario, *_) in AXES.items()
-    }
-    assert [len(lab.agents) for lab in labs["benches of each kind"]] == [4, 7]
-    assert [lab.scenario.shelf.slots for lab in labs["slots"]] == [8, 16]
-    assert [lab.scenario for lab in labs["laboratories"]] == [labs["laboratories"][0].scenario] * 2
-
-
-def test_an_exponent_is_the_power() -> None:
-    sizes = np.array([1, 2, 4, 8, 64])
-    assert slope(sizes, 3.0 * sizes**1.5) == pytest.approx(1.5)
-    assert slope(sizes, np.full(5, 7.0)) == pytest.approx(0.0, abs=1e-12)
-
-
 @pytest.mark.slow
 def test_memory_is_at_least_what_the_laboratory_holds() -> None:
     """Its shelf and its manager's observation."""
     spec = AXES["laboratories"][1](1)
     labs = Laboratories(spec, 1)
     assert memory(spec) > labs.shelf.vessels[0].nbytes + 4 * labs.observation_sizes[0]
-
-
-def test_turns_are_counted() -> None:
-    """In the first step of an episode every manager, and nobody else, has the turn."""
-    assert Play(AXES["laboratories"][1](3), 3).turns(1, 0.0)[0] == 3
 
 
 def test_a_simulated_round_is_the_sum_of_its_parts() -> None:

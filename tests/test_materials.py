@@ -152,14 +152,6 @@ def test_a_material_may_do_without_a_melting_point(tmp_path: Path) -> None:
     assert load_materials([file])["goo"].melting_point_k is None
 
 
-@pytest.mark.parametrize("path", ["a\0b.toml", "x" * 5000 + ".toml", "/dev/zero", "folder.toml"])
-def test_a_path_that_is_no_file(tmp_path: Path, path: str) -> None:
-    (tmp_path / "folder.toml").mkdir()
-    with pytest.raises(DataError) as caught:
-        read_toml(tmp_path / path)
-    assert len(str(caught.value)) < 1000
-
-
 def test_a_folder_of_a_great_many_files(tmp_path: Path) -> None:
     for i in range(101):
         (tmp_path / f"{i}.toml").write_text("")
@@ -189,28 +181,6 @@ def test_malformed_toml_names_the_file_and_the_line(tmp_path: Path, text: str) -
     file = tmp_path / "bad.toml"
     file.write_text(text)
     with pytest.raises(DataError, match=r"not valid TOML.*line \d|not valid TOML.*end of document") as caught:
-        load_materials([file])
-    assert str(file) in str(caught.value)
-
-
-def test_a_file_that_is_not_text(tmp_path: Path) -> None:
-    file = tmp_path / "bad.toml"
-    file.write_bytes(b"\xff\xfe\x00 not UTF-8")
-    with pytest.raises(DataError, match="not UTF-8") as caught:
-        load_materials([file])
-    assert str(file) in str(caught.value)
-
-
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no such file") as caught:
-        load_materials([tmp_path / "nowhere.toml"])
-    assert str(tmp_path / "nowhere.toml") in str(caught.value)
-
-
-def test_a_value_where_a_table_belongs(tmp_path: Path) -> None:
-    file = tmp_path / "goo.toml"
-    file.write_text("goo = 3\n")
-    with pytest.raises(DataError, match=r"must be a table \[goo\], given 3") as caught:
         load_materials([file])
     assert str(file) in str(caught.value)
 

@@ -11,7 +11,6 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -270,24 +269,6 @@ def test_cas_number_belongs_to_the_substance(key: str) -> None:
 # ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("salt", "ions"), [("NaCl", ("Na+", "Cl-")), ("NaOH", ("Na+", "OH-"))])
-def test_dissolving_keeps_volume_heat_capacity_and_mass(salt: str, ions: tuple[str, str]) -> None:
-    def total(quantity: Callable[[Material], float]) -> float:
-        return sum(quantity(MATERIALS[ion]) for ion in ions)
-
-    solid = MATERIALS[salt]
-    assert total(lambda m: m[MASS] / m[DENSITY]) == pytest.approx(solid[MASS] / solid[DENSITY], rel=1e-6)
-    assert total(lambda m: m[HEAT]) == pytest.approx(solid[HEAT], rel=1e-12)
-    for field in (MELT, BOIL, VAPOR):
-        assert MATERIALS[ions[1]][field] == solid[field]
-    assert "parent salt" in MATERIALS[ions[1]]["source"][BOIL]
-
-
-def test_sodium_ion_takes_the_values_of_sodium_chloride() -> None:
-    for field in (DENSITY, MELT, BOIL, VAPOR):
-        assert MATERIALS["Na+"][field] == MATERIALS["NaCl"][field]
-
-
 # Measured E_T(30) in kcal/mol; tetramethylsilane (30.7) and water (63.1) define the ends of the scale.
 E_T_30 = {"diethyl_ether": 34.5, "water": 63.1, "hexane": 31.0, "ethyl_acetate": 38.1, "dodecane": 31.1}
 
@@ -368,19 +349,6 @@ def basis(keys: list[str]) -> np.ndarray:
 def test_spectra_are_well_conditioned(name: str) -> None:
     matrix = basis(BASES[name])
     assert np.linalg.cond(matrix / np.linalg.norm(matrix, axis=0)) < 200.0
-
-
-@pytest.mark.parametrize("name", list(BASES))
-def test_linear_fit_recovers_concentrations(name: str) -> None:
-    generator = np.random.default_rng(7)
-    keys = BASES[name]
-    amounts = generator.uniform(0.05, 1.0, len(keys))
-    amounts[[MATERIALS[key]["role"] == "solvent" for key in keys]] *= 10.0
-    signal = basis(keys) @ amounts + generator.normal(0.0, 2e-4, WAVELENGTHS.size)
-    fitted = np.linalg.lstsq(basis(keys), signal, rcond=None)[0]
-    strength = np.linalg.norm(basis(keys), axis=0)
-    # The error of the fit scales with the inverse of the band strength.
-    assert np.all(np.abs(fitted - amounts) * strength < 0.002)
 
 
 @pytest.mark.parametrize("key", list(MATERIALS))

@@ -11,7 +11,6 @@ import pytest
 from helpers import FEATURED, record_episode
 from typer.testing import CliRunner
 
-from chemlab.agents.runs import CurvePoint, Evaluation, Run, RunConfig, to_text
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -135,17 +134,6 @@ def test_no_text_covers_another(name: str, policy: str, tmp_path: Path) -> None:
     assert overlaps(draw_moles(found)) == []
 
 
-def test_spread_keeps_order_distance_and_bounds() -> None:
-    from chemlab.render.charts import spread
-
-    assert spread([1.0, 5.0], 2.0, 0.0, 10.0) == [1.0, 5.0]
-    assert spread([4.0, 4.0, 4.0], 1.0, 0.0, 10.0) == [3.0, 4.0, 5.0]
-    assert spread([0.0, 0.0], 1.0, 0.0, 10.0) == [0.0, 1.0]
-    assert spread([10.0, 10.0], 1.0, 0.0, 10.0) == [9.0, 10.0]
-    assert spread([5.0] * 5, 10.0, 0.0, 8.0) == [0.0, 2.0, 4.0, 6.0, 8.0]
-    assert spread([], 1.0, 0.0, 1.0) == []
-
-
 def test_spectra_are_those_that_were_seen(scripted: Path) -> None:
     """Before: 4 mol ether in its own volume; after: as the bench's agent saw it last. Peaks of what is there alone."""
     from chemlab.physics.chemistry import WAVELENGTHS_NM
@@ -206,14 +194,6 @@ def test_pictures_are_written_once(kind: str, ending: str, scripted: Path, tmp_p
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_picture_stands_beside_its_record(scripted: Path, tmp_path: Path) -> None:
-    path = tmp_path / "torn.jsonl.part"
-    path.write_bytes(b"\n".join(scripted.read_bytes().split(b"\n")[:40]) + b"\n")
-    for kind in ("timeline", "moles", "spectra"):
-        assert runner.invoke(app, ["plot", kind, str(path)]).exit_code == 0
-        assert (tmp_path / f"torn-{kind}.png").exists()
-
-
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [
@@ -244,29 +224,3 @@ def test_matplotlib_is_asked_for_by_its_extra(scripted: Path, tmp_path: Path, mo
     done = runner.invoke(app, ["plot", "timeline", str(scripted), "-o", str(tmp_path / "x.png")])
     assert done.exit_code == 2
     assert ".[plot]" in done.output
-
-
-def test_learning_curves(tmp_path: Path) -> None:
-    """Two straight curves of slopes 1 and 3 a thousand steps: the mean's is 2; evaluations and the scripted line."""
-    from chemlab.agents.evaluate.curves import draw_curves
-
-    for seed, slope in ((0, 1.0), (1, 3.0)):
-        run = Run(tmp_path / "bench" / "ppo" / f"seed-{seed}")
-        run.path.mkdir(parents=True)
-        task = {"env_id": "", "scenario": "wurtz_dodecane", "bench": "rxn", "goals": ["dodecane", "NaCl"]}
-        config = RunConfig(label="ppo", algo="ppo", seed=seed, fingerprint="0", **task)
-        run.config_file.write_text(to_text(config.model_dump(exclude_none=True)))
-        for step in (0, 500, 1000, *((2000,) if seed else ())):
-            run.append(CurvePoint(step, slope * step / 1000.0, 0.0, 5, 1.0))
-        run.append(Evaluation(1000, slope, {}, 0.25, None))
-    (axes,) = draw_curves([tmp_path]).axes
-    lines = {line.get_label(): line for line in axes.get_lines()}
-    mean = lines["PPO (2 runs)"]
-    np.testing.assert_allclose(mean.get_ydata(), 2.0 * np.asarray(mean.get_xdata()))
-    assert mean.get_xdata()[-1] == 1.0  # thousand steps: as far as both go
-    assert (np.asarray(lines["scripted"].get_ydata()) == 0.25).all()
-    (points,) = [line for line in axes.get_lines() if line.get_marker() == "o"]
-    assert (list(points.get_xdata()), list(points.get_ydata())) == ([1.0], [2.0])
-    assert axes.get_title() == "wurtz_dodecane, rxn, 2 goals"
-    done = runner.invoke(app, ["plot", "curves", str(tmp_path), "-o", str(tmp_path / "c.svg")])
-    assert done.exit_code == 0, done.output

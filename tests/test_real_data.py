@@ -14,7 +14,7 @@ from test_materials import GOO
 from test_materials_data import cited_key, database
 
 from chemlab.config.datafile import DataError, read_toml
-from chemlab.config.loading import dump_scenario, load_scenario, scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import Material, RealProperties, VaporPressure, load_materials, shipped_materials
 from chemlab.config.reactions import Salt, load_reactions
 
@@ -268,6 +268,7 @@ def test_heats_of_reaction(change: dict[str, float], expected: float, tolerance:
 
 
 PARENTS = {
+    "Cl-": ("NaCl", "Na+"),
     "acetate": ("sodium_acetate", "Na+"),
     "benzoate": ("sodium_benzoate", "Na+"),
     "ethoxide": ("sodium_ethoxide", "Na+"),
@@ -399,16 +400,6 @@ def test_wrong_properties_are_named(tmp_path: Path, old: str, new: str, parts: l
 
 
 # The tier "paper" ---------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", scenario_names())
-def test_the_paper_knows_nothing_of_it(name: str) -> None:
-    scenario = load_scenario(name)
-    if scenario.physics != "paper":
-        pytest.skip("a scenario of another tier")
-    dumped = dump_scenario(scenario)
-    assert all("real" not in table for table in dumped["materials"].values())
-    assert all("solubility" not in salt for salt in dumped["reactions"].get("salt", []))
 
 
 def test_the_paper_refuses_a_material_without_polarity(tmp_path: Path) -> None:

@@ -243,13 +243,6 @@ def test_a_flask_cools_in_the_room() -> None:
     assert flask.temperature_k == pytest.approx(298.15 + (350.0 - 298.15) * math.exp(-3600.0 * rate), rel=1e-6)
 
 
-def test_a_jacket_exchanges_heat() -> None:
-    flask = Flask({"dodecane": 2.0})
-    rate = 2.0 / heat_capacity(flask)
-    flask.react(600.0, 350.0, jacket_w_k=2.0)
-    assert flask.temperature_k == pytest.approx(350.0 - (350.0 - 298.15) * math.exp(-600.0 * rate), rel=1e-6)
-
-
 @pytest.mark.parametrize("physics", TIERS)
 def test_a_reaction_of_first_order(physics: str, first_order: str) -> None:
     flask = Flask({"2-chlorohexane": 1.0, "dodecane": 1.0}, physics=physics, reactions=first_order)
@@ -302,19 +295,6 @@ def test_material_and_pair_files_are_read_again_after_an_edit(tmp_path: Path) ->
     g = math.exp(-0.3 * tau)
     gamma = math.exp(tau * (g**2 + g) / (1.0 + g) ** 2)
     assert pressures[1] / pressures[0] == pytest.approx(gamma, rel=1e-3)
-
-
-def test_its_heat_stays_in_an_insulated_flask(first_order: str) -> None:
-    """The rise is that of the formation enthalpies; both isomers have about the same heat capacity."""
-    flask = Flask({"2-chlorohexane": 1.0}, reactions=first_order)
-    before = {name: MATERIALS[name] for name in ("1-chlorohexane", "2-chlorohexane")}
-    formed = {name: material.real.formation_enthalpy_j_mol for name, material in before.items() if material.real}
-    flask.react(3000.0)
-    capacity = MATERIALS["1-chlorohexane"].heat_capacity_j_mol_k
-    expected = 298.15 + (formed["2-chlorohexane"] - formed["1-chlorohexane"]) / capacity
-    assert abs(expected - 298.15) > 1.0
-    assert flask.amounts["1-chlorohexane"] == pytest.approx(1.0, rel=1e-6)
-    assert flask.temperature_k == pytest.approx(expected, rel=1e-4)
 
 
 def test_without_a_condenser_it_boils_dry() -> None:
@@ -709,16 +689,6 @@ def test_paper_has_no_columns_and_no_materials_without_polarity() -> None:
 
 
 # -- how it looks -----------------------------------------------------------------------------------------------------
-
-
-def test_it_says_what_is_in_it() -> None:
-    flask = Flask(MIXTURE, capacity_l=2.0)
-    text = repr(flask)
-    assert f"{flask.volume_l:.3f} of 2 L at {flask.temperature_k:.1f} K" in text
-    assert "organic" in text.splitlines()[1]  # above the water
-    assert "aqueous" in text.splitlines()[2]
-    assert "nothing" not in text
-    assert repr(flask.another()).count("\n") == 0
 
 
 def test_it_has_a_picture() -> None:

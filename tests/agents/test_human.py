@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from chemlab.agents.human import HumanPolicy, Left, LetterShades, Menu, _manager_paths, parse_numbers, sparkline
+from chemlab.agents.human import HumanPolicy, Left, LetterShades, Menu, _manager_paths, parse_numbers
 from chemlab.config.loading import load_scenario, scenario_names
 from chemlab.envs.aec import raw_env
 
@@ -101,19 +101,6 @@ def menu() -> Menu:
     return Menu(meanings, paths, [i for i in range(21) if i != 2])
 
 
-def test_many_actions_are_grouped_and_reached_by_numbers() -> None:
-    found = menu()
-    assert [len(actions) for _, actions in found.entries()] == [9, 10, 1]
-    assert found.take("2") is None
-    assert [label for label, _ in found.entries()] == [f"heat {i}" for i in range(10)]
-    assert found.take("4") == 13
-    found.back()
-    assert len(found.entries()) == 3
-    assert menu().take("2 4") == 13
-    assert menu().take("1 3") == 3  # pour 2 is not possible, so it has no number
-    assert menu().take("3") == 20
-
-
 def test_words_choose_or_narrow() -> None:
     assert menu().take("e") == 20
     assert menu().take("heat 7") == 17
@@ -144,14 +131,6 @@ def test_a_number_is_the_whole_number_of_the_word_before_it(typed: str, slots: s
     assert {int(meaning.split("slot ")[1].split(",")[0]) for meaning in left} == slots
     if "rxn" in typed:
         assert len({meaning.split()[1] for meaning in left}) == 1
-
-
-def test_a_number_that_is_cut_short_is_no_action() -> None:
-    meanings = [f"submit slot {slot}" for slot in (1, 10, 12)]
-    paths = [meaning.split() for meaning in meanings]
-    assert Menu(meanings, paths, [0, 1, 2]).take("submit slot 1") == 0
-    with pytest.raises(ValueError, match="'submit slot 1' is not possible now"):
-        Menu(meanings, paths, [1, 2]).take("submit slot 1")
 
 
 @pytest.mark.parametrize(
@@ -186,16 +165,6 @@ def test_every_legal_action_can_be_typed(name: str) -> None:
 
 
 # -- being shown ----------------------------------------------------------------------------------------------
-
-
-def test_sparkline_keeps_peaks() -> None:
-    values = np.zeros(200)
-    values[77] = 1.0
-    line = sparkline(values, 50)
-    assert len(line) == 50
-    assert line[77 // 4] == "█"
-    assert line.replace("█", "").strip() == ""
-    assert sparkline([0.0, 0.5, 1.0], 10) == " ▄█"
 
 
 def test_layers_have_letters_of_their_own() -> None:
@@ -290,13 +259,6 @@ def test_leaving(env: raw_env, lines: list[str]) -> None:
     policy, _ = person(env, "manager_0", lines)
     with pytest.raises(Left):
         turn(env, policy)
-
-
-def test_one_laboratory_at_a_time(env: raw_env) -> None:
-    policy, _ = person(env, "manager_0", [])
-    seen = env.observe("manager_0")
-    with pytest.raises(ValueError, match="one laboratory at a time"):
-        policy.act(np.stack([seen, seen]), np.ones((2, 3), dtype=np.int8), np.zeros(2, dtype=np.int64), np.arange(2))
 
 
 def test_terminals_without_unicode(env: raw_env) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import re
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,7 +24,6 @@ from chemlab.agents.evaluate.results import read_runs, write_runs
 from chemlab.agents.evaluate.trained_managers import (
     BASELINES,
     MEASURES,
-    brief_table,
     collect,
     collect_count,
     write_laboratory,
@@ -172,29 +169,6 @@ def test_intervals_are_over_seeds(tmp_path: Path) -> None:
     assert rows["scripted", "scripted"][:2] == ["0.500", ""]
 
 
-def test_the_curves_are_those_of_all_training_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A part for each scenario and background, a line for each folder with its spread, the scripted manager's."""
-    for seed in (0, 1):
-        write_run(tmp_path / "fast" / f"seed-{seed}", seed)
-        write_run(tmp_path / "slow" / f"seed-{seed}", seed, background="pretrained")
-    figures = []
-    monkeypatch.setattr(trained_managers, "save_figure", lambda figure, path: figures.append((figure, path.name)))
-    written = write_laboratory(tmp_path, tmp_path / "out", ["svg"])
-    assert written is not None
-    ((figure, name),) = figures
-    assert name == "laboratory_curves.svg"
-    assert [axes.get_title() for axes in figure.axes] == [
-        "wurtz_dodecane, benches pretrained",
-        "wurtz_dodecane, benches scripted",
-    ]
-    for axes, label in zip(figure.axes, ("slow", "fast"), strict=True):
-        lines = {line.get_label(): line for line in axes.get_lines()}
-        line = lines[f"{label} (2 runs)"]
-        np.testing.assert_allclose(line.get_ydata(), np.asarray(line.get_xdata()) + 0.5)
-        assert set(lines["scripted"].get_ydata()) == {SCRIPTED}
-        assert len(axes.collections) == 1  # the spread
-
-
 def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     """Of runs' folders, and of tables that are older than a run."""
     results, out = tmp_path / "results", tmp_path / "out"
@@ -216,12 +190,6 @@ def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     assert {path.name for path in out.iterdir()} == {
         *("laboratory.md", "laboratory_curves.png", "laboratory_curves.svg")
     }
-
-
-def test_a_damaged_table_is_named(tmp_path: Path) -> None:
-    (tmp_path / "managers.csv").write_text("{")
-    with pytest.raises(ValueError, match=r"managers\.csv: has the columns"):
-        write_laboratory(tmp_path, tmp_path / "out")
 
 
 # -- playing ----------------------------------------------------------------------------------------------------------
@@ -330,29 +298,6 @@ def test_a_real_run_from_training_to_the_page(trained: Path, tmp_path: Path) -> 
     assert (tmp_path / "laboratory_curves.png").exists()
 
 
-def test_a_lost_run_stands_beside_one_that_was_played_again(trained: Path, tmp_path: Path) -> None:
-    """Its numbers are older: the page says so. A run that is no longer there stays in the tables."""
-    folder, tables = tmp_path / "results", tmp_path / "tables"
-    shutil.copytree(trained, folder)
-    first = folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0"
-    second = first.with_name("seed-1")
-    shutil.copytree(first, second)
-    for path in (first, second):
-        result = json.loads((path / "result.json").read_text())
-        (path / "result.json").write_text(json.dumps({**result, "seed": int(path.name[-1])}))
-    collect(folder, tables, episodes=2)
-    shutil.rmtree(first / "checkpoints")
-    (said,) = collect(folder, tables, episodes=1)
-    assert said.startswith("wurtz_dodecane-manager_0/tiny/seed-0: its checkpoints are missing")
-    assert [row["episodes"] for row in stored(tables) if row["policy"] == "learned"] == ["2", "1"]
-    written = write_laboratory(tables, tmp_path / "out")
-    assert written is not None
-    assert "seed-0: played earlier than the others" in written.page.read_text()
-    shutil.rmtree(first)
-    assert collect(folder, tables, episodes=1) == []
-    assert [row["run"][-1] for row in stored(tables) if row["policy"] == "learned"] == ["0", "1"]
-
-
 def test_benches_that_learned_play_with_the_scripted_manager_too(tmp_path: Path) -> None:
     """A joint run is compared over its own benches, not over the background's."""
     pytest.importorskip("sb3_contrib")
@@ -375,16 +320,3 @@ def test_benches_that_learned_play_with_the_scripted_manager_too(tmp_path: Path)
     assert written is not None
     gain = scores["learned", "joint/seed-0"] - scores["scripted", "joint/seed-0"]
     assert float(rows_of(written.page)["scripted; learned: dit", "joint"][1]) == pytest.approx(gain, abs=6e-4)
-
-
-def test_a_brief_table_is_of_shipped_scenarios_or_of_others(tmp_path: Path) -> None:
-    write_run(tmp_path / "manager" / "seed-0", score=0.6)
-    store(tmp_path, {"manager/seed-0": 0.75})
-    head, rule, learned, *others = brief_table(tmp_path, shipped=True)
-    cells = [cell.strip() for cell in learned.split("|")[1:-1]]
-    assert cells[:5] == ["`wurtz_dodecane`", "scripted", "manager", "0.750", "0.500"]
-    assert len(others) == 3
-    assert {line.count("|") for line in (head, rule, learned, *others)} == {10}
-    assert brief_table(tmp_path, shipped=False) == [head, rule]
-    with pytest.raises(ValueError, match=r"--collect \S+ makes it"):
-        brief_table(tmp_path / "manager", shipped=True)

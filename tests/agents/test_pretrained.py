@@ -16,7 +16,6 @@ from run_files import write_run
 from typer.testing import CliRunner
 
 from chemlab.agents import pretrained
-from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import as_policy, make_policies
 from chemlab.agents.pretrained import (
     Card,
@@ -30,7 +29,6 @@ from chemlab.agents.pretrained import (
 from chemlab.agents.train.tasks import task_of
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
-from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
@@ -226,18 +224,6 @@ def test_layers_activation_and_output_are_what_the_card_says() -> None:
             np.testing.assert_allclose(actions, expected, atol=1e-5)
 
 
-def test_only_legal_actions_are_played() -> None:
-    policy = made_up(bench_of(DIT))
-    seen = np.random.default_rng(5).random((200, 310), dtype=np.float32)
-    values = policy.values(seen)
-    np.testing.assert_array_equal(act(policy, seen), values.argmax(axis=1))
-    mask = (np.random.default_rng(6).random(values.shape) < 0.3).astype(np.int8)
-    mask[:, 4] = 1
-    chosen = act(policy, seen, mask)
-    for row, legal, action in zip(values, mask, chosen, strict=True):
-        assert action == max(np.flatnonzero(legal), key=lambda i: row[i])
-
-
 def test_sampled_actions_follow_the_logits_and_the_seed() -> None:
     """Shares of 4,000 draws are the softmax of the legal logits; a seed repeats them, whatever the batch."""
     policy = made_up(bench_of(DIT))
@@ -316,17 +302,6 @@ def test_trained_managers_keep_the_benches_they_learned_over() -> None:
     assert cards["trained"] == {"manager_0": "wurtz_dodecane_manager", **benches}
     assert cards["pretrained-isolated"] == benches
     assert cards["pretrained"] == {"rxn_0": "wurtz_rxn", "ext_0": "wurtz_any_ext", "dit_0": "wurtz_any_dit"}
-
-
-def test_a_laboratory_with_pretrained_benches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
-    env = raw_env("wurtz_dodecane")
-    policies = make_policies("scripted", env.laboratories, 0)
-    for agent, bench in zip(env.laboratories.bench_agents, env.laboratories.benches, strict=True):
-        ship(made_up(bench), tmp_path, bench.key)
-        policies[agent] = pretrained_for(bench)
-    result = play_episode(env, policies, 0, "pretrained")
-    assert result.status != "running"
 
 
 def test_what_does_not_fit_is_named() -> None:

@@ -11,10 +11,9 @@ from gymnasium.vector import AutoresetMode
 
 import chemlab
 from chemlab.agents.background import background_policies, role_env, role_vector_env
-from chemlab.agents.policies import RandomPolicy, agent_policy, make_policies, policy_names
+from chemlab.agents.policies import RandomPolicy, make_policies, policy_names
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import named_costs
 
 assert chemlab.__version__, "importing chemlab registers the ids"
 LINES = "wurtz_two_lines"
@@ -135,27 +134,6 @@ def test_unknown_backgrounds_are_refused(background: Any, error: type[Exception]
             make()
         for part in parts:
             assert part in str(caught.value)
-
-
-def test_a_policy_by_name_is_the_scripted_one() -> None:
-    """Playing the manager's view with the scripted manager is playing the scripted laboratory."""
-    env = role_env("wurtz_any")
-    labs = env.laboratories
-    manager = agent_policy("scripted", labs, 0)
-    observation, info = env.reset(seed=3)
-    while True:
-        step = labs.state.actions.copy()
-        action = manager.act(observation[None], info["action_mask"][None], step, labs.members)[0]
-        observation, _, terminated, truncated, info = env.step(action)
-        if terminated or truncated:
-            break
-    from chemlab.agents.episodes import play_episode
-    from chemlab.envs.aec import raw_env
-
-    whole = raw_env("wurtz_any")
-    result = play_episode(whole, make_policies("scripted", whole.laboratories), 3)
-    assert info["score"] == result.score
-    assert named_costs(info) == result.costs
 
 
 @pytest.mark.parametrize(

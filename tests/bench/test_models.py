@@ -17,7 +17,6 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
 from chemlab.config.scenario import Scenario
 from chemlab.lab.experiments import ExperimentBatch
-from chemlab.laboratory import raw_env
 from chemlab.physics.chemistry import build_chemistry
 
 FloatArray = npt.NDArray[np.float64]
@@ -88,24 +87,6 @@ def test_a_reaction_model_of_the_same_network_gives_the_same_amounts(scenario: s
     assert own[names.index("dodecane" if scenario == "wurtz_dodecane" else "F")] > 0.1
     np.testing.assert_allclose(own, built_in, rtol=1e-3, atol=1e-3)
     np.testing.assert_allclose(*(batch.finish(batch.members) for batch in batches), rtol=0.0, atol=1e-3)
-
-
-def test_a_reaction_model_works_in_the_whole_laboratory() -> None:
-    """The same through the AEC environment: the vessel that comes back to the shelf holds the same (1e-3 mol)."""
-    contents = []
-    for env in (raw_env("wurtz_dodecane"), raw_env(modelled("wurtz_dodecane", "rxn", "ScipyReactions"))):
-        env.reset(seed=4)
-        labs = env.laboratories
-        env.step(labs.actions.encode("start", "rxn_0", 0, "dodecane"))
-        env.step(labs.actions.encode("wait"))
-        for action in recipe(20, 6):
-            assert env.agent_selection == "rxn_0"
-            env.step(action.astype(np.float32))
-        assert env.agent_selection == "manager_0"
-        contents.append(labs.shelf.amounts[0, 0].copy())
-    assert labs.benches[0].model.calls == 20
-    assert contents[0][labs.shelf.layout.index("dodecane")] > 0.1
-    np.testing.assert_allclose(contents[1], contents[0], rtol=0.0, atol=1e-3)
 
 
 SEEN: list[tuple[float, float, float]] = []

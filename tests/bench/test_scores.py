@@ -104,16 +104,6 @@ def test_lost_product_counts_against_the_agent(bench: str) -> None:
     assert float(batch.finish(batch.members)[0]) == pytest.approx(-start, rel=1e-14)
 
 
-@pytest.mark.parametrize(("bench", "goal"), [("ext", "dodecane"), ("ext", "NaCl"), ("dit", "4-ethyldecane")])
-def test_ending_at_once_scores_nothing(bench: str, goal: str) -> None:
-    """The end action straight away: the score is 0 (nothing gained, nothing lost)."""
-    batch = arena_for(bench, goal)
-    assert isinstance(batch.bench, OperationBench)
-    batch.act(np.array([batch.bench.end_action]))
-    assert batch.experiments.ended[0]
-    assert float(batch.finish(batch.members)[0]) == pytest.approx(0.0, abs=1e-12)
-
-
 def test_reaction_score_is_what_was_produced() -> None:
     """Product that was in the vessel before does not count; dissolved salt does where salt is the goal."""
     batch = ExperimentBatch("wurtz_dodecane", "rxn")

@@ -6,8 +6,6 @@
 
 from __future__ import annotations
 
-import sys
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,7 +16,6 @@ from pettingzoo.test import (
     bombardment_test,
     parallel_api_test,
     parallel_seed_test,
-    performance_benchmark,
     render_test,
     seed_test,
 )
@@ -29,9 +26,6 @@ from pettingzoo.utils import (
     aec_to_parallel,
     parallel_to_aec,
 )
-from pettingzoo.utils.average_total_reward import average_total_reward
-from pettingzoo.utils.random_demo import random_demo
-from pettingzoo.utils.wrappers import MultiEpisodeEnv, MultiEpisodeParallelEnv
 
 from chemlab.lab.text import named_costs, named_events
 from chemlab.laboratory import env as laboratory_env
@@ -104,25 +98,7 @@ def test_render(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     render_test(make, custom_tests={"ansi": lambda text: all(agent in text for agent in agents)})
 
 
-@pytest.mark.parametrize("name", FEATURED)
-def test_performance_benchmark(name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    # It takes five seconds by its own clock, which here runs twenty times too fast. That it runs is what counts here;
-    # studies/speed measures.
-    module = sys.modules["pettingzoo.test.performance_benchmark"]
-    clock = module.time.perf_counter  # type: ignore[attr-defined]
-    monkeypatch.setattr(module, "time", SimpleNamespace(time=lambda: 20.0 * clock()))
-    performance_benchmark(laboratory_env(name))
-    words = capsys.readouterr().out.split()
-    assert float(words[words.index("turns") - 1]) > 0.0
-
-
 # -- its tools --------------------------------------------------------------------------------------------------------
-
-
-def test_demonstrations(capsys: pytest.CaptureFixture[str]) -> None:
-    assert np.isfinite(random_demo(laboratory_env(), render=False, episodes=2))
-    assert np.isfinite(average_total_reward(laboratory_env(), max_episodes=2))
-    assert capsys.readouterr().out.count("Average total reward") == 2
 
 
 def test_conversions() -> None:
@@ -151,35 +127,6 @@ def test_terminating_and_asserting_wrappers_read_the_mask_from_info() -> None:
     env.reset(seed=0)
     with pytest.raises(AssertionError, match="action is not in action space"):
         env.step(10**6)
-
-
-def test_several_episodes_in_one() -> None:
-    episodes = 3
-
-    class Counted(raw_env):
-        begun = 0
-
-        def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
-            self.begun += 1
-            super().reset(seed, options)
-
-    env = Counted(DISCRETE)
-    several = MultiEpisodeEnv(env, num_episodes=episodes)
-    several.reset(seed=0)
-    rng = np.random.default_rng(0)
-    for _ in several.agent_iter():
-        _, _, terminated, truncated, info = several.last()
-        over = terminated or truncated
-        several.step(None if over else int(rng.choice(np.flatnonzero(info["action_mask"]))))
-    assert env.begun == episodes
-    parallel = MultiEpisodeParallelEnv(parallel_env(DISCRETE), num_episodes=episodes)
-    _, infos = parallel.reset(seed=0)
-    ends = 0
-    while parallel.agents:
-        actions = {agent: int(rng.choice(np.flatnonzero(infos[agent]["action_mask"]))) for agent in parallel.agents}
-        _, _, _, _, infos = parallel.step(actions)
-        ends += infos["manager_0"]["experiment_over"]
-    assert ends >= 1
 
 
 # -- infos ------------------------------------------------------------------------------------------------------------

@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -21,11 +20,8 @@ pytest.importorskip("ray.rllib", reason='needs the extra: pip install ".[rllib]"
 import ray
 import torch
 from helpers import script
-from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
-from ray.rllib.env.single_agent_env_runner import SingleAgentEnvRunner
-from ray.tune.registry import register_env
 
 from chemlab.agents.policies import make_policies
 from chemlab.agents.rllib import LaboratoryMultiAgentEnv
@@ -143,21 +139,6 @@ def test_copies_play_on_alike(scenario: str, how: Any) -> None:
     expected = play(env, observations, 1)[:-1]
     for one, two in zip(expected, play(other, observations, 1)[:-1], strict=True):
         np.testing.assert_array_equal(one, two)
-
-
-@pytest.mark.parametrize(("seed", "options"), [(-1, None), (1.5, None), ("2", None), (4, {"goal": "gold"})])
-def test_what_is_wrong_with_a_reset_changes_nothing(seed: Any, options: Any) -> None:
-    config = {"scenario": "wurtz_dodecane", "roles": ["manager"], "background": "random"}
-    env, untouched = LaboratoryMultiAgentEnv(config), LaboratoryMultiAgentEnv(config)
-    for one in (env, untouched):
-        one.reset(seed=3)
-    with pytest.raises(ValueError, match=r"seed|goal"):
-        env.reset(seed=seed, options=options)
-    for one in (env, untouched):
-        labs = one.laboratory.laboratories
-        one.step({"manager_0": labs.actions.encode("start", "rxn_0", 0, "dodecane")})
-        one.step({"manager_0": labs.actions.encode("wait")})
-    np.testing.assert_array_equal(env.laboratory.state(), untouched.laboratory.state())
 
 
 @pytest.mark.parametrize("roles", [["rxn"], ["manager"], ["ext", "dit"]])
@@ -294,56 +275,6 @@ def test_rllib_collects_what_was_played(cluster: None, recipe: Any) -> None:
         ]
         found += any(alike(tape, own) for tape in same)
     assert found == len(ended)
-
-
-BATCHES: list[_TapedBatch] = []
-
-
-class _TapedBatch(gymnasium.vector.VectorWrapper):
-    """Keeps the transitions of each member; a member's step after an episode's end begins the next one and is none."""
-
-    def __init__(self, env: Any) -> None:
-        super().__init__(env)
-        self.played: list[tuple[bytes, int, float]] = []
-
-    def reset(self, **arguments: Any) -> Any:
-        self._seen, infos = super().reset(**arguments)
-        self._ended = np.zeros(self.num_envs, dtype=bool)
-        self._seen = self._seen.copy()
-        return self._seen, infos
-
-    def step(self, actions: Any) -> Any:
-        seen, rewards, terminated, truncated, infos = super().step(actions)
-        for m in np.flatnonzero(~self._ended):
-            self.played.append((self._seen[m].tobytes(), int(actions[m]), float(rewards[m])))
-        self._ended, self._seen = terminated | truncated, seen.copy()
-        return seen, rewards, terminated, truncated, infos
-
-
-def _managers(settings: Any) -> _TapedBatch:
-    count = settings["num_envs"]
-    BATCHES.append(
-        _TapedBatch(gymnasium.make_vec("chemlab/LabManager-v1", count, vectorization_mode="vector_entry_point"))
-    )
-    return BATCHES[-1]
-
-
-def test_rllib_collects_what_a_batch_has_played(cluster: None) -> None:
-    """A batch of laboratories inside a runner: what is collected are the batch's transitions, no more and no fewer."""
-    BATCHES.clear()
-    register_env("managers", _managers)
-    config = PPOConfig().environment("managers").env_runners(num_envs_per_env_runner=5)
-    runner = SingleAgentEnvRunner(config=config.env_runners(gym_env_vectorize_mode="vector_entry_point"))
-    chunks = [chunk for _ in range(4) for chunk in runner.sample(num_timesteps=100)]
-    collected = [
-        (seen.tobytes(), int(action), float(reward))
-        for chunk in chunks
-        for seen, action, reward in zip(
-            chunk.get_observations()[:-1], chunk.get_actions(), chunk.get_rewards(), strict=True
-        )
-    ]
-    assert sum(chunk.is_done for chunk in chunks) >= 5
-    assert sorted(collected) == sorted(BATCHES[-1].played)
 
 
 def alike(tape: dict[str, list[Any]], collected: dict[str, list[Any]]) -> bool:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -129,17 +127,6 @@ def test_a_bad_seed_is_refused_when_it_is_given(seed: Any) -> None:
     with pytest.raises(ValueError, match="seed: must be an integer of at least 0"):
         env._set_seed(seed)
     assert torch.equal(env.reset()["state"], TorchLaboratory(2, "unlabelled", seed=3).reset()["state"])
-
-
-@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
-@pytest.mark.parametrize("name", ["wurtz_dodecane", "wurtz_real"])
-def test_copies_play_on_alike(name: str, how: Any) -> None:
-    env = TorchLaboratory(2, name, roles=["manager"], seed=3)
-    env.rollout(4, break_when_any_done=False)
-    other = how(env)
-    actions = [env.rand_action(env.reset().clone())]
-    other.reset()
-    assert torch.equal(env.step(actions[0].clone())["next", "state"], other.step(actions[0].clone())["next", "state"])
 
 
 def test_without_autoreset_a_batch_waits_for_whoever_steps_it() -> None:

@@ -1,17 +1,11 @@
 """Results that must not be believed: forges records in the ways that once worked, and counts how they are taken.
 
-Run ``python tests/fuzz/forgeries.py`` (``--json`` for machines); ``--seeds`` says on how many episodes. It needs
-nothing but what every version of chemlab has had, so that it tells what an older one makes of the same forgeries;
-where that had a hash in every line, the forger computes it as anybody can.
+``python tests/fuzz/attacks.py forgeries --tries 20`` forges that many episodes of several scenarios.
 """
 
 from __future__ import annotations
 
-import argparse
-import hashlib
 import json
-import sys
-import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -28,22 +22,14 @@ Lines = list[str]
 
 
 def store(path: Path, lines: Lines) -> Path:
-    """Write lines; where they had hashes of the lines before, with such."""
-    chain, texts = "", []
-    for line in lines:
-        body, mark, _ = line.partition(',"chain":"')
-        if mark:
-            chain = hashlib.blake2b((chain + body).encode(), digest_size=8).hexdigest()
-            line = f'{body},"chain":"{chain}"}}'
-        texts.append(line)
-    path.write_text("\n".join(texts) + "\n", encoding="utf-8")
+    """Write lines."""
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return path
 
 
-def text_of(value: dict[str, Any], like: str) -> str:
+def text_of(value: dict[str, Any]) -> str:
     """A line as a recorder writes it."""
-    text = json.dumps({k: v for k, v in value.items() if k != "chain"}, separators=(",", ":"), ensure_ascii=False)
-    return text[:-1] + ',"chain":""}' if ',"chain":"' in like else text
+    return json.dumps(value, separators=(",", ":"), ensure_ascii=False)
 
 
 def record(
@@ -63,7 +49,7 @@ def cut_short(lines: Lines, path: Path) -> Iterator[Path]:
     for turns in sorted({turns for turns in (1, 10, most // 2, most) if 0 <= turns <= most}):
         end = json.loads(lines[-1])
         for _ in range(60):
-            found = verify_record(store(path, [*lines[: turns + 1], text_of(end, lines[-1])]))
+            found = verify_record(store(path, [*lines[: turns + 1], text_of(end)]))
             keys = found.key.split(".")
             if found.where != "end" or len(keys) < 2:
                 break
@@ -84,7 +70,7 @@ def impossible_numbers(lines: Lines, path: Path) -> Iterator[Path]:
     score = json.dumps(json.loads(lines[-1])["end"]["score"])
     for number in NUMBERS:
         end = lines[-1].replace(f'"score":{score}', f'"score":{number}')
-        yield store(path, [text_of(header, lines[0]), *lines[1:-1], end])
+        yield store(path, [text_of(header), *lines[1:-1], end])
 
 
 def other_spellings(lines: Lines, path: Path) -> Iterator[Path]:
@@ -124,7 +110,7 @@ def paid_more(lines: Lines, path: Path) -> Iterator[Path]:
                 turn["rewards"][agent] = paid
                 closing["end"]["rewards"][agent] += paid - reward
                 closing["end"]["score"] += paid - reward
-                texts = text_of(turn, line), text_of(closing, lines[-1])
+                texts = text_of(turn), text_of(closing)
                 yield store(path, [*lines[:number], texts[0], *lines[number + 1 : -1], texts[1]])
 
 
@@ -140,7 +126,7 @@ def invented_world(lines: Lines, path: Path) -> Iterator[Path]:
     for seed in (None, header["seed"]):
         forged = json.loads(asked[0])
         forged |= {"seed": seed, "options": {}}
-        yield store(path, [text_of(forged, asked[0]), *asked[1:]])
+        yield store(path, [text_of(forged), *asked[1:]])
 
 
 FORGERIES = (cut_short, impossible_numbers, other_spellings, easier_scenario, paid_more, invented_world)
@@ -156,20 +142,3 @@ def forge(seeds: int, folder: Path, scenario: str = "wurtz_dodecane") -> dict[st
             for path in forgery(lines, folder / "forged.jsonl"):
                 counter[verify_record(path).status] += 1
     return found
-
-
-def main() -> int:
-    """Forge and report; 1 if one was found right."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--scenario", default="wurtz_dodecane")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    args = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
-        found = forge(args.seeds, Path(folder), args.scenario)
-    print(json.dumps(found) if args.json else "\n".join(f"{key}: {dict(value)}" for key, value in found.items()))
-    return 1 if any(counter["ok"] for counter in found.values()) else 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -20,7 +20,6 @@ import numpy.typing as npt
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from gymnasium.vector import AutoresetMode
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
@@ -158,25 +157,6 @@ def test_a_first_reset_without_a_seed_draws_one() -> None:
 # -- copies and states ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_states_can_be_put_back(name: str) -> None:
-    actions = plan(name, 1, 18)[:, 0]
-    env, other = single(name), single(name)
-    env.reset(seed=1)
-    other.reset(seed=2)
-    if isinstance(env.action_space, gymnasium.spaces.Discrete):
-        actions %= int(env.action_space.n) - 1  # nothing ends it
-    seen = [env.step(action)[0] for action in actions[:8]]
-    state = env.get_state()
-    future = [env.step(action)[:2] for action in actions[8:]]
-    for back in (env, other):
-        np.testing.assert_array_equal(back.set_state(state), seen[-1])
-        for action, (observation, reward) in zip(actions[8:], future, strict=True):
-            again, again_reward, *_ = back.step(action)
-            np.testing.assert_array_equal(again, observation)
-            assert again_reward == reward
-
-
 def test_a_state_of_another_environment_changes_nothing() -> None:
     """Another bench's, one with an array less or more, a shorter one, one of other numbers; of batches and of
     laboratories, too."""
@@ -276,29 +256,6 @@ def test_a_lost_last_turn_is_reported_when_reset_at_once() -> None:
     assert rewards[0] == pytest.approx(infos["score"][0] - env.batch.scenario.costs.illegal_action)
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_disabled_autoreset_waits_for_a_mask(name: str) -> None:
-    actions = plan(name, 3)
-    env = batch(name, 3, autoreset_mode="Disabled")
-    singles = [single(name) for _ in range(3)]
-    env.reset(seed=7)
-    for i, one in enumerate(singles):
-        one.reset(seed=7 + i)
-    for action in actions:
-        observations, _, terminated, _, _ = env.step(action)
-        expected = [one.step(action[i])[0] for i, one in enumerate(singles)]
-        np.testing.assert_array_equal(observations, expected)
-        if terminated.any():
-            before = env.get_state()
-            with pytest.raises(ResetNeeded):
-                env.step(action)
-            assert_same_arrays(env.get_state(), before)
-            observations, _ = env.reset(options={"reset_mask": terminated})
-            for i in np.flatnonzero(terminated):
-                expected[i] = singles[i].reset()[0]
-            np.testing.assert_array_equal(observations, expected)  # the others are where they were
-
-
 def test_reset_mask_of_chosen_members_with_seeds() -> None:
     name = "chemlab/WurtzDistillation-v0"
     env = batch(name, 3, autoreset_mode="Disabled")
@@ -307,12 +264,6 @@ def test_reset_mask_of_chosen_members_with_seeds() -> None:
     observations, _ = env.reset(seed=seeds, options={"reset_mask": np.array([False, True, False])})
     np.testing.assert_array_equal(observations[[0, 2]], first[[0, 2]])
     np.testing.assert_array_equal(observations[1], single(name).reset(seed=6)[0])
-
-
-def test_a_first_reset_is_of_all_members() -> None:
-    env = batch("chemlab/WurtzDistillation-v0", 2, autoreset_mode="Disabled")
-    with pytest.raises(ValueError, match="first reset"):
-        env.reset(options={"reset_mask": np.array([True, False])})
 
 
 def test_lists_of_seeds() -> None:
@@ -335,21 +286,6 @@ def test_bad_reset_options(options: dict[str, Any]) -> None:
     with pytest.raises(ValueError, match=r"reset_mask|reset options"):
         env.reset(options=options)
     assert_same_arrays(env.get_state(), before)
-
-
-BAD_SEEDS = [-1, 1.9, "2", True, [5, -1, 3], [1.9, "2", 3], [True, 1, 2], np.array([1.0, 2.0, 3.0])]
-
-
-@pytest.mark.parametrize("seed", BAD_SEEDS)
-def test_a_bad_seed_changes_nothing(seed: Any) -> None:
-    env, one = batch("chemlab/WurtzExtraction-v0", 3), single("chemlab/WurtzExtraction-v0")
-    for each in (env, one):
-        each.reset(seed=7)
-        before, random = each.get_state(), each.np_random.bit_generator.state
-        with pytest.raises(ValueError, match=r"seed.*integer of at least 0"):
-            each.reset(seed=seed)
-        assert_same_arrays(each.get_state(), before)
-        assert each.np_random.bit_generator.state == random
 
 
 def test_bad_options_leave_generators_as_they_are() -> None:
@@ -434,32 +370,7 @@ def test_returned_arrays_are_copies_unless_asked_otherwise(name: str) -> None:
     assert not np.array_equal(first, overwritten)
 
 
-@pytest.mark.parametrize("name", KINDS)
-def test_make_vec(name: str) -> None:
-    env = gymnasium.make_vec(name, num_envs=8, vectorization_mode="vector_entry_point")
-    assert isinstance(env.unwrapped, RoleVectorEnv)
-    assert env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    observations, _ = env.reset(seed=0)
-    assert observations in env.observation_space
-    env.action_space.seed(0)
-    for _ in range(3):
-        observations, rewards, *_ = env.step(env.action_space.sample())
-        assert observations in env.observation_space
-        assert rewards.shape == (8,)
-    env.close()
-
-
 # -- masks, goals, rewards --------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", CONTINUOUS)
-def test_continuous_benches_have_no_mask(name: str) -> None:
-    env, vector = single(name), batch(name, 2)
-    assert "action_mask" not in env.reset(seed=0)[1]
-    assert "action_mask" not in vector.reset(seed=0)[1]
-    for one in (env, vector):
-        with pytest.raises(ValueError, match="rxn_0"):
-            one.action_masks()  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("name", KINDS)
@@ -529,75 +440,6 @@ def test_a_step_after_the_end_is_refused(name: str) -> None:
     assert_same_arrays(env.get_state(), before)
     env.reset()
     env.step(action)
-
-
-# -- bad actions ------------------------------------------------------------------------------------------------------
-
-BAD_NUMBERS = {
-    "nan": lambda good: np.where(np.arange(good.size).reshape(good.shape) == 0, np.nan, good),
-    "infinite": lambda good: np.where(np.arange(good.size).reshape(good.shape) == 0, np.inf, good),
-    "above": lambda good: good + 1.001,
-    "below": lambda good: good - 1.001,
-    "too short": lambda good: good[..., :-1],
-    "too deep": lambda good: good[..., None],
-    "nothing": lambda good: None,
-    "words": lambda good: np.full(good.shape, "0.5", dtype=object),
-    "complex": lambda good: good + 1j,
-}
-BAD_CHOICES = {
-    "above": lambda good, count: np.full_like(good, count),
-    "below": lambda good, count: np.full_like(good, -1),
-    "fraction": lambda good, count: good + 0.5,
-    "float": lambda good, count: good.astype(float),
-    "nan": lambda good, count: good * np.nan,
-    "too many": lambda good, count: np.stack([good, good]),
-    "nothing": lambda good, count: None,
-    "word": lambda good, count: "0",
-    "truth": lambda good, count: good.astype(bool),
-}
-
-
-def refused(env: Any, action: Any, expected: str) -> None:
-    """The action is refused in words, and nothing has changed."""
-    before = env.get_state()
-    with pytest.raises(ValueError, match=expected):
-        env.step(action)
-    assert_same_arrays(env.get_state(), before)
-
-
-@pytest.mark.parametrize("kind", BAD_NUMBERS)
-@pytest.mark.parametrize("name", KINDS[:1])
-def test_bad_continuous_actions(name: str, kind: str) -> None:
-    env, vector = single(name), batch(name, 3)
-    env.reset(seed=0)
-    vector.reset(seed=0)
-    size = int(env.action_space.shape[0])  # type: ignore[index]
-    refused(env, BAD_NUMBERS[kind](np.full(size, 0.5)), rf"rxn_0: .*{size} finite numbers from 0 to 1, given")
-    refused(vector, BAD_NUMBERS[kind](np.full((3, size), 0.5)), rf"rxn_0: .*3, {size}\] finite numbers .*, given")
-
-
-@pytest.mark.parametrize("kind", BAD_CHOICES)
-@pytest.mark.parametrize("name", KINDS[1:])
-def test_bad_discrete_actions(name: str, kind: str) -> None:
-    env, vector = single(name), batch(name, 3)
-    env.reset(seed=0)
-    vector.reset(seed=0)
-    count, agent = env.bench.action_count, env.batch.experiments.agent
-    refused(env, BAD_CHOICES[kind](np.array(1), count), rf"{agent}: .*integer from 0 to {count - 1}, given")
-    refused(
-        vector, BAD_CHOICES[kind](np.ones(3, dtype=int), count), rf"{agent}: .*3 integers from 0 to {count - 1}, given"
-    )
-
-
-@pytest.mark.parametrize("dtype", [np.int8, np.int32, np.int64, np.uint8])
-def test_any_integers_will_do(dtype: Any) -> None:
-    name = "chemlab/WurtzExtraction-v0"
-    env, vector = single(name), batch(name, 1)
-    env.reset(seed=0)
-    vector.reset(seed=0)
-    for action in (35, 3, 20):
-        one = env.step(dtype(action))[0]
-        np.testing.assert_array_equal(vector.step(np.array([action], dtype=dtype))[0][0], one)
 
 
 # -- the generic id, starting states, rendering -----------------------------------------------------------------------

@@ -103,6 +103,11 @@ def benches(make: Callable[..., Any], scenario: str, **arguments: Any) -> list[A
     return [make(scenario=scenario, bench=key, **arguments) for key in load_scenario(scenario).benches]
 
 
+def benches_of(name: str) -> list[str]:
+    """The agents of a scenario's benches."""
+    return load_scenario(name).bench_agents()
+
+
 CLASSES: dict[str, tuple[Callable[[str], list[Any]], Callable[..., list[Any]]]] = {
     "raw_env": (lambda name: [raw_env(name)], turns),
     "env": (lambda name: [ordered_env(name)], turns),
@@ -110,8 +115,11 @@ CLASSES: dict[str, tuple[Callable[[str], list[Any]], Callable[..., list[Any]]]] 
     "BatchedLaboratory": (lambda name: [BatchedLaboratory(2, name)], rounds),
     "RoleEnv, bench": (lambda name: benches(RoleEnv, name), singly),
     "RoleVectorEnv, bench": (lambda name: benches(RoleVectorEnv, name, num_envs=3, threads=2), together),
-    "RoleEnv": (lambda name: [role_env(name), role_env(name, load_scenario(name).bench_agents()[0])], singly),
-    "RoleVectorEnv": (lambda name: [role_vector_env(2, name)], together),
+    "RoleEnv": (lambda name: [role_env(name), role_env(name, benches_of(name)[0])], singly),
+    "RoleVectorEnv": (
+        lambda name: [role_vector_env(2, name), role_vector_env(2, name, benches_of(name)[0], "random")],
+        together,
+    ),
 }
 
 
@@ -139,9 +147,10 @@ def test_copies_play_on_alike(scenario: str, kind: str) -> None:
             for one, two in zip(expected, again, strict=True):
                 np.testing.assert_array_equal(one, two, err_msg=name)
         if state is not None and hasattr(env, "_begun"):  # single environments' players remember where an episode ended
-            env.set_state(state)
-            for one, two in zip(expected, play(env, 12, np.random.default_rng(2)), strict=True):
-                np.testing.assert_array_equal(one, two, err_msg="state")
+            for name, each in {"state": env, "state of another": copies["pickle"]}.items():
+                each.set_state(state)
+                for one, two in zip(expected, play(each, 12, np.random.default_rng(2)), strict=True):
+                    np.testing.assert_array_equal(one, two, err_msg=name)
         for each in (env, *copies.values()):
             getattr(each, "close", lambda: None)()
 

@@ -11,7 +11,6 @@ from helpers import FEATURED
 
 from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.global_state import GlobalState
 from chemlab.laboratory import parallel_env, raw_env
 from chemlab.roles.bench import channel_slices
 
@@ -180,10 +179,3 @@ def test_a_batch_has_the_state_of_each(name: str) -> None:
             single.step({agent: rows[i] for agent, rows in actions.items()})
             if not single.agents:
                 single.reset()
-
-
-def test_of_some_members_it_is_theirs() -> None:
-    batch = BatchedLaboratory(4, "wurtz_any")
-    batch.reset(seed=1)
-    state = GlobalState(batch.laboratories)
-    np.testing.assert_array_equal(state.see(np.array([3, 1])), batch.state()[[3, 1]])

@@ -227,31 +227,6 @@ def test_a_spill_can_be_priced_into_the_rewards() -> None:
 # -- measuring ------------------------------------------------------------------------------------------------------
 
 
-def test_a_reading_arrives_with_age_zero_and_grows_old_with_ticks() -> None:
-    env = laboratory(WURTZ)
-    contents = {"diethyl_ether": 4.0, "dodecane": 0.5}
-    env.laboratories.shelf.fill(0, 1, 1.2, contents)
-    limit = env.scenario.limits.ticks
-    assert seen(env, "slot_1_balance_age")[0] == 1.0  # never measured
-    assert seen(env, "slot_1_balance")[0] == 0.0
-    manager(env, "measure", 1, "balance")
-    grams = sum(mol * env.scenario.materials[name].molar_mass_g_mol for name, mol in contents.items())
-    assert seen(env, "slot_1_balance")[0] == pytest.approx(grams / 1000.0 / RANGE_KG, rel=1e-6)
-    assert seen(env, "slot_1_balance_age")[0] == 0.0
-    # Only this slot and this instrument.
-    assert seen(env, "slot_1_uv_vis_age")[0] == 1.0
-    assert seen(env, "slot_0_balance_age")[0] == 1.0
-    manager(env, "start", "dit_0", 0, "dodecane")
-    assert seen(env, "slot_1_balance_age")[0] == 0.0  # a manager's action is no tick
-    manager(env, "wait")
-    for tick in range(1, 4):
-        do(env, "cool DV, 2 kJ")
-        assert seen(env, "slot_1_balance_age")[0] == pytest.approx(tick / limit, rel=1e-6)
-    do(env, "end the experiment")
-    manager(env, "measure", 1, "balance")
-    assert seen(env, "slot_1_balance_age")[0] == 0.0
-
-
 def test_what_the_instruments_read() -> None:
     contents = {"water": 5.0, "diethyl_ether": 4.0, "dodecane": 1.0}
     values = mapping(WURTZ)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED, litres
+from helpers import FEATURED, laboratory, litres, manager
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
@@ -236,20 +236,6 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
 # -- readings -------------------------------------------------------------------------------------------------------
 
 
-def laboratory(values: Any = WURTZ) -> raw_env:
-    """A laboratory at the start of an episode."""
-    env = raw_env(load_scenario(values))
-    env.reset(seed=0)
-    return env
-
-
-def manager(env: raw_env, *action: str | int) -> None:
-    """Let the manager, which must have the turn, do something legal."""
-    assert env.agent_selection == "manager_0"
-    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
-    assert not env.infos["manager_0"]["illegal_action"]
-
-
 def reading(env: raw_env, slot: int, instrument: str) -> tuple[npt.NDArray[np.float32], float]:
     """(what the manager sees of a reading, its age)."""
     seen, at = env.observe("manager_0"), channel_slices(env.laboratories.channels)
@@ -258,7 +244,7 @@ def reading(env: raw_env, slot: int, instrument: str) -> tuple[npt.NDArray[np.fl
 
 @pytest.mark.parametrize("instrument", ["uv_vis", "layer_camera", "balance", "gas_chromatograph"])
 def test_a_reading_ages_with_ticks_alone(instrument: str) -> None:
-    env = laboratory()
+    env = laboratory(WURTZ)
     limit = env.scenario.limits.ticks
     env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 3.0, "dodecane": 1.0})
     assert reading(env, 0, instrument)[1] == 1.0
@@ -281,7 +267,7 @@ def test_a_reading_ages_with_ticks_alone(instrument: str) -> None:
 @pytest.mark.parametrize("way", ["recall", "end"])
 def test_a_reading_goes_when_its_vessel_goes_to_a_bench(way: str) -> None:
     """What comes back is another vessel, as far as the manager knows."""
-    env = laboratory()
+    env = laboratory(WURTZ)
     env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 3.0, "dodecane": 1.0})
     for slot in (0, 1):
         for instrument in env.scenario.instruments:

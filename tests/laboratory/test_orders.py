@@ -26,7 +26,6 @@ from chemlab.laboratory import parallel_env
 from chemlab.physics.chemistry import PRESENT, element_matrix
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_actions import SUBMIT, ManagerActions
-from chemlab.roles.manager_state import LIMIT
 
 LINES = "wurtz_two_lines"
 
@@ -133,23 +132,6 @@ def test_without_a_vessel_left_there_is_nothing_to_wait_for() -> None:
     assert all(busy.terminations.values())
 
 
-def test_an_episode_that_reaches_a_limit_pays_what_was_submitted() -> None:
-    values = mapping(LINES)
-    values["limits"]["manager_actions"] = 2
-    env = laboratory(values)
-    goal = goals(env)[0]
-    env.laboratories.shelf.fill(0, 0, 1.2, {goal: 0.2, "diethyl_ether": 0.2})
-    manager(env, "submit", 0, 0)
-    worth = 0.2 * 0.5 / env.scenario.theoretical_maximum_mol[goal] / 2
-    assert env.rewards["manager_0"] == pytest.approx(worth, rel=1e-12)
-    manager(env, "measure", 1, "balance")
-    assert all(env.terminations.values())
-    assert env.laboratories.state.status[0] == LIMIT
-    price = env.scenario.instruments["balance"].price
-    assert env.rewards["manager_0"] == pytest.approx(-price, rel=1e-12)
-    assert env.laboratories.result(env.laboratories.members)[0] == pytest.approx(worth - price, rel=1e-12)
-
-
 @pytest.mark.parametrize("orders", slow_but([1, 2, 3], 2))
 def test_random_play_with_orders(orders: int) -> None:
     """Rewards add up to the score, atoms to what there was, and the episode ends when the design says."""
@@ -222,26 +204,6 @@ def test_actions_of_orders_have_a_number_and_a_meaning_each(orders: int) -> None
             words = actions.action_meanings[number]
             assert f"slot {action[1]}" in words
             assert ("order" in words) is (orders > 1)
-
-
-@pytest.mark.parametrize(
-    ("action", "part"),
-    [
-        (("submit", 0), "takes 2 arguments"),
-        (("submit", 0, 2), "2 is not one of [0, 1]"),
-        (("submit", np.int64(0), 2), "argument 2 is not one of [0, 1]"),
-        (("submit", 0, [1]), "[1] is not one of [0, 1]"),
-        (("submit", 0, np.array(1)), "array(1) is not one of [0, 1]"),
-        (("submit", 12, 0), "12"),
-        (("submit", 0, "dodecane"), "'dodecane'"),
-        (("submit", 0, 0, 0), "takes 2 arguments"),
-        (("submit", 0, -1), "-1"),
-    ],
-)
-def test_a_submission_that_does_not_exist_is_refused(action: tuple[Any, ...], part: str) -> None:
-    with pytest.raises(ValueError, match="manager action 'submit'") as caught:
-        ManagerActions.of(load_scenario(LINES)).encode(*action)
-    assert part in str(caught.value)
 
 
 # -- scenarios that make no sense -------------------------------------------------------------------------------------
@@ -387,36 +349,6 @@ def test_returns_are_the_mix(name: str, rewards: Any) -> None:
         paid_as_mixed(mix, scenario.safety.reward_price, paid, scores, lost, result)
         assert in_turns == pytest.approx(paid, rel=1e-12, abs=1e-15)
         assert in_batch == pytest.approx(paid, rel=1e-12, abs=1e-15)
-
-
-@pytest.mark.parametrize("rewards", MIXES, ids=str)
-@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "dit_0"])
-def test_returns_of_the_view_are_the_mix(agent: str, rewards: Any) -> None:
-    """The focal agent's return, single and batched, from the scores its infos report and the laboratory's result."""
-    mix, name = mix_of(rewards), "wurtz_dodecane"
-    env, batch = role_env(name, agent, rewards=rewards), role_vector_env(1, name, agent, rewards=rewards)
-    policy = make_policies("scripted", env.laboratories)[agent]
-    labs = env.laboratories
-    observation, _ = env.reset(seed=1)
-    batch.reset(seed=1)
-    total, scores, over = 0.0, 0.0, False
-    while not over:
-        number = env.focal
-        step = labs.state.actions if number == 0 else labs.experiments[number - 1].steps
-        action = policy.act(observation[None], labs.mask(number, labs.members), step[:1].copy(), labs.members)[0]
-        observation, reward, terminated, truncated, info = env.step(action)
-        _, rewarded, *_ = batch.step(np.array([action]))
-        assert rewarded[0] == reward
-        total += reward
-        scores += info["score"] if agent != "manager_0" else 0.0
-        over = terminated or truncated
-    result = float(labs.result(labs.members)[0])
-    assert result > 0.5
-    if agent == "manager_0":
-        assert total == pytest.approx((mix.manager_local + mix.manager_team) * result, rel=1e-9)
-    else:
-        assert total == pytest.approx(mix.bench_local * scores + mix.bench_team * result, rel=1e-9)
-        assert scores != 0.0
 
 
 def test_mixes_by_name_number_and_file(tmp_path: Path) -> None:

@@ -13,7 +13,6 @@ import numpy.typing as npt
 import pytest
 from helpers import FEATURED
 
-from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs
@@ -305,33 +304,9 @@ def test_a_step_without_an_episode_is_refused() -> None:
     assert env.agents == env.possible_agents
 
 
-@pytest.mark.parametrize("name", FEATURED)
-def test_spaces_are_those_of_aec(name: str) -> None:
-    parallel, aec = parallel_env(name), raw_env(name)
-    assert parallel.possible_agents == aec.possible_agents
-    assert parallel.observation_spaces == aec.observation_spaces
-    assert parallel.action_spaces == aec.action_spaces
-    assert parallel.state_space == aec.state_space
-    for agent in parallel.possible_agents:
-        assert parallel.observation_space(agent) is parallel.observation_space(agent)
-        assert parallel.action_space(agent) is parallel.action_space(agent)
-
-
 def test_the_registry_knows_it() -> None:
     pettingzoo = pytest.importorskip("pettingzoo", minversion="1.27")
     env = pettingzoo.make("parallel", "chemlab/Laboratory-v1", scenario="wurtz_dodecane_direct")
     assert env.possible_agents == ["manager_0", "rxn_0", "dit_0"]
     _, infos = env.reset(seed=0)
     assert infos["manager_0"]["has_turn"]
-
-
-def test_a_goal_can_be_asked_for_and_an_unknown_one_changes_nothing() -> None:
-    env = parallel_env("wurtz_any")
-    for goal in load_scenario("wurtz_any").lab_goals:
-        env.reset(seed=0, options={"goal": goal})
-        assert env.scenario.goals[env.laboratories.state.goal[0, 0]] == goal
-    before = env.laboratories.snapshot()
-    with pytest.raises(ValueError, match="'gold'"):
-        env.reset(seed=1, options={"goal": "gold"})
-    for was, now in zip(before, env.laboratories.snapshot(), strict=True):
-        np.testing.assert_array_equal(now, was)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-import pickle
 from typing import Any
 
 import numpy as np
@@ -13,8 +11,6 @@ from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.lab.engine import Laboratories
-from chemlab.roles.bench_role import BenchRole
-from chemlab.roles.manager_role import ManagerRole
 
 
 def played(name: str, seed: int) -> list[tuple[Any, ...]]:
@@ -70,18 +66,3 @@ def test_a_batch_pays_each_role_by_name(monkeypatch: pytest.MonkeyPatch) -> None
     assert sum(np.any(own) for own in usual.values()) > 1
     monkeypatch.setattr(Scenario, "agents", lambda self: [*agents(self)[2:], *agents(self)[:2]])
     assert sums() == usual
-
-
-def test_roles_are_those_of_the_agents_and_of_copies() -> None:
-    labs = Laboratories("wurtz_two_lines", 2)
-    for some in (labs, copy.deepcopy(labs), pickle.loads(pickle.dumps(labs))):
-        assert [role.name for role in some.roles] == some.agents
-        assert [role.index for role in some.roles] == list(range(len(some.agents)))
-        assert [type(role) for role in some.roles] == [ManagerRole] + [BenchRole] * len(some.benches)
-        assert all(role.labs is some for role in some.roles)
-        some.reset(some.members)
-        start = some.actions.encode("start", "rxn_0", 0, "dodecane")
-        some.act(some.manager.index, some.members, np.full(2, start))
-        assert some.bench_roles[0].experiments.busy.all()
-        assert some.experiments[0] is some.bench_roles[0].experiments
-        assert some.bench_roles[0].goal(1) == "dodecane"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -278,45 +276,6 @@ def test_worlds_that_cannot_be_asked_for_change_nothing(world: Any, message: str
         assert worlds(env) == before
     with pytest.raises(ValueError, match="no hidden parameters"):
         raw_env("wurtz_dodecane").reset(seed=0, options={"world": 1})
-
-
-# -- state ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("bench", [False, True])
-def test_snapshots_copies_and_pickles_carry_the_world(bench: bool) -> None:
-    spec = scenario()
-    env = RoleVectorEnv(2, spec, bench="rxn") if bench else BatchedLaboratory(2, spec)
-    owner: Any = env.batch if isinstance(env, RoleVectorEnv) else env.laboratories
-    env.reset(seed=3)
-    saved = [array.copy() for array in owner.arrays()]
-    there = [everything(owner, member) for member in range(2)], [owner.worlds.number(member) for member in range(2)]
-    copies: list[Any] = [copy.deepcopy(owner), pickle.loads(pickle.dumps(owner))]
-    env.reset(seed=8)
-    assert owner.worlds.number(0) != there[1][0]
-    for array, old in zip(owner.arrays(), saved, strict=True):
-        array[...] = old
-    for one in (owner, *copies):
-        assert [one.worlds.number(member) for member in range(2)] == there[1]
-        for member in range(2):
-            for ours, theirs in zip(everything(one, member), there[0][member], strict=True):
-                assert ours.tobytes() == theirs.tobytes()
-    # What the next episodes draw goes on from the same place.
-    for one in (owner, *copies):
-        one.reset(one.members)
-    assert len({one.worlds.number(0) for one in (owner, *copies)}) == 1
-
-
-def test_the_state_of_critics_has_the_world() -> None:
-    env = raw_env(scenario())
-    size = next(channel.size for channel in env.state_channels if channel.name == "world")
-    assert size == 4 + 4 + 1 + 1 + 1 + 1
-    env.reset(seed=0)
-    first = env.state()[-size:]
-    env.reset(seed=1)
-    assert (first != env.state()[-size:]).any()
-    assert env.state_space.contains(env.state())
-    assert "world" not in [channel.name for channel in raw_env("wurtz_dodecane").state_channels]
 
 
 # -- what agents see --------------------------------------------------------------------------------------------------

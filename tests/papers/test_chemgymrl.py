@@ -30,13 +30,12 @@ from studies.paper.chemgymrl import results as module
 from studies.paper.chemgymrl import traces
 from studies.paper.chemgymrl.figures import FIGURES, write_figures
 from studies.paper.chemgymrl.measures import MEASURES
-from studies.paper.chemgymrl.page import paper_table, write_page
+from studies.paper.chemgymrl.page import write_page
 from studies.paper.chemgymrl.results import (
     EXPERIMENTS,
     TRACE_COLUMNS,
     TRACE_FILE,
     Results,
-    Trace,
     experiment_of,
     read_results,
     source_of,
@@ -190,26 +189,6 @@ def test_curves_have_the_papers_bands_and_the_heuristic(tmp_path: Path) -> None:
     assert "DQN" in found.missing[0]
 
 
-def test_sequences_fold_repeated_actions(full: Path) -> None:
-    """Equal actions are one box with their number; a long sequence says how much is left out; salt has its part."""
-    figure = drawn(full, "figure_13_wurtz_dit_sequences").figure
-    texts = [text.get_text() for text in figure.axes[0].texts]
-    start = texts.index("PPO\nreturn 0.500")
-    assert texts[start : start + 7] == [
-        "PPO\nreturn 0.500",
-        "heat DV\n50 kJ",
-        "x 7",
-        "pour DV→B1\n20 %",
-        "x 1",
-        "end",
-        "x 1",
-    ]
-    assert texts.count("and 24\nmore steps") == 2  # 50 steps, of which 26 boxes are shown, in two cases
-    assert [text for text in texts if "at the start" in text] == ["without NaCl at the start", "with NaCl at the start"]
-    ext = {text.get_text() for text in drawn(full, "figure_11_wurtz_ext_sequences").figure.axes[0].texts}
-    assert {"add diethyl\nether\n0.05 L", "settle\ntime 2", "drain EV→B1\n16 %"} <= ext
-
-
 @pytest.mark.parametrize("stem", [spec.stem for spec in FIGURES])
 def test_no_text_overlaps_or_is_cut(full: Path, stem: str) -> None:
     """Every text stands within the picture and on no other text."""
@@ -331,25 +310,6 @@ def test_convergence_is_that_of_evaluations(
     assert found.holds is holds
 
 
-def test_variants_are_named_beside_the_papers_own(tmp_path: Path) -> None:
-    """The paper's algorithm decides; variants that agree where it does not are named. They are drawn beside it."""
-    write_run(tmp_path, "wurtz_ext", "ppo", 0, 0.9)
-    write_run(tmp_path, "wurtz_ext", "ppo-entropy", 0, 1.2)
-    results = read_results(tmp_path)
-    found = findings(results)[10, "PPO outperforms the heuristic"]
-    assert (found.holds, found.variants, found.ours) == (
-        False,
-        ("PPO-entropy",),
-        "PPO: 0.450, scripted 0.500, best run 0.450; PPO-entropy: 0.600, scripted 0.500, best run 0.600",
-    )
-    page = write_page(results, tmp_path, dict.fromkeys((spec.stem for spec in FIGURES), ()))
-    assert "| **no** (PPO-entropy: yes) |" in page.read_text()
-    assert list(results.cells["wurtz_ext"]) == ["ppo", "ppo-entropy"]
-    lines = drawn(tmp_path, "figure_10_wurtz_ext_curves").figure.axes[0].get_lines()
-    assert [line.get_label() for line in lines] == ["PPO (1 run)", "PPO-entropy (1 run)", "scripted"]
-    assert len({line.get_color() for line in lines}) == 3
-
-
 def test_statements_about_actions_come_from_traces(full: Path) -> None:
     found = findings(read_results(full))
     ends = found[11, "PPO and PPO-XL end the experiment themselves, A2C and DQN do not"]
@@ -369,143 +329,6 @@ def test_statements_about_actions_come_from_traces(full: Path) -> None:
     staggered = found[9, "for I the best of each add D and two of A, B, C, and the third several steps later"]
     assert staggered.ours.split("; ")[:2] == ["PPO: 4 steps", "A2C: 0 steps"]
     assert staggered.holds is False
-
-
-def test_one_sequence_that_differs_with_salt(full: Path, tmp_path: Path) -> None:
-    """DQN's have to be equal; of equal returns alone nothing follows."""
-    results = read_results(full)
-    results.traces["wurtz_dit"]["dqn"]["dodecane"]["with NaCl"] = Trace(2, 0.5, 0.5, [0, 1, 2, 3, 4] * 9)
-    (same,) = (f for (_, says), f in findings(results).items() if "only slightly modifies" in says)
-    assert (same.holds, same.ours) == (False, "A2C: 1.00; DQN: 0.95")
-
-
-def verdict(folder: Path, key: str, says: str) -> bool | None:
-    """Whether the statement on an experiment that has these words holds."""
-    compared = compare_with_paper(read_results(folder))
-    (found,) = (finding for claim, finding in compared if says in claim.says and claim.experiment == key)
-    return found.holds
-
-
-WURTZ, FICTITIOUS = load_scenario("wurtz_dodecane").goals, load_scenario("fictitious").goals
-ENDS = [(0, 0.0, 0.1)]  # of a curve: its last point is where training ends
-LOW = dict.fromkeys(WURTZ, 0.5) | {"NaCl": 1.0}
-
-
-@pytest.mark.parametrize(
-    ("says", "key", "agreeing", "other"),
-    [
-        # By algorithm: relative returns of two runs (or of each goal), and where training ends.
-        ("come close on a few", "wurtz_rxn", {"sac": {**LOW, "dodecane": 0.95}, "td3": 0.9}, {"sac": LOW, "td3": 0.9}),
-        ("consistently produces NaCl", "wurtz_rxn", dict.fromkeys(("ppo", "a2c", "sac", "td3"), LOW), {"td3": 0.8}),
-        (
-            "for all 7 targets",
-            "wurtz_rxn",
-            {"ppo": 1.0, "a2c": 0.9, "sac": 0.9, "td3": LOW | {"NaCl": 0.9}},
-            {"a2c": LOW},
-        ),
-        ("SAC and TD3 agents outperform", "wurtz_rxn", {"sac": 0.8, "td3": 0.8, "a2c": 0.7}, {"a2c": 0.8}),
-        (
-            "consistently matches",
-            "fictitious_rxn",
-            {"ppo": 0.98},
-            {"ppo": {**dict.fromkeys(FICTITIOUS, 1.0), "F": 0.9}},
-        ),
-        (
-            "all products but I",
-            "fictitious_rxn",
-            {n: dict.fromkeys("EFGH", 0.95) for n in ("a2c", "sac")},
-            {"sac": 0.95},
-        ),
-        ("all products but E", "fictitious_rxn", {"td3": dict.fromkeys("FGHI", 0.95)}, {"td3": 0.95}),
-        ("for all 5 targets", "fictitious_rxn", {"ppo": 1.0, "a2c": 0.9, "sac": 0.9, "td3": 0.9}, {"td3": 1.0}),
-        ("alone succeeds with both", "fictitious_rxn", {"ppo": 1.0, "a2c": 0.5, "sac": 0.5, "td3": 0.5}, {"td3": 0.9}),
-        (
-            "consistently outperform the other",
-            "wurtz_ext",
-            {"ppo-xl": 0.6, "ppo": 0.6, "a2c": 0.5, "dqn": 0.5},
-            {"dqn": 0.6},
-        ),
-        ("as much as ending", "wurtz_ext", {"a2c": 0.02}, {"a2c": 0.1}),
-        ("best PPO policy outperforms the best DQN", "wurtz_dit", {"ppo": 0.9, "dqn": 0.8}, {"dqn": 0.9}),
-        ("others on average", "wurtz_dit", {"ppo-xl": 1.0, "ppo": 0.9, "a2c": 0.5, "dqn": 0.5}, {"ppo": 1.0}),
-        ("others in the best case", "wurtz_dit", {"ppo-xl": 1.0, "ppo": 0.9, "a2c": 0.5, "dqn": 0.5}, {"dqn": 1.0}),
-    ],
-)
-def test_statements_about_returns(
-    tmp_path: Path, says: str, key: str, agreeing: dict[str, Any], other: dict[str, Any]
-) -> None:
-    """Each holds for results like the paper's, and not once one algorithm's are others."""
-    for folder, relatives in (("yes", agreeing), ("no", {**agreeing, **other})):
-        for label, relative in relatives.items():
-            for seed in (0, 1):
-                write_run(tmp_path / folder, key, label, seed, relative)
-        assert verdict(tmp_path / folder, key, says) is (folder == "yes")
-
-
-@pytest.mark.parametrize(
-    ("says", "key", "agreeing", "other"),
-    [
-        (
-            "a return of at least 0.4",
-            "wurtz_rxn",
-            dict.fromkeys(("ppo", "a2c", "sac", "td3"), (0.4, 0.5)),
-            {"sac": (0.3, 0.4)},
-        ),
-        (
-            "not much better than random",
-            "wurtz_rxn",
-            dict.fromkeys(("a2c", "sac", "td3"), (0.55, 0.6)),
-            {"td3": (0.6, 0.7)},
-        ),
-        ("PPO is significantly better", "wurtz_rxn", {"ppo": (0.65, 0.7)}, {"ppo": (0.5, 0.55)}),
-        ("not achieve a return above zero", "wurtz_ext", {"a2c": (0.0, 0.02)}, {"a2c": (0.0, 0.1)}),
-        ("consistently acquire positive", "wurtz_ext", {"ppo-xl": (0.1, 0.2), "ppo": (0.1, 0.2)}, {"ppo": (0.0, 0.9)}),
-        (
-            "DQN, PPO and PPO-XL consistently",
-            "wurtz_dit",
-            dict.fromkeys(("dqn", "ppo", "ppo-xl"), (0.1, 0.2)),
-            {"dqn": (0.0, 0.9)},
-        ),
-        ("positive returns on average", "wurtz_dit", {"a2c": (-0.1, 0.2)}, {"a2c": (-0.2, 0.1)}),
-        ("acquire similar returns", "wurtz_dit", {"ppo": (0.7, 0.7), "dqn": (0.65, 0.65)}, {"dqn": (0.5, 0.5)}),
-        ("vary more than", "wurtz_dit", {"ppo": (0.5, 0.7), "dqn": (0.6, 0.61)}, {"dqn": (0.4, 0.7)}),
-    ],
-)
-def test_statements_about_where_training_ends(
-    tmp_path: Path, says: str, key: str, agreeing: dict[str, Any], other: dict[str, Any]
-) -> None:
-    """The same of the ends of two learning curves; random actions come to 0.5 in the made-up traces."""
-    for folder, ends in (("yes", agreeing), ("no", {**agreeing, **other})):
-        for label, values in ends.items():
-            for seed, end in enumerate(values):
-                write_run(tmp_path / folder, key, label, seed, curve=[*ENDS, (1000, end, 0.1)])
-        write_traces(tmp_path / folder)
-        assert verdict(tmp_path / folder, key, says) is (folder == "yes")
-
-
-def test_statements_about_pace_and_distance(tmp_path: Path) -> None:
-    """Figure 8: steps are compared with PPO's, distances to the optimum at equal numbers of steps."""
-
-    def at(*means: float) -> dict[int, float]:
-        return {100 * (i + 1): mean for i, mean in enumerate(means)}
-
-    quick, slow = at(0.4, 0.5, 0.5, 0.5), at(0.1, 0.1, 0.1, 0.2)
-    for label, evaluations in {"ppo": quick, "a2c": slow, "sac": slow, "td3": slow}.items():
-        write_run(tmp_path, "fictitious_rxn", label, 0, 0.8, evaluations=evaluations)
-        write_run(tmp_path, "wurtz_rxn", label, 0, 0.7)
-    assert verdict(tmp_path, "fictitious_rxn", "PPO converges quickly") is True
-    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is True
-    write_run(tmp_path, "fictitious_rxn", "td3", 1, 0.6, evaluations=at(0.2, 0.3, 0.3, 0.3))
-    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is False  # TD3: 0.7 and 0.7
-    shutil.rmtree(tmp_path / "fictitious_rxn" / "td3" / "seed-0")
-    write_run(tmp_path, "fictitious_rxn", "td3", 0, 0.8, evaluations=at(0.3, 0.3, 0.3, 0.3))
-    assert verdict(tmp_path, "fictitious_rxn", "PPO converges quickly") is False  # TD3 is as quick
-    for seed in (2, 3, 4):
-        write_run(tmp_path, "wurtz_rxn", "a2c", seed, 0.7, steps=300)
-    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is False  # TD3's still
-    shutil.rmtree(tmp_path / "fictitious_rxn" / "td3")
-    # A2C's steps differ, TD3 is missing.
-    assert verdict(tmp_path, "fictitious_rxn", "nearer to the optimum than on Wurtz") is None
 
 
 def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
@@ -531,37 +354,7 @@ def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
         read_results(tmp_path)
 
 
-def test_the_brief_table_has_every_algorithm(tmp_path: Path) -> None:
-    """Means over runs; a single run has no interval, and what was not trained no number."""
-    write_run(tmp_path, "wurtz_dit", "ppo", 0, 1.0)
-    for seed in (0, 1, 2):
-        write_run(tmp_path, "wurtz_rxn", "a2c", seed, 0.8 + 0.1 * seed)
-    lines = paper_table(read_results(tmp_path))
-    assert "| PPO |  |  |  | 0.500 |" in lines
-    (a2c,) = (line for line in lines if line.startswith("| A2C |"))
-    # Of 0.40, 0.45 and 0.50: 0.45 and 4.303 x 0.05 / sqrt(3), Student's t with two degrees of freedom.
-    assert a2c.startswith("| A2C | 0.450 [0.326, 0.574] |")
-
-
 # -- all of it --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_everything_comes_from_files(full: Path, tmp_path: Path) -> None:
-    """All figures and the page; from the runs' folders and from the tables of them alike."""
-    tables, stems = tmp_path / "tables", [spec.stem for spec in FIGURES]
-    write_runs(tables, read_runs(full))
-    shutil.copyfile(full / TRACE_FILE, tables / TRACE_FILE)
-    pages = []
-    for source, ending in ((full, "png"), (tables, "svg")):
-        results, out = read_results(source), tmp_path / ending
-        lacking = write_figures(results, out, [ending])
-        assert lacking == {stem: [] for stem in stems}
-        pages.append(write_page(results, out, lacking, [ending]).read_text())
-        assert {path.name for path in out.iterdir()} == {*(f"{stem}.{ending}" for stem in stems), "summary.md"}
-        assert all(f"![{stem}]({stem}.{ending})" in pages[-1] for stem in stems)
-    assert pages[0] == pages[1].replace(".svg", ".png")
-    assert "| Wurtz RxN | PPO | 2 | 1,000 | 0.525 " in pages[0]
 
 
 def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:

@@ -19,7 +19,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.materials import DataError
 from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
-from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
+from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_costs, named_events
 from chemlab.physics.chemistry import AMOUNTS, CLOCK
@@ -156,23 +156,6 @@ def test_a_kernel_is_the_same_operation(tmp_path: Path) -> None:
 # -- everywhere the same ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("members", "threads"), [(1, 1), (3, 2), (7, 3)])
-def test_a_batch_of_benches_plays_what_one_plays(members: int, threads: int) -> None:
-    batch = RoleVectorEnv(members, FILE, bench="ext", autoreset_mode="Disabled", threads=threads)
-    singles = [RoleEnv(FILE, bench="ext") for _ in range(members)]
-    seen, _ = batch.reset(seed=5)
-    np.testing.assert_array_equal(seen, [env.reset(seed=5 + i)[0] for i, env in enumerate(singles)])
-    rng = np.random.default_rng(0)
-    for _ in range(12):
-        actions = rng.integers(0, END, members)
-        seen, rewards, _, _, infos = batch.step(actions)
-        played = [env.step(action) for env, action in zip(singles, actions, strict=True)]
-        np.testing.assert_array_equal(seen, [step[0] for step in played])
-        np.testing.assert_array_equal(rewards, [step[1] for step in played])
-        np.testing.assert_array_equal(infos["cost"], [step[4]["cost"] for step in played])
-    batch.close()
-
-
 def test_pictures_and_text() -> None:
     env = raw_env(FILE, render_mode="ansi")
     env.reset(seed=0)
@@ -196,21 +179,6 @@ def test_another_process_finds_the_files(tmp_path: Path) -> None:
     code = "import pickle; print([float(e.step(0)[1]) for e in pickle.load(open('envs', 'rb'))])"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str([float(each.step(0)[1]) for each in env])
-
-
-@pytest.mark.slow
-def test_vectors_of_processes() -> None:
-    vectors = pytest.importorskip("stable_baselines3.common.vec_env")
-    made = vectors.SubprocVecEnv([lambda: RoleEnv(FILE, bench="ext")] * 2, start_method="spawn")
-    try:
-        made.seed(7)
-        seen = made.reset()
-        alone = RoleEnv(FILE, bench="ext")
-        np.testing.assert_array_equal(seen[1], alone.reset(seed=8)[0])
-        _, rewards, _, _ = made.step(np.array([A_TENTH, A_QUARTER]))
-        assert rewards[1] == alone.step(A_QUARTER)[1]
-    finally:
-        made.close()
 
 
 # -- mistakes -----------------------------------------------------------------------------------------------------
@@ -302,37 +270,26 @@ def test_a_file_that_does_not_run_is_named(tmp_path: Path) -> None:
         ("EVAPORATE", "GREEDY", r"GREEDY: act\(\) has left amounts that are negative"),
         ("EVAPORATE", "LAWLESS", r"LAWLESS: legal\(\): AttributeError: .*no_such_field"),
         ("concentrate", "nothing", r"ext.reward: my_parts.py:nothing: must be finite; given nan at \[0\]"),
+        (
+            "REFRACTOMETER",
+            "LAMP",
+            r"my_parts.py:LAMP: read\(\): must be from 0 to 1: .* given 1.5 at \[0\]",
+        ),
+        ("REFRACTOMETER", "BROKEN_LAMP", r"BROKEN_LAMP: read\(\): must be from 0 to 1: .* given nan"),
+        ("REFRACTOMETER", "RENAMED", "RENAMED: channel.* must return a Channel named 'refractometer'"),
         ("concentrate", "scalar", r"ext.reward: my_parts.py:scalar: must have shape \(1,\), given shape \(1, 1\)"),
     ],
 )
-def test_what_a_part_of_a_bench_does_wrong_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:
+def test_what_a_part_does_wrong_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:
     path = copied(tmp_path, f"my_parts.py:{old}", f"my_parts.py:{new}", MISTAKES)
 
     def play() -> None:
         env = RoleEnv(path, bench="ext")
         env.reset(seed=0)
         env.step(A_TENTH)
-
-    with pytest.raises(PartError, match=says) as caught:
-        play()
-    assert str(path) in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "says"),
-    [
-        ("LAMP", r"refractometer: my_parts.py:LAMP: read\(\): must be from 0 to 1: .* given 1.5 at \[0\]"),
-        ("BROKEN_LAMP", r"BROKEN_LAMP: read\(\): must be from 0 to 1: .* given nan"),
-        ("RENAMED", "RENAMED: channel.* must return a Channel named 'refractometer'"),
-    ],
-)
-def test_what_an_instrument_does_wrong_is_named(tmp_path: Path, name: str, says: str) -> None:
-    path = copied(tmp_path, "my_parts.py:REFRACTOMETER", f"my_parts.py:{name}", MISTAKES)
-
-    def play() -> None:
-        env = raw_env(path)
-        env.reset(seed=0)
-        env.step(env.laboratories.actions.encode("measure", 0, "refractometer"))
+        whole = raw_env(path)
+        whole.reset(seed=0)
+        whole.step(whole.laboratories.actions.encode("measure", 0, "refractometer"))
 
     with pytest.raises(PartError, match=says) as caught:
         play()

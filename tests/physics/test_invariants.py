@@ -27,7 +27,6 @@ from chemlab.physics.chemistry import AIR, AMOUNTS, CAPACITY, CLOCK, PRESENT, RO
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX, Shelf
 from chemlab.physics.thermal import pressure
 
-FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 RUNNING = 0
@@ -353,100 +352,3 @@ class TestTwoVessels(TwoVessels.TestCase):
     """Runs the state machine."""
 
     settings = settings(max_examples=60, stateful_step_count=25)
-
-
-# -- batch invariance ---------------------------------------------------------------------------------------------
-
-
-def choose(laboratories: Laboratories, agent: int, members: IntArray, rngs: list[np.random.Generator]) -> npt.NDArray:
-    """An action for each member, from the member's own generator and mask alone."""
-    mask = laboratories.mask(agent, members)
-    if mask is None:
-        size = laboratories.action_space(agent).shape
-        return np.array([rngs[m].random(size) for m in members])
-    actions = []
-    for row, m in zip(mask, members, strict=True):
-        legal = np.flatnonzero(row) if rngs[m].random() < 0.9 else np.arange(len(row))
-        actions.append(legal[int(rngs[m].random() * len(legal))])
-    return np.array(actions)
-
-
-def one_turn(laboratories: Laboratories, rngs: list[np.random.Generator]) -> None:
-    turns = laboratories.state.cursor + 1
-    for agent in range(len(laboratories.agents)):
-        members = np.flatnonzero((turns == agent) & (laboratories.state.status == RUNNING))
-        if len(members):
-            laboratories.act(agent, members, choose(laboratories, agent, members, rngs))
-    over = np.flatnonzero(laboratories.state.status != RUNNING)
-    if len(over):
-        laboratories.reset(over)
-
-
-@pytest.mark.parametrize("scenario", ["wurtz_any", "fictitious"])
-def test_a_laboratory_does_not_notice_its_neighbours(scenario: str) -> None:
-    """Member i of a batch seeded s is bit for bit the single laboratory seeded s, in every array and observation."""
-    seeds = [100, 7, 31, 4, 55, 6, 9]
-    batch = Laboratories(scenario, len(seeds))
-    for member, seed in enumerate(seeds):
-        batch.seed(member, seed)
-    batch.reset(batch.members)
-    rngs = [np.random.default_rng(seed) for seed in seeds]
-    chosen = (0, 4, 6)
-    singles, own = {}, {}
-    for member in chosen:
-        singles[member] = Laboratories(scenario, 1)
-        singles[member].seed(0, seeds[member])
-        singles[member].reset(singles[member].members)
-        own[member] = [np.random.default_rng(seeds[member])]
-    for turn in range(150):
-        one_turn(batch, rngs)
-        for member in chosen:
-            one_turn(singles[member], own[member])
-        if turn % 10 == 0 or turn == 149:
-            state = batch.snapshot()
-            for member, single in singles.items():
-                for together, alone in zip(state, single.snapshot(), strict=True):
-                    np.testing.assert_array_equal(together[member], alone[0])
-                for agent in range(len(batch.agents)):
-                    seen = batch.observe(agent, np.array([member]))
-                    np.testing.assert_array_equal(seen, single.observe(agent, np.array([0])))
-    assert batch.state.ticks.max() > 0
-
-
-def play_arena(bench: str, seeds: list[int]) -> tuple[list[FloatArray], list[FloatArray]]:
-    """(observations and scores of a few experiments, final arrays), members first in every array."""
-    batch = ExperimentBatch("wurtz_dodecane", bench, len(seeds))
-    for member, seed in enumerate(seeds):
-        batch.seed(member, seed)
-    rngs = [np.random.default_rng(seed) for seed in seeds]
-    batch.reset(batch.members)
-    seen: list[FloatArray] = []
-    for _ in range(45):
-        seen.append(batch.observe())
-        if bench == "rxn":
-            actions = np.array([rng.random(batch.bench.action_space.shape) for rng in rngs])
-        else:
-            legal = [np.flatnonzero(mask) for mask in batch.mask()]
-            actions = np.array(
-                [choice[int(rng.random() * len(choice))] for choice, rng in zip(legal, rngs, strict=True)]
-            )
-        batch.act(actions)
-        over = np.flatnonzero(batch.experiments.ended)
-        scores = np.zeros(len(seeds))
-        if len(over):
-            scores[over] = batch.finish(over)
-            batch.reset(over)
-        seen.append(scores)
-    return seen, [batch.shelf.vessels, batch.shelf.stock, batch.shelf.waste, *batch.experiments.arrays()]
-
-
-@pytest.mark.parametrize("bench", ["rxn", "ext", "dit"])
-def test_an_experiment_does_not_notice_its_neighbours(bench: str) -> None:
-    """The same seed is the same experiments, bit for bit, in a batch of 1, 7 and 64."""
-    seeds = [900 + 13 * i for i in range(64)]
-    seen, state = play_arena(bench, seeds)
-    assert any((a[0] != a[1]).any() for a in state)  # neighbours do differ
-    for size, first in ((7, 0), (1, 5)):
-        some, final = play_arena(bench, seeds[first : first + size])
-        for large, small in zip([*seen, *state], [*some, *final], strict=True):
-            np.testing.assert_array_equal(large[first : first + size], small)

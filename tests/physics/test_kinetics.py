@@ -12,7 +12,6 @@ from helpers import Glassware, molar_volume, network_table
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
-from scipy.linalg import null_space
 
 from chemlab.kernels.tables import Table
 from chemlab.physics.chemistry import AMOUNTS, Chemistry
@@ -209,17 +208,6 @@ def test_robertson_like_network_agrees_with_an_implicit_solver() -> None:
     reference = scipy_amounts(scheme, [1.0, 0.0, 0.0], 1.0, 5.0, "Radau")
     assert run(scheme, [1.0, 0.0, 0.0], 1.0, 5.0, DEFAULT) == pytest.approx(reference, abs=2e-3)
     assert run(scheme, [1.0, 0.0, 0.0], 1.0, 5.0, (1e-7, 1e-10)) == pytest.approx(reference, abs=1e-6)
-
-
-@given(problems(decades=(-1.5, 4.0)), st.sampled_from([DEFAULT, (1e-1, 1e-2)]))
-@settings(max_examples=150)
-def test_conservation_and_positivity(problem: Problem, tolerance: tuple[float, float]) -> None:
-    """Every linear invariant of the network holds to 1e-12 and no amount is negative, even at careless tolerances."""
-    result = run(problem.scheme, problem.amounts, problem.volume, problem.dt, tolerance)
-    assert np.isfinite(result).all()
-    assert result.min() >= 0.0
-    invariants = null_space(problem.scheme.stoichiometry)
-    np.testing.assert_allclose(result @ invariants, problem.amounts @ invariants, rtol=0.0, atol=1e-12 * 10.0)
 
 
 # -- the Wurtz facts ----------------------------------------------------------------------------------------------

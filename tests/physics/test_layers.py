@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import PIXELS, Glassware, four_solvents, molar_volume
-from hypothesis import event, example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from chemlab.physics.chemistry import CAPACITY, CLOCK, PRESENT
+from chemlab.physics.chemistry import CLOCK, PRESENT
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 from chemlab.physics.stratification import camera
 
@@ -21,16 +21,6 @@ FloatArray = npt.NDArray[np.float64]
 GLASS = Glassware("wurtz_dodecane", 1)
 FOUR = Glassware(four_solvents(), 1)
 FICTITIOUS = Glassware("fictitious", 1)
-LIQUIDS = [
-    "water",
-    "diethyl_ether",
-    "1-chlorohexane",
-    "2-chlorohexane",
-    "3-chlorohexane",
-    "dodecane",
-    "5-methylundecane",
-    "4,5-diethyloctane",
-]
 
 
 def densities(glass: Glassware, names: list[str]) -> list[float]:
@@ -90,23 +80,6 @@ clocks = st.one_of(
 )
 
 
-@given(st.dictionaries(st.sampled_from([*LIQUIDS, "NaCl", "NaOH"]), amounts, max_size=8), fullness, clocks)
-@example({}, 1.0, -1.0)  # only air
-@example({"NaCl": 2.0, "NaOH": 1.0}, 0.7, 0.0)  # only solids and air
-@example({"NaCl": 2.0}, 1.0, 0.0)  # only solids
-@example({"NaCl": 1.0, "water": 1e-9, "diethyl_ether": 1.0}, 1.0, 2.0)  # a layer of a thousandth of a thousandth pixel
-@example(dict.fromkeys(LIQUIDS[2:], 0.5), 1.0, 1.0)  # many layers, full vessel
-@example({"2-chlorohexane": 1.0, "3-chlorohexane": 2.0}, 0.6, 3.0)  # equal densities
-@settings(max_examples=300)
-def test_profile_conserves_volume(contents: dict[str, float], full: float, clock: float) -> None:
-    """Pixels are shared out whole, each layer gets its share of the vessel, densest lowest: any vessel, any clock."""
-    litres = sum(mol * molar_volume(GLASS.scenario, name) for name, mol in contents.items())
-    if litres < 1e-6:
-        litres, contents = 1.0, {}  # a vessel for next to nothing is filled with air
-    event("solvents" if {"water", "diethyl_ether"} & set(contents) else "no solvent")
-    check_profile(GLASS, contents, litres / full, clock)
-
-
 @given(
     st.dictionaries(
         st.sampled_from(["water", "diethyl_ether", "hexane", "ethyl_acetate", "dodecane", "1-chlorohexane", "NaCl"]),
@@ -140,23 +113,6 @@ def test_profile_conserves_volume_with_thin_layers(mol: tuple[float, ...], capac
     """The same where layers thinner than a pixel lie between thick ones, with sharp boundaries."""
     contents = {name: amount for name, amount in zip("IHEGFBCAD", mol, strict=True) if amount}
     check_profile(FICTITIOUS, contents, capacity, clock)
-
-
-@pytest.mark.slow
-def test_profile_conserves_volume_in_a_sweep() -> None:
-    """The same for 4000 random vessels of up to nine liquids from traces to moles, many of them nearly settled."""
-    rng = np.random.default_rng(11)
-    for _ in range(4000):
-        names = rng.permutation(list("ABCDEFGHI"))[: rng.integers(2, 10)]
-        lowest = rng.choice([-11.0, -4.0, -2.0])
-        contents = {str(name): float(10.0 ** rng.uniform(lowest, 0.6)) for name in names}
-        litres = sum(mol * molar_volume(FICTITIOUS.scenario, name) for name, mol in contents.items())
-        clock = CLOCK_SETTLED - min(10.0 ** rng.uniform(-8.0, 0.8), CLOCK_SETTLED - T_MIX)
-        FICTITIOUS.fill(0, contents, litres / rng.choice([1.0, 0.7, 0.1]), clock=clock)
-        found, shares = FICTITIOUS.profile(0)
-        expected = [FICTITIOUS.volume(0, name) / FICTITIOUS.rows[0, CAPACITY] for name in found[1:-1]]
-        np.testing.assert_allclose(shares.sum(axis=0), 1.0, rtol=0.0, atol=1e-9)
-        np.testing.assert_allclose(shares[1:-1].mean(axis=1), expected, rtol=0.0, atol=1e-9)
 
 
 def test_fully_mixed_vessel_shows_the_same_fluid_everywhere() -> None:

@@ -7,8 +7,6 @@ import math
 import numpy as np
 import pytest
 from helpers import Glassware, four_solvents, molar_volume
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from chemlab.physics.chemistry import CLOCK, CLOCK_WAS
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
@@ -159,67 +157,6 @@ def test_what_would_be_negative_is_clipped_and_the_rest_scaled() -> None:
 
 
 # -- conservation -------------------------------------------------------------------------------------------------
-
-move = st.tuples(
-    st.sampled_from(["settle", "mix", "add", "pour back", "drain"]),
-    st.floats(0.001, 1.0),
-    st.sampled_from([*SOLVENTS, "dodecane", "1-chlorohexane"]),
-)
-
-
-@given(
-    st.dictionaries(st.sampled_from(SOLVENTS), st.floats(0.01, 5.0), min_size=1),
-    st.lists(move, min_size=1, max_size=12),
-)
-@settings(max_examples=150)
-def test_every_solute_is_conserved(contents: dict[str, float], moves: list[tuple[str, float, str]]) -> None:
-    """Through any sequence of operations solutes are neither lost nor made (1e-12), and none is negative."""
-    glass = Glassware(FOUR.scenario, 2)
-    glass.fill(0, {**contents, "dodecane": 0.2, "3-chlorohexane": 0.05, "Na+": 0.1, "Cl-": 0.06, "OH-": 0.04}, 1.5)
-    glass.partition(0)
-    solutes = [glass.index(name) for name in glass.layout.dissolved]
-    solvents = [glass.index(name) for name in glass.layout.solvents]
-    totals = glass.shelf.total()[0].copy()
-    for kind, size, material in moves:
-        if kind == "settle":
-            glass.turn(0, 5.0 * size)
-        elif kind == "mix":
-            glass.turn(0, -5.0 * size)
-        elif kind == "add":
-            glass.add(0, material, 3.0 * size)
-            totals[glass.index(material)] += 3.0 * size
-        elif kind == "pour back":
-            glass.pour(1, 0, size)
-        else:
-            glass.drain(0, 1, 100.0 * size)
-        for position in (0, 1):
-            glass.partition(position)
-            dissolved, amounts = glass.dissolved(position), glass.amounts(position)
-            assert dissolved.min() >= 0.0
-            if amounts[solvents].max() > 1e-12:
-                np.testing.assert_allclose(dissolved.sum(axis=1), amounts[solutes], rtol=1e-12, atol=1e-15)
-        np.testing.assert_allclose(glass.shelf.total()[0], totals, rtol=1e-12, atol=1e-15)
-
-
-@given(
-    st.dictionaries(st.sampled_from(SOLVENTS), st.floats(1e-6, 5.0), min_size=2),
-    st.lists(st.floats(0.0, 1.0), min_size=4, max_size=4).filter(lambda parts: sum(parts) > 0.01),
-    st.floats(T_MIX, CLOCK_SETTLED),
-    st.floats(T_MIX, CLOCK_SETTLED),
-)
-def test_no_solvent_ever_holds_less_than_nothing(
-    contents: dict[str, float], parts: list[float], was: float, clock: float
-) -> None:
-    """From any distribution and between any two clocks: nothing negative, everything there."""
-    row = FOUR.fill(0, {**contents, "dodecane": 0.3}, 3.0, clock=clock)
-    row[CLOCK_WAS] = was
-    k = FOUR.layout.dissolved.index("dodecane")
-    FOUR.dissolved(0)[k] = 0.3 * np.array(parts) / sum(parts)
-    FOUR.partition(0)
-    assert FOUR.dissolved(0)[k].min() >= 0.0
-    assert FOUR.dissolved(0)[k].sum() == pytest.approx(0.3, rel=1e-12)
-    absent = [FOUR.layout.solvents.index(name) for name in SOLVENTS if name not in contents]
-    assert (FOUR.dissolved(0)[k, absent] == 0.0).all()
 
 
 @pytest.mark.parametrize("trace", [5e-324, 1e-311, 1e-200])

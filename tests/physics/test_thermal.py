@@ -196,14 +196,6 @@ def test_cooling_stops_at_the_coolant() -> None:
     assert glass.rows[0, TEMPERATURE] == 280.0
 
 
-def test_cooling_by_a_little() -> None:
-    """Above the coolant T falls by Q / C."""
-    glass = still({"water": 3.0}, temperature=320.0)
-    capacity = glass.heat_capacity(0) + open_air(glass, 0)
-    assert glass.heat(0, 1, -500.0) == (pytest.approx(-500.0, rel=1e-12), 0.0)
-    assert glass.rows[0, TEMPERATURE] == pytest.approx(320.0 - 500.0 / capacity, rel=1e-14)
-
-
 def test_heating_an_empty_vessel_is_an_event_and_nothing_else() -> None:
     """No contents: one dry-heating event, no heat taken, no bit changed; cooling it or 0 J is not even an event."""
     glass = still({})

@@ -10,7 +10,6 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterator
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +31,6 @@ from chemlab.render.animation import animation
 from chemlab.render.draw import draw
 from chemlab.render.replay_page import replay_data, replay_page
 from chemlab.render.scene import laboratory_scene
-from chemlab.roles.manager_actions import KINDS
 
 runner = CliRunner()
 
@@ -99,17 +97,6 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
         assert agent == "manager_0" or sum(scores) == pytest.approx(total, abs=1e-5)
 
 
-def test_bars_have_names(episode: Path) -> None:
-    labs = Laboratories("wurtz_dodecane", 1)
-    data = replay_data(read_record(episode))
-    for name, channel, kind in zip(
-        labs.instruments.names, labs.instruments.channels, labs.instruments.kinds, strict=True
-    ):
-        assert (name in data["analytes"]) == (kind.picture == "bars")
-        if kind.picture == "bars":
-            assert len(data["analytes"][name]) == channel.size
-
-
 def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
     data = replay_data(read_record(episode))
     decisions = [turn for turn in data["turns"] if turn["kind"]]
@@ -117,12 +104,6 @@ def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
     assert decisions[0]["plays"] == [[0, "start rxn_0 on slot 0, goal dodecane"]]
     assert re.search(r"\d\.\d{3} mol dodecane at purity", decisions[-1]["outcome"])
     assert any("dodecane" in turn["outcome"] for turn in decisions if turn["kind"] == "measure")
-
-
-def test_every_kind_of_the_managers_actions_has_a_mark_on_the_timeline() -> None:
-    page = files("chemlab.render").joinpath("replay.html").read_text(encoding="utf-8")
-    marks = page.partition("const MARKS = {")[2].partition("};")[0]
-    assert [kind for kind in KINDS if f'{kind}: ["M' not in marks] == []
 
 
 @pytest.mark.parametrize("name", ["fictitious", "wurtz_two_lines"])
@@ -325,19 +306,6 @@ def turn(page: Any) -> int:
     assert found is not None
     assert scrub == found[1]
     return int(found[1])
-
-
-def test_a_long_episode_is_drawn(browser: Any, tmp_path: Path) -> None:
-    """How long that takes: ``studies/speed/replay.py``."""
-    found = read_record(record(tmp_path / "long.jsonl", "wurtz_any", "random", 5))
-    assert found.turns[-1]["tick"] > 100
-    path = tmp_path / "long.html"
-    path.write_text(replay_page(found), encoding="utf-8")
-    page = browser.new_page()
-    page.goto(path.as_uri())
-    page.wait_for_selector("#slots svg")
-    assert int(page.get_attribute("#scrub", "max")) == len(found.turns)
-    page.close()
 
 
 def test_scrubbing_shows_other_turns(page: Any, episode: Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from helpers import FEATURED, laboratory, manager, mapping, molar_volume
-from moments import EVERY_BENCH, episode, filled
+from moments import episode, filled
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
@@ -23,7 +23,6 @@ from chemlab.render.scene import (
     material_pictures,
     visible_scene,
 )
-from chemlab.sandbox import Flask
 
 WURTZ = load_scenario("wurtz_any")
 
@@ -173,17 +172,6 @@ def test_every_chromatograph_names_its_own_bars() -> None:
     assert kelvin == pytest.approx(vessel.temperature_k)
 
 
-def test_a_single_vessel_has_a_scene() -> None:
-    flask = Flask({"water": 10.0, "hexane": 1.0, "NaCl": 0.1}, capacity_l=0.5)
-    scene = flask.scene()
-    assert scene.kind == "vessel"
-    assert scene.largest_capacity_l == 0.5
-    vessel = scene.shelf[0].vessel
-    assert vessel is not None
-    assert [layer.material for layer in vessel.layers] == ["aqueous", "organic"]
-    assert sum(layer.volume_l for layer in vessel.layers) == pytest.approx(flask.volume_l, rel=1e-6)
-
-
 def test_costs_stock_and_waste_are_the_laboratorys() -> None:
     labs = filled({"diethyl_ether": 4.0})
     labs.shelf.stock[0, labs.shelf.layout.index("Na")] -= 2.0
@@ -199,19 +187,6 @@ def test_costs_stock_and_waste_are_the_laboratorys() -> None:
     assert scene.result == pytest.approx(-sum(costs.values()))
     bottle = next(bottle for bottle in scene.stock if bottle.material == "Na")
     assert (bottle.mol, bottle.full_mol) == (1.0, 3.0)
-
-
-def test_every_laboratory_has_a_scene_of_its_own() -> None:
-    many, one = Laboratories("wurtz_any", 3), Laboratories("wurtz_any")
-    for member in range(3):
-        many.seed(member, member)
-    many.reset(many.members)
-    one.seed(0, 2)
-    one.reset(one.members)
-    many.act(0, np.array([2]), np.array([many.actions.encode("start", "rxn_0", 1, "dodecane")]))
-    one.act(0, np.array([0]), np.array([one.actions.encode("start", "rxn_0", 1, "dodecane")]))
-    assert laboratory_scene(many, 2) == laboratory_scene(one, 0)
-    assert laboratory_scene(many, 1).shelf[1].vessel is not None
 
 
 # -- nothing changes, everything can be told ----------------------------------------------------------------------
@@ -230,17 +205,6 @@ def test_a_look_changes_nothing(name: str) -> None:
             np.testing.assert_array_equal(array, kept)
 
     play_episode(env, make_policies("random", labs, 3), 3, watch=watch)
-
-
-@pytest.mark.parametrize(("name", "key"), EVERY_BENCH)
-def test_a_look_at_a_bench_changes_nothing(name: str, key: str) -> None:
-    batch = ExperimentBatch(name, key)
-    batch.seed(0, 0)
-    batch.reset(batch.members)
-    before = [array.copy() for array in batch.arrays()]
-    bench_scene(batch)
-    for array, kept in zip(batch.arrays(), before, strict=True):
-        np.testing.assert_array_equal(array, kept)
 
 
 @pytest.mark.parametrize(("name", "policy"), [("refine", "scripted"), ("wurtz_two_lines", "random")])
