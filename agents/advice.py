@@ -15,8 +15,6 @@ import numpy.typing as npt
 from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 
-__all__ = ["AdvisedPolicy", "Advisor", "with_advice"]
-
 
 def with_advice(observation: ObservationArray, advice: IntArray, actions: int) -> ObservationArray:
     """Append hints to observations: [B, size + actions], with a one-hot code of each hinted action."""

@@ -15,8 +15,6 @@ from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from .policies import agent_policy
 from .roles import role_of
 
-__all__ = ["Background", "background_players", "role_env", "role_vector_env"]
-
 Background = str | Mapping[str, Any]
 """Policies of the other agents: a policy's name for all, or a name, policy, model or function by agent or role;
 others are scripted.

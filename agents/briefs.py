@@ -16,8 +16,6 @@ from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import position_words
 from chemlab.roles.bench import Bench
 
-__all__ = ["brief", "opaque_names"]
-
 _ACTUATORS = {"stir": "stirring", "heat": "heating"}
 _FEW = 2
 """Largest number of goals that a manager's introduction lists apart from the reactions."""

@@ -42,8 +42,6 @@ from chemlab.record import Record, read_record, recorded_scenario, scenario_hash
 from chemlab.render.history import Look, Move, RecordReplay
 from chemlab.roles.manager_state import RUNNING
 
-__all__ = ["Dataset", "Demonstration", "demonstrations", "write_datasets"]
-
 
 @dataclass
 class Demonstration:

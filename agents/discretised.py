@@ -11,8 +11,6 @@ from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.discrete import Discretised
 
-__all__ = ["ChoosingPolicy", "NearestPolicy"]
-
 
 class _Adapter:
     """Base class of adapters; memory and random numbers are those of the wrapped policy."""

@@ -18,8 +18,6 @@ from chemlab.lab.text import action_words
 from chemlab.record import Play, Recorder
 from chemlab.roles.manager_state import COST_ITEMS, LIMIT, STATUS_WORDS
 
-__all__ = ["EpisodeResult", "Played", "PlayedTurn", "play_bench", "play_episode", "play_laboratory"]
-
 _TRACE_MOL = 1e-6
 _TRACE_EVENT = 1e-9
 

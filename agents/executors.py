@@ -35,8 +35,6 @@ from typing import Any, ParamSpec, Protocol, TypeVar
 import chemlab
 from chemlab.config.parts import strangers_code, trust
 
-__all__ = ["ATTEMPTS", "Inline", "WorkerLost", "Workers", "completed", "connected", "executor", "run_chemlab"]
-
 ATTEMPTS = 3
 """Maximum number of attempts per job."""
 _SLURM_AT_A_TIME = 64

@@ -5,8 +5,6 @@ from __future__ import annotations
 import re
 import sys
 
-__all__ = ["GREEDY", "SAMPLED", "current_name", "split_way"]
-
 GREEDY, SAMPLED = "greedy", "sampled"
 """Ways to play a learned policy: its most probable action, or an action drawn from its distribution."""
 

@@ -23,8 +23,6 @@ from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import RoleText, Shades, action_words, folded_lines, position_words
 from chemlab.roles.bench import Bench, channel_slices
 
-__all__ = ["HumanPolicy", "Left", "LetterShades", "Menu", "parse_numbers", "sparkline"]
-
 _FLAT = 12
 """Maximum number of actions that are listed individually; more are grouped."""
 _BLOCKS, _PLAIN = " ▁▂▃▄▅▆▇█", " .:-=+*#@"

@@ -12,8 +12,6 @@ from inspect_ai.tool import Tool, ToolDef, ToolError, ToolParams
 
 from .seats import Room
 
-__all__ = ["laboratory", "play_seats", "raw_score"]
-
 
 # inspect_ai prefixes the package of modules in site-packages, not that of an editable install with another name.
 @task(name="laboratory" if "-packages" in __file__ else "chemlab/laboratory")

@@ -18,8 +18,6 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["LEARNERS", "load_learner", "save_learner"]
-
 LEARNERS: dict[str, Any] = {
     "ppo": PPO,
     "a2c": A2C,

@@ -12,8 +12,6 @@ from typing import Any
 
 from chemlab.config.files import locked
 
-__all__ = ["LEDGER", "append_entry", "ended_episodes", "read_ledger"]
-
 LEDGER = "ledger.jsonl"
 """Name of the file."""
 

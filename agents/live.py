@@ -37,8 +37,6 @@ from .policies import agent_policy
 from .seats import Reply, Room, ToolError
 from .verbs import Verb
 
-__all__ = ["LOCAL", "SPEEDS", "Live", "live_app", "live_server"]
-
 SPEEDS = (1, 2, 6, 15, 40, 60)
 """Turns a second."""
 LOCAL = ("127.0.0.1", "localhost")

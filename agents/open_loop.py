@@ -31,19 +31,6 @@ from chemlab.roles.manager_view import order_channels
 
 from .former_names import current_name
 
-__all__ = [
-    "ConstantPlan",
-    "Context",
-    "Plan",
-    "PlanFile",
-    "Playback",
-    "all_contexts",
-    "load_plans",
-    "plan_file",
-    "plan_for",
-    "stored_plans",
-]
-
 Context = tuple[str, ...]
 """The goal of every order, on which a plan may depend."""
 

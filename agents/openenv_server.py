@@ -10,8 +10,6 @@ from openenv.core.env_server.types import Observation, State
 
 from .seats import Room
 
-__all__ = ["SeatEnvironment", "seat_app"]
-
 
 class SeatEnvironment(Environment):
     """A seat of a room of its own; the reward is the score at the end.

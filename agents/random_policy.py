@@ -11,8 +11,6 @@ from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationA
 from chemlab.kernels.jit import kernel
 from chemlab.kernels.rng import uniform
 
-__all__ = ["RandomPolicy"]
-
 
 @kernel
 def _draw_legal(mask: MaskArray, members: IntArray, stream: StreamArray, out: IntArray) -> None:

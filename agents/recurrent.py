@@ -20,8 +20,6 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["MaskedLstmPolicy"]
-
 _NEVER = -1e8
 """Logit of illegal actions; finite, because padding has no legal action."""
 _WIDE = 1_000

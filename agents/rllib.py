@@ -42,8 +42,6 @@ try:
 except ImportError as error:
     raise ImportError(f'training on a cluster needs Ray ({error}): pip install ".[rllib]"') from error
 
-__all__ = ["LaboratoryMultiAgentEnv"]
-
 _SETTINGS = ("scenario", "roles", "background", "rewards", "split")
 
 

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from chemlab.lab.engine import Laboratories
 
-__all__ = ["MANAGER_ROLE", "chosen_roles", "role_of"]
-
 MANAGER_ROLE = "manager"
 
 

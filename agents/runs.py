@@ -36,22 +36,6 @@ from chemlab.config.datafile import DataError, bounded, parse_json, read_json, r
 from chemlab.config.datamodel import validated
 from chemlab.config.files import locked, naming, write_text
 
-__all__ = [
-    "RESULT_SEED",
-    "CurvePoint",
-    "Evaluation",
-    "Run",
-    "RunBusy",
-    "RunConfig",
-    "RunResult",
-    "checked_config",
-    "checked_result",
-    "differences",
-    "find_runs",
-    "to_text",
-    "versions",
-]
-
 RESULT_SEED = 2_000_000
 """Seed of the first episode of the final evaluation; training and intermediate evaluations use other seeds."""
 

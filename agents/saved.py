@@ -14,8 +14,6 @@ from .pretrained import Seed, Workplace, fitted, load_pretrained, pretrained_nam
 from .roles import role_of
 from .runs import Run
 
-__all__ = ["Saved", "find_saved", "is_saved"]
-
 
 @dataclass(frozen=True)
 class Saved:

@@ -29,8 +29,6 @@ try:
 except ImportError as error:
     raise ImportError('chemlab.agents.sb3 needs Stable-Baselines3: pip install ".[train]"') from error
 
-__all__ = ["ChemlabVecEnv"]
-
 Indices = int | Iterable[int] | None
 Infos = list[dict[str, Any]]
 

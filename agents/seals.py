@@ -24,8 +24,6 @@ from chemlab.config.datafile import DataError
 from chemlab.config.files import read_bytes, write_text
 from chemlab.config.parts import may_run
 
-__all__ = ["read_sealed", "seal_file", "state_folder"]
-
 _KEY_BYTES = 32
 _SEAL_BYTES = 1_000
 _MOST_BYTES = 2_000_000_000

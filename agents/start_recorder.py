@@ -16,8 +16,6 @@ from chemlab.lab.starts import SUBMIT, Start
 from .episodes import play_episode
 from .policies import Policy, make_policies, scripted_manager
 
-__all__ = ["record_starts"]
-
 _EXPLORE = 0.1
 _LEAST_MOL = 1e-6
 

@@ -15,8 +15,6 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.operation_bench import OperationBench
 from chemlab.roles.operations import OPERATIONS
 
-__all__ = ["Argument", "ToolError", "Verb", "bench_verbs", "manager_verbs", "number_of", "plain"]
-
 _MOST_TEXT = 60
 """Characters of a given value that an error repeats."""
 

@@ -10,8 +10,6 @@ from pydantic import Field
 
 from .seats import Room, call_of
 
-__all__ = ["Laboratory", "Seats"]
-
 _EXAMPLE = '{"verb": "look", "arguments": {}}'
 
 

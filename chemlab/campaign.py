@@ -25,8 +25,6 @@ from .lab.engine import Laboratories
 from .roles.manager_state import RUNNING
 from .roles.reaction_bench import ReactionBench
 
-__all__ = ["Campaign", "Choice", "Range", "Result"]
-
 _TRACE = 1e-9
 _LEAST = 0.2
 """Least share of what a bench takes at most: the publication's catalyst is 0.5 to 2.5 % (reactions.toml)."""

@@ -30,8 +30,6 @@ from .envs.parallel import parallel_env
 from .physics.chemistry import element_matrix
 from .record import Play, Recorder, read_record, verify_record
 
-__all__ = ["CHECKS", "CheckResult", "check_scenario"]
-
 _ROUNDS = 300
 """Most rounds of an episode that a check plays."""
 _ROUNDING = 1e-9

@@ -65,8 +65,6 @@ from .roles.instruments.table import InstrumentTable
 if TYPE_CHECKING:
     from .render.scene import Scene
 
-__all__ = ["Flask", "Heated", "Layer", "Measurement", "Moment", "SpillWarning"]
-
 _PIXELS = 4000
 """Resolution of heights in a drained flask; a real separating funnel is not more precise."""
 _MOST_PARTS = 10_000

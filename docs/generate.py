@@ -708,7 +708,7 @@ def _commands(name: str, found: Any) -> Iterable[tuple[str, Any]]:
 
 
 def _modules() -> list[str]:
-    """Return every public module with ``__all__``."""
+    """Return every public module that defines or re-exports something."""
     found = []
     for package in ("chemlab", "chemlab.agents"):
         # Search only the package's own folder: in a checkout its path contains other folders of the checkout as well.
@@ -722,7 +722,8 @@ def _modules() -> list[str]:
         if (name.startswith(_NEVER_PUBLIC) and name not in _YET_PUBLIC) or "._" in name:
             continue
         spec = importlib.util.find_spec(name)
-        if spec is not None and spec.origin is not None and "__all__" in Path(spec.origin).read_text(encoding="utf-8"):
+        text = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
+        if re.search(r"^(__all__|[A-Z]\w*\b.* = |(def|class) [A-Za-z])", text, re.MULTILINE):
             public.append(name)
     return sorted(public)
 

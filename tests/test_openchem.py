@@ -586,24 +586,6 @@ def test_three_commands_make_a_laboratory_that_scripted_agents_play(acetate: Pat
     assert played["score"] > random["score"] + 0.2
 
 
-@pytest.mark.slow
-def test_an_agent_learns_in_it(acetate: Path) -> None:
-    """From names to a trained agent: without a line written, it makes most of what the script makes."""
-    for package in ("torch", "stable_baselines3"):
-        pytest.importorskip(package, reason=f'{package} is not installed: pip install ".[train]"')
-    lab, trained = acetate.with_name("lab.toml"), acetate.with_name("trained")
-    run("new", "acetate_lab", "--reactions", acetate, "-o", lab)
-    words = ["train", "chemlab/Bench-v1", "--scenario", lab, "--bench", "rxn", "--steps", 40_000]
-    run(*words, "--evaluations", 4, "--eval-episodes", 5, "--final-episodes", 20, "--quiet", "--out", trained)
-    result = json.loads((trained / "result.json").read_text())
-    assert result["mean"] > 0.6 * result["scripted_mean"] > 0.1
-    # And it does its part in the laboratory.
-    played = json.loads(run("run", lab, "--policy", f"scripted,rxn={trained}", "--json").stdout)
-    scripted = json.loads(run("run", lab, "--json").stdout)
-    assert played["submitted_mol"] > 0.5 * scripted["submitted_mol"] > 0.05
-    assert played["purity"] > 0.9
-
-
 def test_what_stays_solid_is_left_behind(tmp_path: Path) -> None:
     # Sodium must not meet water, so nothing is washed: the salt stays in the pot, and the goal is taken over.
     family, lab = tmp_path / "coupling.toml", tmp_path / "lab.toml"

@@ -23,7 +23,6 @@ import chemlab.scenarios
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario, scenario_names
 from chemlab.config.materials import DataError, read_toml
 from chemlab.config.scenario import Scenario
-from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import lab_starts
@@ -528,133 +527,6 @@ def test_only_what_can_happen_here_is_kept() -> None:
     assert len(load_scenario("fictitious").family.reaction) == 5
 
 
-# -- a user's own ---------------------------------------------------------------------------------------------------
-
-MATERIALS = "\n".join(
-    f"""
-[{key}]
-name = "{key}"
-formula = "X"
-composition = {{ X = 1 }}
-molar_mass_g_mol = 100.0
-density_kg_l = {density}
-heat_capacity_j_mol_k = 200.0
-melting_point_k = 250.0
-boiling_point_k = {boiling}
-vaporization_enthalpy_j_mol = 40000.0
-polarity = 0.1
-role = "solute"
-color = "#112233"
-shade = {shade}
-[{key}.source]
-molar_mass_g_mol = "made up"
-density_kg_l = "made up"
-heat_capacity_j_mol_k = "made up"
-melting_point_k = "made up"
-boiling_point_k = "made up"
-vaporization_enthalpy_j_mol = "made up"
-polarity = "made up"
-"""
-    for key, density, boiling, shade in (("goo", 0.9, 450.0, 0.3), ("slime", 0.9, 500.0, 0.6))
-)
-
-RATE = 0.7
-TICK = 0.25
-STEPS = 6
-
-REACTIONS = f"""
-name = "slimy"
-[[reaction]]
-reactants = {{ goo = 1 }}
-products = {{ slime = 1 }}
-pre_exponential = {RATE}
-activation_energy_j_mol = 0.0
-source = "made up"
-"""
-
-SLIME = f"""
-name = "slime"
-title = "Slime from goo"
-summary = "A material and a reaction of one's own."
-material_files = ["goo.toml"]
-reactions = "slimy.toml"
-goals = ["slime"]
-lab_goals = ["slime"]
-theoretical_maximum_mol = {{ slime = 1.0 }}
-stock = {{ goo = 1.0, water = 5.0 }}
-
-[shelf]
-slots = 4
-[[shelf.vessel]]
-capacity_l = 1.2
-contents = {{ hexane = 3.0 }}
-
-[benches.rxn]
-kind = "reaction"
-step_limit = {STEPS}
-reagents = {{ goo = 1.0 }}
-tick = {TICK}
-rtol = 1e-9
-atol = 1e-12
-rated_pressure_kpa = 500.0
-temperature_k = {{ low = 275.0, high = 350.0, step = 15.0 }}
-volume_l = {{ low = 0.6, high = 1.6, step = 0.1 }}
-
-[benches.dit]
-kind = "distillation"
-step_limit = 10
-[[benches.dit.process]]
-kind = "heat"
-vessel = "DV"
-target = "B1"
-magnitudes = [-5, 5, 50]
-[[benches.dit.process]]
-kind = "pour"
-vessel = "B1"
-target = "B2"
-magnitudes = [1]
-
-[limits]
-manager_actions = 30
-ticks = 60
-"""
-
-
-@pytest.fixture
-def slime(tmp_path: Path) -> Path:
-    """A user's folder with a scenario, a material file and a reaction file; the path of the scenario."""
-    (tmp_path / "goo.toml").write_text(MATERIALS)
-    (tmp_path / "slimy.toml").write_text(REACTIONS)
-    (tmp_path / "slime.toml").write_text(SLIME)
-    return tmp_path / "slime.toml"
-
-
-def test_a_users_reaction_follows_its_rate_law(slime: Path) -> None:
-    env = raw_env(slime)
-    env.reset(seed=0)
-    actions = env.laboratories.actions
-    env.step(actions.encode("start", "rxn_0", 0, "slime"))
-    env.step(actions.encode("wait"))
-    for _ in range(STEPS):
-        assert env.agent_selection == "rxn_0"
-        env.step(np.array([0.5, 0.5, 1.0]))
-    # First order, no activation energy: goo left = exp(-k t), whatever the volume and the temperature.
-    left = math.exp(-RATE * TICK * STEPS)
-    vessel = env.laboratories.shelf.vessel(0, 0).amounts()
-    assert vessel["goo"] == pytest.approx(left, rel=1e-6)
-    assert vessel["slime"] == pytest.approx(1.0 - left, rel=1e-6)
-    assert vessel["hexane"] == pytest.approx(3.0, rel=1e-12)
-    assert env.infos["rxn_0"]["score"] == pytest.approx(1.0 - left, rel=1e-6)
-    env.step(actions.encode("submit", 0))
-    mol = 1.0 - left
-    assert env.rewards["manager_0"] == pytest.approx(mol * mol / 4.0, rel=1e-6)  # purity = mol of 4 mol in all
-
-
-def test_the_origin_is_the_users_file(slime: Path) -> None:
-    assert load_scenario(slime).origin == str(slime)
-    assert re.fullmatch(r"\(.*\)", load_scenario(read_toml(Path(load_scenario("fictitious").origin))).origin)
-
-
 # -- files that say only what is different -----------------------------------------------------------------------------
 
 
@@ -668,17 +540,6 @@ def test_a_file_with_a_base_says_only_what_is_different(tmp_path: Path) -> None:
     expected["name"], expected["limits"]["budget"], expected["instruments"]["balance"]["price"] = "dear", 0.5, 0.25
     assert dear.model_dump() == expected
     assert list(dear.instruments) == list(base.instruments), "and the order is the base's"
-
-
-def test_a_base_may_have_a_base_and_files_of_its_own(slime: Path) -> None:
-    folder = slime.parent / "further"
-    folder.mkdir()
-    (folder / "one.toml").write_text('base = "../slime.toml"\nname = "one"\n')
-    (folder / "two.toml").write_text('base = "one.toml"\nname = "two"\n')
-    two, first = load_scenario(folder / "two.toml"), load_scenario(slime)
-    assert two.name == "two"
-    assert list(two.materials) == list(first.materials)
-    assert two.family == first.family
 
 
 def test_pair_files_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
@@ -835,22 +696,6 @@ def test_what_the_shipped_scenarios_say_has_not_changed() -> None:
         return hashlib.sha256(json.dumps(dump_scenario(load_scenario(name))).encode()).hexdigest()[:16]
 
     assert {name: digest(name) for name in scenario_names()} == SHIPPED
-
-
-def test_prices_of_bottles_that_are_not_there_do_not_hinder_restoring(slime: Path) -> None:
-    values = read_toml(slime) | {
-        "material_files": [str(slime.parent / "goo.toml")],
-        "reactions": "salt_water",
-        "goals": ["water"],
-        "lab_goals": ["water"],
-        "theoretical_maximum_mol": {"water": 5.0},
-        "stock": {"water": 5.0},
-        "costs": {"stock_per_mol": {"goo": 1.0}},
-    }
-    del values["benches"]["rxn"]
-    scenario = load_scenario(values)
-    assert "goo" not in scenario.materials
-    assert dump_scenario(restore_scenario(dump_scenario(scenario), "x")) == dump_scenario(scenario)
 
 
 @pytest.mark.parametrize(

@@ -73,11 +73,6 @@ def test_filling_replaces_what_stood_there(shelf: Shelf) -> None:
     assert np.flatnonzero(shelf.vessels[..., CAPACITY]).tolist() == [4]
 
 
-def test_an_unknown_material_cannot_be_filled_in(shelf: Shelf) -> None:
-    with pytest.raises(ValueError, match=r"not in tuple|unknown"):
-        shelf.fill(0, 0, 1.0, {"gold": 1.0})
-
-
 def test_the_settling_clock_runs_from_mixed_to_settled() -> None:
     # PHYSICS section 2: t_mix = -ln(2 sqrt(2 pi)).
     assert pytest.approx(-math.log(2.0 * math.sqrt(2.0 * math.pi)), rel=1e-15) == T_MIX
@@ -94,19 +89,6 @@ def test_total_counts_vessels_bottles_and_waste_of_each_laboratory(shelf: Shelf)
     assert total[1, water] == pytest.approx(10.0 + 1.0 + 4.0 + 0.25, rel=1e-15)
     assert total[1, salt] == pytest.approx(0.5, rel=1e-15)
     assert not total[0].any()
-
-
-def test_the_text_of_a_vessel(shelf: Shelf) -> None:
-    volume = litres("water", 10.0) + litres("diethyl_ether", 2.0) + litres("NaCl", 0.5)
-    kelvin = f"{load_scenario(SCENARIO).ambient_temperature_k:.1f} K"
-    vessel = shelf.vessel(1, 1)
-    contents = "10.000 mol water, 2.000 mol diethyl_ether, 0.500 mol NaCl"
-    assert str(vessel) == f"{volume:.3f} of 1.50 L at {kelvin}: {contents}"
-    assert str(shelf.fill(0, 0, 1.2, {})) == f"0.000 of 1.20 L at {kelvin}: empty"
-    assert str(shelf.vessel(0, 2)) == "(no vessel)"
-    # Traces are left out.
-    shelf.fill(1, 1, 1.5, {"water": 1.0, "NaCl": 1e-5})
-    assert str(vessel).endswith(": 1.000 mol water")
 
 
 @pytest.mark.parametrize("name", scenario_names())

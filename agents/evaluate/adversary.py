@@ -27,8 +27,6 @@ from .plans import SEARCH_SEED, TeamPlan, Trials
 if TYPE_CHECKING:
     from ..train.ppo import PPOTeam
 
-__all__ = ["learned_scores"]
-
 _DONORS = 16
 """Episodes of every context that are cloned."""
 _CHECK_SEED = 4_600_000
@@ -40,7 +38,6 @@ def learned_scores(
     episodes: int,
     seed: int,
     begin: Mapping[Context, TeamPlan] | None = None,
-    split: str = "test",
 ) -> list[float]:
     """Train a team as ``chemlab train SCENARIO --roles all`` does, with its defaults, and score it.
 
@@ -53,7 +50,6 @@ def learned_scores(
         episodes: episode i has seed + i.
         seed: of the first.
         begin: open-loop policies by context that are cloned first; None: training starts from nothing.
-        split: worlds of the episodes.
     """
     import torch
 
@@ -81,7 +77,7 @@ def learned_scores(
         own.network.load_state_dict(best[1][role])
         own.network.eval()
     torch.manual_seed(seed)
-    return _score(team, spec, episodes, seed, split, best[2])
+    return _score(team, spec, episodes, seed, "test", best[2])
 
 
 class _Learned:

@@ -68,17 +68,6 @@ from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, plann
 from .scale import Scale, interval
 from .search import scripted_names
 
-__all__ = [
-    "CRITERIA",
-    "audit",
-    "choosing_jobs",
-    "job_count",
-    "measure_rows",
-    "measuring_jobs",
-    "open_loop_plans",
-    "verdict",
-]
-
 _CHOICE_SEED = 4_500_000
 """Of the first episode that policies are chosen on."""
 _CAREFUL = ("scripted", "scripted:unsafe")

@@ -14,8 +14,6 @@ from chemlab.physics.chemistry import PRESENT
 from chemlab.roles.manager_state import ARRIVES, INSTRUMENTS, WITHIN
 from chemlab.roles.reaction_bench import ReactionBench
 
-__all__ = ["CONTENDED", "Contention"]
-
 CONTENDED = ("bench", "stock", "slot", "instrument", "deadline")
 """Kinds of contention: a kind of bench is all busy while an order has nothing at any bench; a bottle holds less than
 an experiment may take of it; an idle bench cannot be begun on for want of free slots; the budget does not pay for a

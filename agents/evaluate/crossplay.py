@@ -35,8 +35,6 @@ from .benchmark import provenance, reference_jobs
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .scale import Scale, interval
 
-__all__ = ["PARTNERS", "Player", "crossplay", "crossplay_count", "find_players"]
-
 PARTNERS = ("scripted", "scripted:unsafe", "scripted@0.1")
 """Default policies of a side: scripted, unsafe, epsilon-random."""
 _ELSEWHERE = {

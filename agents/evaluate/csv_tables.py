@@ -14,8 +14,6 @@ from typing import Any
 
 from chemlab.config.files import read_bytes, write_bytes
 
-__all__ = ["markdown_table", "number", "read_table", "write_table"]
-
 _TABLE_BYTES, _TABLE_ROWS = 32_000_000, 500_000
 """Of a table, unpacked: several times the curves of a thousand runs."""
 

@@ -15,8 +15,6 @@ from chemlab.render.figure import new_figure
 from ..runs import Evaluation
 from .results import TrainedRun, display_name, read_runs, task_title
 
-__all__ = ["Tasks", "algorithm_style", "average_curves", "draw_curves", "draw_tasks", "group_tasks"]
-
 Tasks = dict[str, dict[str, list[TrainedRun]]]
 """Runs by task and label (:func:`draw_curves` makes the part's title and the legend of them)."""
 

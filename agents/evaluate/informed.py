@@ -34,8 +34,6 @@ from .plans import SEARCH_SEED, Tape, TeamPlan, Trials, drawn_contexts
 from .play import BATCH
 from .search import Search
 
-__all__ = ["informed_scores", "openings"]
-
 _WORLD_SEED = SEARCH_SEED + 500_000
 """Of the first training world in which plans are compared."""
 _RIDGES = (1e-3, 1e-1, 10.0)
@@ -62,7 +60,6 @@ def informed_scores(
     budget: int,
     episodes: int,
     seed: int,
-    split: str = "test",
 ) -> list[float] | None:
     """Score the policy that chooses among plans after an opening.
 
@@ -76,12 +73,11 @@ def informed_scores(
         budget: plans tried in each of these.
         episodes: episode i has seed + i.
         seed: of the first.
-        split: worlds of the episodes.
 
     Returns:
         [episodes] scores; None if the best plan submits nothing before its end, so that there is no such opening.
     """
-    labs = Laboratories(scenario, episodes, split=split)
+    labs = Laboratories(scenario, episodes, split="test")
     scores = np.empty(episodes)
     for context, own in drawn_contexts(labs, seed).items():
         teams = known[context]
@@ -99,7 +95,7 @@ def informed_scores(
             found.append(search.best[0].team)
         plans = [team.after(first) for team in dict.fromkeys(found)]
         learned = _table(scenario, context, plans, first, central, range(_WORLD_SEED, _WORLD_SEED + worlds), "train")
-        played = _table(scenario, context, plans, first, central, [seed + i for i in own], split)
+        played = _table(scenario, context, plans, first, central, [seed + i for i in own], "test")
         scores[own] = played[1][_choice(*learned, played[0]), np.arange(len(own))]
     return [float(score) for score in scores]
 

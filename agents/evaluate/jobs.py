@@ -34,18 +34,6 @@ from .informed import informed_scores
 from .plans import FoundPlan, PlanSearch, Tape, TeamPlan, replay_actions
 from .search import best_in_episode, search_plan
 
-__all__ = [
-    "AUDIT_SEED",
-    "BUDGETS",
-    "AuditBudget",
-    "Crew",
-    "Job",
-    "budget_of",
-    "foreseen",
-    "planner_jobs",
-    "without_instruments",
-]
-
 AUDIT_SEED = 4_000_000
 """Of the first episode that is scored: seeds that neither training nor a search plays."""
 _NO_BUDGET = 1e-9

@@ -30,8 +30,6 @@ from chemlab.record import RecordError, read_record, recorded_scenario, scenario
 from .jobs import AUDIT_SEED
 from .scale import Scale, interval
 
-__all__ = ["LineCheck", "check_leaderboard", "leaderboard_lines", "on_scale", "runs_of", "summary", "write_leaderboard"]
-
 _FILE_BYTES = 50_000_000
 _TOLERANCE = 1e-9
 """Of numbers that are computed again, in units of a score."""

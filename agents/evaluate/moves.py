@@ -18,8 +18,6 @@ from ..open_loop import Context, Plan
 from ..roles import role_of
 from .plans import Tape, TeamPlan
 
-__all__ = ["Moves", "Tried"]
-
 _LONGEST, _LONGEST_FREE = 12, 48
 """Most actions for each order, of the manager alone and of all agents."""
 _OWN_GOAL = 4.0

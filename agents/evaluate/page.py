@@ -12,8 +12,6 @@ from .curves import draw_tasks, group_tasks
 from .results import cells_of, cells_table, read_runs
 from .trained_managers import has_manager
 
-__all__ = ["write_page"]
-
 _NOTE = (
     "Each run's best policy in the evaluation that ended training: mean over runs and interquartile mean with 95 % "
     "t intervals over the seeds of training; a single run has none. Last: mean over runs of the last policy instead. "

@@ -6,7 +6,7 @@ donor's episode. The search for sequences is in :mod:`chemlab.agents.evaluate.se
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,23 +27,6 @@ from ..policies import make_policies
 from ..runs import versions
 from . import statistics
 from .statistics import Estimate
-
-__all__ = [
-    "SEARCH_SEED",
-    "SEEDS",
-    "FoundPlan",
-    "PlanSearch",
-    "Replayed",
-    "Tape",
-    "TapeRecorder",
-    "TeamPlan",
-    "Trials",
-    "drawn_contexts",
-    "plan_words",
-    "recorded_tapes",
-    "replay_actions",
-    "tape_of",
-]
 
 SEARCH_SEED = 3_000_000
 """Of the first episode that plans are tried on: seeds that neither training nor evaluation plays."""
@@ -372,7 +355,6 @@ def replay_actions(
     donors: int = 20,
     episodes: int = 100,
     seed: int = 0,
-    watch: Callable[[int], None] | None = None,
     split: str = "train",
 ) -> Replayed:
     """Play again, without looking, what all agents did in one episode: for each public context the best of some donors.
@@ -387,7 +369,6 @@ def replay_actions(
         donors: episodes to choose from, for each context.
         episodes: episode i has seed + i and the goals that it draws.
         seed: of the first.
-        watch: called with the number of episodes just played.
         split: worlds of the episodes that are scored, where the scenario draws any; donors are from train.
 
     Raises:
@@ -396,10 +377,8 @@ def replay_actions(
     spec = load_scenario(scenario)
     if donors < 1 or episodes < 1:
         raise ValueError(f"replay: needs at least one donor and one episode, given {donors} and {episodes}")
-    told = watch or (lambda _: None)
     labs = Laboratories(spec, episodes, split=split)
     seeing = play_laboratory(labs, _players(policy, labs, seed), None, seed).returns
-    told(episodes)
     blind, best = np.empty(episodes), {}
     for context, own in drawn_contexts(labs, seed).items():
         trials = Trials(spec, context, range(SEARCH_SEED, SEARCH_SEED + donors), 1)
@@ -412,7 +391,6 @@ def replay_actions(
         final = Trials(spec, context, [seed + i for i in own], 1, split)
         blind[own] = final.play_teams([teams[chosen]], _players(policy, final.labs))[0]
         best[context] = SEARCH_SEED + chosen
-        told(donors * (1 + SEEDS) + len(own))
     return Replayed(statistics.mean([blind]), statistics.mean([seeing]), best, blind)
 
 

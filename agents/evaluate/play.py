@@ -26,8 +26,6 @@ from ..saved import is_saved
 from . import statistics
 from .statistics import Estimate
 
-__all__ = ["DRAWN", "Target", "evaluate", "find_target", "notes"]
-
 BATCH = 256
 """Most experiments played at once; results do not depend on it (but those of random policies)."""
 _MOST = 0.5

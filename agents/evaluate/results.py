@@ -31,18 +31,6 @@ from . import statistics
 from .csv_tables import markdown_table, number, read_table, write_table
 from .statistics import interval_text, number_text
 
-__all__ = [
-    "Cell",
-    "Cells",
-    "TrainedRun",
-    "cells_of",
-    "cells_table",
-    "display_name",
-    "read_runs",
-    "task_title",
-    "write_runs",
-]
-
 _SCALARS: dict[str, type] = {
     "label": str,
     "algo": str,
@@ -277,10 +265,10 @@ class Cell:
         known = [mean for run in self.runs if (mean := run.finished.scripted_mean) is not None]
         return float(np.mean(known)) if known else None
 
-    def training_ends(self, window: float = 0.1) -> FloatArray:
-        """[runs] mean training return in the last part of each curve, where it has one."""
+    def training_ends(self) -> FloatArray:
+        """[runs] mean training return in the last tenth of each curve, where it has one."""
         curves = [run.curve for run in self.runs if len(run.curve)]
-        return np.array([c[c[:, 0] >= (1.0 - window) * c[-1, 0], 1].mean() for c in curves])
+        return np.array([c[c[:, 0] >= 0.9 * c[-1, 0], 1].mean() for c in curves])
 
 
 Cells = dict[str, dict[str, Cell]]

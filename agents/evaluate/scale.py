@@ -12,8 +12,6 @@ from chemlab.kernels.arrays import FloatArray
 
 from . import statistics
 
-__all__ = ["Scale", "interval"]
-
 
 class Scale:
     """Statistics of scores on the audit's scale, of all episodes and without each group of them (the jackknife).

@@ -39,8 +39,6 @@ from .plans import (
 )
 from .play import BATCH
 
-__all__ = ["PLAN_BUDGETS", "Search", "best_in_episode", "plan_budget", "scripted_names", "search_plan"]
-
 PLAN_BUDGETS = {"small": 10_000, "full": 100_000}
 """Plans tried in all."""
 NOISE = 0.02

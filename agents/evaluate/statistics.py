@@ -32,20 +32,6 @@ from scipy import optimize, stats
 
 from chemlab.kernels.arrays import FloatArray
 
-__all__ = [
-    "CONFIDENCE",
-    "TIE",
-    "Estimate",
-    "interquartile_mean",
-    "interval_text",
-    "jackknife",
-    "mean",
-    "number_text",
-    "paired_improvement",
-    "performance_profile",
-    "probability_of_improvement",
-]
-
 CONFIDENCE = 0.95
 TIE = 1e-9
 """Returns that differ by less are a tie: rounding is no improvement."""
@@ -101,14 +87,12 @@ def _check_together(strata: Sequence[FloatArray], together: bool) -> None:
 # -- Student's t ------------------------------------------------------------------------------------------------------
 
 
-def _student(value: float, variance: float, freedom: float, confidence: float) -> Estimate:
-    half = float(stats.t.ppf(0.5 + 0.5 * confidence, freedom)) * math.sqrt(variance) if variance > 0.0 else 0.0
+def _student(value: float, variance: float, freedom: float) -> Estimate:
+    half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom)) * math.sqrt(variance) if variance > 0.0 else 0.0
     return Estimate(value, value - half, value + half)
 
 
-def _welch(
-    value: float, strata: Sequence[FloatArray], weights: Sequence[float], freedoms: Sequence[float], confidence: float
-) -> Estimate:
+def _welch(value: float, strata: Sequence[FloatArray], weights: Sequence[float], freedoms: Sequence[float]) -> Estimate:
     """Interval of the sum of weights times means of strata.
 
     Args:
@@ -116,7 +100,6 @@ def _welch(
         strata: samples.
         weights: of each stratum's mean.
         freedoms: degrees of freedom of each stratum's variance.
-        confidence: of the interval.
     """
     if any(stratum.size < 2 for stratum in strata):
         return Estimate(value, None, None)
@@ -127,15 +110,14 @@ def _welch(
     # Of the shares of the variance: the variances themselves may be too small to be squared.
     shares = [variance / whole if whole > 0.0 else 0.0 for variance in variances]
     parts = sum(share**2 / freedom for share, freedom in zip(shares, freedoms, strict=True))
-    return _student(value, whole, 1.0 / parts if parts > 0.0 else 1.0, confidence)
+    return _student(value, whole, 1.0 / parts if parts > 0.0 else 1.0)
 
 
-def mean(strata: Strata, confidence: float = CONFIDENCE, together: bool = False) -> Estimate:
+def mean(strata: Strata, together: bool = False) -> Estimate:
     """Mean over strata of their means, with Student's t interval.
 
     Args:
         strata: samples of each goal, in the unit of a return.
-        confidence: of the interval.
         together: sample i of every stratum is from the same episode or run.
 
     Raises:
@@ -148,10 +130,10 @@ def mean(strata: Strata, confidence: float = CONFIDENCE, together: bool = False)
     if together:
         samples = [np.mean(samples, axis=0)]
     weights = [1.0 / len(samples)] * len(samples)
-    return _welch(value, samples, weights, [stratum.size - 1.0 for stratum in samples], confidence)
+    return _welch(value, samples, weights, [stratum.size - 1.0 for stratum in samples])
 
 
-def interquartile_mean(strata: Strata, confidence: float = CONFIDENCE, together: bool = False) -> Estimate:
+def interquartile_mean(strata: Strata, together: bool = False) -> Estimate:
     """Mean of the middle half of all samples (a quarter, rounded down, is cut off at each end), with the t interval of
     the samples winsorized at these quarters.
 
@@ -169,37 +151,35 @@ def interquartile_mean(strata: Strata, confidence: float = CONFIDENCE, together:
     if together:
         winsorized, weights = [np.mean(winsorized, axis=0)], [1.0 / share]
     freedoms = [max(share * stratum.size - 1.0, 0.5) for stratum in winsorized]
-    return _welch(value, winsorized, weights, freedoms, confidence)
+    return _welch(value, winsorized, weights, freedoms)
 
 
-def jackknife(value: float, without: npt.ArrayLike, confidence: float = CONFIDENCE) -> Estimate:
+def jackknife(value: float, without: npt.ArrayLike) -> Estimate:
     """A smooth statistic of n samples and its t interval with the jackknife's variance (Tukey 1958).
 
     Args:
         value: the statistic of all samples.
         without: [n] the statistic without each sample (or group of samples); of a single one, or where a number is not
             finite, there is no interval.
-        confidence: of the interval.
     """
     left = np.asarray(without, dtype=np.float64)
     n = left.size
     if n < 2 or not np.isfinite(left).all():
         return Estimate(value, None, None)
-    return _student(value, (n - 1) * float(left.var()), n - 1.0, confidence)
+    return _student(value, (n - 1) * float(left.var()), n - 1.0)
 
 
 # -- score intervals --------------------------------------------------------------------------------------------------
 
 
-def _score_interval(share: float, variance: Callable[[float], float], confidence: float) -> Estimate:
+def _score_interval(share: float, variance: Callable[[float], float]) -> Estimate:
     """The interval of a share: the probabilities from which it is at most z standard deviations away.
 
     Args:
         share: the estimate, from 0 to 1.
         variance: of the estimate where the probability is the argument; 0 at 0 and 1.
-        confidence: of the interval.
     """
-    z2 = float(stats.norm.ppf(0.5 + 0.5 * confidence)) ** 2
+    z2 = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) ** 2
 
     def excess(p: float) -> float:
         return (share - p) ** 2 - z2 * variance(p)
@@ -221,16 +201,14 @@ def _mann_whitney(p: float, m: int, n: int) -> float:
     return p * (1.0 - p) * (1.0 + more * ((1.0 - p) / (2.0 - p) + p / (1.0 + p))) / (m * n)
 
 
-def _of_shares(
-    shares: Sequence[float], variances: Sequence[Callable[[float], float]], confidence: float, together: bool
-) -> Estimate:
+def _of_shares(shares: Sequence[float], variances: Sequence[Callable[[float], float]], together: bool) -> Estimate:
     """Mean over strata of shares; the strata are taken to have one probability, where the variance is greatest."""
     k = len(shares)
 
     def variance(p: float) -> float:
         return sum(one(p) for one in variances) / (k if together else k * k)
 
-    return _score_interval(float(np.mean(shares)), variance, confidence)
+    return _score_interval(float(np.mean(shares)), variance)
 
 
 def _won(difference: FloatArray) -> FloatArray:
@@ -238,23 +216,21 @@ def _won(difference: FloatArray) -> FloatArray:
     return np.asarray(np.where(np.abs(difference) <= TIE, 0.5, difference > 0.0), dtype=np.float64)
 
 
-def _share_estimate(strata: Sequence[FloatArray], confidence: float, together: bool) -> Estimate:
+def _share_estimate(strata: Sequence[FloatArray], together: bool) -> Estimate:
     shares = [float(stratum.mean()) for stratum in strata]
     if any(stratum.size < 2 for stratum in strata):
         return Estimate(float(np.mean(shares)), None, None)
     variances = [functools.partial(_binomial, n=stratum.size) for stratum in strata]
-    return _of_shares(shares, variances, confidence, together)
+    return _of_shares(shares, variances, together)
 
 
-def paired_improvement(
-    strata: Strata, baseline: Strata, confidence: float = CONFIDENCE, together: bool = False
-) -> Estimate:
+def paired_improvement(strata: Strata, baseline: Strata, together: bool = False) -> Estimate:
     """Share of pairs in which the sample is above the baseline's, ties counted as 1/2, with Wilson's interval.
 
     Args:
         strata: samples of each goal.
         baseline: the baseline's, sample for sample from the same seed.
-        confidence, together: as for :func:`mean`.
+        together: as for :func:`mean`.
 
     Raises:
         ValueError: as :func:`mean`, or the shapes differ.
@@ -265,12 +241,10 @@ def paired_improvement(
         raise ValueError(
             f"paired samples: the strata have {[x.size for x in ours]}, the baseline {[y.size for y in theirs]}"
         )
-    return _share_estimate([_won(x - y) for x, y in zip(ours, theirs, strict=True)], confidence, together)
+    return _share_estimate([_won(x - y) for x, y in zip(ours, theirs, strict=True)], together)
 
 
-def probability_of_improvement(
-    strata: Strata, baseline: Strata, confidence: float = CONFIDENCE, together: bool = False
-) -> Estimate:
+def probability_of_improvement(strata: Strata, baseline: Strata, together: bool = False) -> Estimate:
     """P(sample > baseline) + P(tie) / 2 for independent draws (Mann-Whitney's U over the number of pairs), mean over
     strata, with Newcombe's interval.
 
@@ -285,10 +259,10 @@ def probability_of_improvement(
     if any(sample.size < 2 for sample in (*ours, *theirs)):
         return Estimate(float(np.mean(shares)), None, None)
     variances = [functools.partial(_mann_whitney, m=x.size, n=y.size) for x, y in zip(ours, theirs, strict=True)]
-    return _of_shares(shares, variances, confidence, together)
+    return _of_shares(shares, variances, together)
 
 
-def performance_profile(strata: Strata, thresholds: npt.ArrayLike, confidence: float = CONFIDENCE) -> list[Estimate]:
+def performance_profile(strata: Strata, thresholds: npt.ArrayLike) -> list[Estimate]:
     """For each threshold, the share of samples above it, mean over strata, with Wilson's interval.
 
     The definition is that of Agarwal et al. 2021 (run-score distributions); the intervals are of each threshold by
@@ -297,13 +271,12 @@ def performance_profile(strata: Strata, thresholds: npt.ArrayLike, confidence: f
     Args:
         strata: samples of each task.
         thresholds: [T], in the samples' unit.
-        confidence: as for :func:`mean`.
 
     Raises:
         ValueError: as :func:`mean`.
     """
     samples, levels = _checked(strata), np.asarray(thresholds, dtype=np.float64).ravel()
     return [
-        _share_estimate([np.asarray(stratum > level, dtype=np.float64) for stratum in samples], confidence, False)
+        _share_estimate([np.asarray(stratum > level, dtype=np.float64) for stratum in samples], False)
         for level in levels
     ]

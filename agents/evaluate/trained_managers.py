@@ -34,18 +34,6 @@ from .play import Target
 from .results import TrainedRun, display_name, read_runs, write_runs
 from .statistics import interval_text, number_text
 
-__all__ = [
-    "BASELINES",
-    "EPISODES",
-    "MEASURES",
-    "LaboratoryPage",
-    "brief_table",
-    "collect",
-    "collect_count",
-    "has_manager",
-    "write_laboratory",
-]
-
 EPISODES = 200
 """For each goal."""
 

@@ -49,8 +49,6 @@ except ImportError as error:
         f'chemlab.agents.torchrl needs TorchRL ({error}): pip install torch, then pip install ".[torchrl]"'
     ) from error
 
-__all__ = ["TorchLaboratory"]
-
 _INFOS: dict[str, Any] = {
     "cost": torch.float32,
     "score": torch.float32,

@@ -33,8 +33,6 @@ try:
 except ImportError as error:
     raise ImportError(f"a task for BenchMARL needs it ({error}): pip install benchmarl") from error
 
-__all__ = ["ChemlabTask", "laboratory_task"]
-
 
 class ChemlabTask(TaskClass):
     """A laboratory as a BenchMARL task.

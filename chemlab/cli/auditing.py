@@ -31,9 +31,6 @@ if TYPE_CHECKING:
     from ..agents.evaluate.plans import PlanSearch
     from ..agents.open_loop import PlanFile
 
-__all__: list[str] = []
-
-
 audit = typer.Typer(
     cls=DefaultGroup,
     help="Measure the requirements of a scenario (`chemlab audit SCENARIO`), an open-loop plan, or a difficulty.",

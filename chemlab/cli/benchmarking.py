@@ -21,8 +21,6 @@ from .options import (
 )
 from .screen import counting, show_table
 
-__all__: list[str] = []
-
 
 @app.command()
 def benchmark(

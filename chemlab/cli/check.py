@@ -10,8 +10,6 @@ import typer
 from .options import JsonOption, ScenarioArgument, TrustOption, app, out
 from .screen import counting, plain
 
-__all__: list[str] = []
-
 
 @app.command()
 def check(scenario: ScenarioArgument, trust: TrustOption = False, as_json: JsonOption = False) -> None:

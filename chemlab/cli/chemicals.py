@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from ..openchem.identity import Compound
     from ..openchem.templates import Found, Rate
 
-__all__: list[str] = []
-
 data = typer.Typer(help="Write data files of your own chemistry (needs the extra `chem`).", no_args_is_help=True)
 app.add_typer(data, name="data")
 

@@ -22,8 +22,6 @@ from .options import (
 )
 from .screen import counting, plain, show_table
 
-__all__ = ["RESULT_COLUMNS"]
-
 RESULT_COLUMNS: tuple[str, ...] = (
     "scenario",
     "policy",

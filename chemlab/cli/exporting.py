@@ -21,8 +21,6 @@ from .options import (
 )
 from .screen import err, out, plain
 
-__all__: list[str] = []
-
 export = typer.Typer(
     cls=DefaultGroup,
     help="Write the policy of a run (`chemlab export RUN`), demonstrations of records, or starting states of benches.",

@@ -27,9 +27,6 @@ if TYPE_CHECKING:
     from ..envs.aec import raw_env
     from ..lab.engine import Laboratories
 
-__all__: list[str] = []
-
-
 # -- play -------------------------------------------------------------------------------------------------------------
 
 

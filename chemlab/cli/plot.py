@@ -12,8 +12,6 @@ from ..config.files import check_folder
 from .options import TrustOption, app, check_result
 from .screen import counting, out, plain
 
-__all__: list[str] = []
-
 plot = typer.Typer(help="Draw training runs and records (needs the extra `plot`).", no_args_is_help=True)
 app.add_typer(plot, name="plot")
 

@@ -14,8 +14,6 @@ from .screen import counting, plain
 if TYPE_CHECKING:
     from ..record import Status
 
-__all__: list[str] = []
-
 _COLORS = {
     "ok": "green",
     "tampered": "red",

@@ -14,8 +14,6 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-__all__ = ["TextConsole", "counting", "err", "event_words", "hanging", "happened", "out", "page", "plain", "show_table"]
-
 _NARROWEST, _USUAL = 20, 80
 """Widths below this many columns are ignored; the default width if the terminal reports none."""
 _NOISE = 1e-9

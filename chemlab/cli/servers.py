@@ -14,8 +14,6 @@ import typer
 from .options import ScenarioArgument, SeedOption, SplitOption, app, chosen_agents, prepare
 from .screen import out, plain
 
-__all__: list[str] = []
-
 
 @app.command()
 def mcp(

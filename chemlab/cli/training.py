@@ -26,9 +26,6 @@ if TYPE_CHECKING:
     from ..agents.runs import Evaluation, RunResult
     from ..agents.train.sweep import Planned, Status
 
-__all__: list[str] = []
-
-
 # -- train ------------------------------------------------------------------------------------------------------------
 
 

@@ -22,27 +22,6 @@ from .files import write_text
 from .materials import Material, load_materials
 from .pairs import Pair
 
-__all__ = [
-    "ACIDS",
-    "FAMILY",
-    "IDEAL_PAIR",
-    "REAGENTS",
-    "SALTS",
-    "CataloguePair",
-    "catalogue_material",
-    "catalogue_pairs",
-    "closest",
-    "keep_material",
-    "keep_pairs",
-    "matches",
-    "names_text",
-    "normalized",
-    "pairs_text",
-    "spellings",
-    "user_folder",
-    "wrong_cas",
-]
-
 FOLDER = Path(__file__).parent.parent / "data" / "catalogue"
 SALTS, FAMILY = FOLDER / "_salts.toml", FOLDER / "_reactions.toml"
 IDEAL_PAIR = "ideal"

@@ -11,8 +11,6 @@ from .materials import Material
 from .reactions import ReactionFamily
 from .scenario import OrderTerms, Scenario, StartSpec, VesselSpec
 
-__all__ = ["check_charges", "check_draws", "check_materials", "check_vessels", "mentioned_materials"]
-
 _NEUTRAL = 1e-9
 """Relative charge of contents up to which it counts as rounding."""
 

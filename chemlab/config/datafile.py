@@ -20,18 +20,6 @@ else:
 
 from .files import read_bytes
 
-__all__ = [
-    "DataError",
-    "bounded",
-    "dotted_key",
-    "parse_json",
-    "read_json",
-    "read_text",
-    "read_toml",
-    "shown",
-    "toml_key",
-]
-
 _FILE_BYTES = 1_000_000
 _DEPTH = 12
 _ENTRIES = 10_000

@@ -15,8 +15,6 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from .datafile import DataError, shown
 
-__all__ = ["DataModel", "validated", "written"]
-
 _LINES = 20
 
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import html
 from collections.abc import Mapping
 
-__all__ = ["facts_html"]
-
 
 def facts_html(title: str, facts: Mapping[str, object]) -> str:
     """Return a heading and a table of names and values; empty values are left out."""

@@ -25,32 +25,6 @@ from pydantic import model_validator
 
 from .datamodel import DataModel
 
-__all__ = [
-    "BOTTLE",
-    "CHOICE",
-    "DEVICE_QUANTITIES",
-    "LOGNORMAL",
-    "NORMAL",
-    "ORDER_QUANTITIES",
-    "PERMUTATION",
-    "SPLITS",
-    "UNIFORM",
-    "VESSEL_QUANTITIES",
-    "Choice",
-    "Distribution",
-    "Draw",
-    "Lognormal",
-    "Normal",
-    "Permutation",
-    "Split",
-    "Uniform",
-    "WorldSpec",
-    "changed_limits",
-    "draw_limits",
-    "numbers_of",
-    "options_of",
-]
-
 _MOST_DRAWS = 64
 _MOST_TARGETS = 64
 Number = Annotated[float, Bound(ge=-1e9, le=1e9)]

@@ -15,24 +15,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-__all__ = [
-    "check_apart",
-    "check_folder",
-    "check_marks",
-    "check_target",
-    "draft_of",
-    "locked",
-    "naming",
-    "open_regular",
-    "read_bytes",
-    "replace_between",
-    "sync_file",
-    "sync_folder",
-    "write_bytes",
-    "write_text",
-    "write_texts",
-]
-
 _DRAFT = ".draft-"
 """Prefix of the names of drafts, by which drafts of killed processes are recognized."""
 _ABANDONED_S = 60.0

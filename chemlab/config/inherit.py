@@ -16,17 +16,6 @@ from typing import Any
 
 from .datafile import DataError, dotted_key, read_toml
 
-__all__ = [
-    "bench_defaults",
-    "campaign_names",
-    "completed",
-    "scenario_folder",
-    "scenario_names",
-    "shipped_file",
-    "split_level",
-    "synthesis_names",
-]
-
 _BENCHES = Path(__file__).resolve().parent.parent / "data" / "benches"
 _LONGEST_CHAIN = 16
 _TOP = 3

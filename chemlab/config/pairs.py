@@ -25,17 +25,6 @@ from .datafile import DataError, read_toml
 from .datamodel import DataModel, validated
 from .materials import Text
 
-__all__ = [
-    "REFERENCE_K",
-    "STRONGEST",
-    "Pair",
-    "PairTable",
-    "load_pairs",
-    "log_activity_coefficients",
-    "pair_table",
-    "shipped_pairs",
-]
-
 REFERENCE_K = 300.0
 """Temperature at which ln(T / 300 K) is 0."""
 _SHOWN = 3

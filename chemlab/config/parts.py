@@ -28,8 +28,6 @@ if TYPE_CHECKING:
     from ..kernels.arrays import FloatArray
     from .scenario import Scenario
 
-__all__ = ["Part", "PartError", "blamed", "checked_numbers", "load_part", "may_run", "strangers_code", "trust"]
-
 __path__: list[str] = []
 """Makes the modules of files submodules of this one; :class:`_Files` finds them."""
 

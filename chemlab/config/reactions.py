@@ -20,24 +20,6 @@ from .datafile import DataError, read_toml
 from .datamodel import DataModel, validated
 from .materials import Material, Text, atoms_of
 
-__all__ = [
-    "HYDROXIDE",
-    "PROTON",
-    "WATER",
-    "Acid",
-    "Reaction",
-    "ReactionFamily",
-    "Salt",
-    "Solubility",
-    "Violent",
-    "check_reactions",
-    "check_without_real",
-    "dissolved_reactions",
-    "equation",
-    "load_reactions",
-    "shipped_reactions_folder",
-]
-
 PROTON, HYDROXIDE, WATER = "H+", "OH-", "water"
 """Materials of the ionization of water, through which acids and bases react."""
 

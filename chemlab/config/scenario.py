@@ -23,33 +23,6 @@ from .materials import Material
 from .pairs import Pair
 from .reactions import ReactionFamily
 
-__all__ = [
-    "MANAGER_AGENT",
-    "PHYSICS_TIERS",
-    "REWARD_MIXES",
-    "SAFETY_EVENTS",
-    "BenchSpec",
-    "Companion",
-    "CostSpec",
-    "DemandSpec",
-    "DriftSpec",
-    "GradeSpec",
-    "InstrumentSpec",
-    "LimitSpec",
-    "ManagerSpec",
-    "OrderSpec",
-    "OrderTerms",
-    "RealSpec",
-    "RewardSpec",
-    "SafetySpec",
-    "Scenario",
-    "Settings",
-    "ShelfSpec",
-    "StartSpec",
-    "VesselSpec",
-    "WearSpec",
-]
-
 MANAGER_AGENT = "manager_0"
 """Name of the manager."""
 

@@ -69,8 +69,6 @@ from ..roles.manager_state import RUNNING
 from .one_laboratory import OneLaboratory
 from .rendering import RENDER_MODES
 
-__all__ = ["env", "raw_env"]
-
 
 def env(
     scenario: str | Path | Scenario = "wurtz_dodecane",

@@ -20,8 +20,6 @@ from ..roles.manager_state import RUNNING
 from .global_state import GlobalState
 from .inputs import checked_actions, parsed_reset
 
-__all__ = ["BatchedLaboratory"]
-
 Arrays = dict[str, npt.NDArray[Any]]
 
 

@@ -22,8 +22,6 @@ from ..roles.base import VESSEL_TEMPERATURES_K, Quantity, one_hot
 from ..roles.bench import Channel
 from ..roles.manager_state import INSTRUMENTS, PRICE, RUNNING
 
-__all__ = ["GlobalState"]
-
 
 class GlobalState:
     """The state of some laboratories as one vector.

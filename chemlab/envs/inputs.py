@@ -12,8 +12,6 @@ import numpy.typing as npt
 from ..kernels.rng import checked_seed
 from ..lab.hidden import World
 
-__all__ = ["checked_actions", "parsed_reset"]
-
 
 def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
     """Return True if every number is in [low, high] (False for NaN)."""

@@ -23,8 +23,6 @@ from .rendering import Rendered
 if TYPE_CHECKING:
     from ..render.scene import Scene
 
-__all__ = ["OneLaboratory"]
-
 
 class OneLaboratory(Rendered):
     """One laboratory as a PettingZoo environment, independent of the interface."""

@@ -38,8 +38,6 @@ from ..roles.manager_state import RUNNING
 from .one_laboratory import OneLaboratory
 from .rendering import RENDER_MODES
 
-__all__ = ["parallel_env"]
-
 
 class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]):
     """The laboratory for all agents at once; it checks every action itself.

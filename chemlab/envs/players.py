@@ -14,8 +14,6 @@ from ..lab.engine import Laboratories
 from ..roles.manager_state import RUNNING
 from .inputs import checked_actions
 
-__all__ = ["Memory", "Players", "Policy", "as_policy"]
-
 _MOST_TRIES = 1000
 
 

@@ -16,8 +16,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from importlib.machinery import ModuleSpec
 
-__all__ = ["register_environments"]
-
 _BENCHES: dict[str, dict[str, str]] = {
     "WurtzReaction": {"scenario": "wurtz_dodecane", "bench": "rxn"},
     "FictitiousReaction": {"scenario": "fictitious", "bench": "rxn"},

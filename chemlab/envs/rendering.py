@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from ..config.scenario import Scenario
     from ..render.scene import Scene
 
-__all__ = ["RENDER_MODES", "Rendered"]
-
 RENDER_MODES = ("ansi", "rgb_array", "rgb_array_true", "human")
 """Render modes. ``rgb_array_true`` shows true contents even with hidden parameters; the others show what a person
 would see.

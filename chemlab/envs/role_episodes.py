@@ -26,8 +26,6 @@ from .players import Players, as_policy
 if TYPE_CHECKING:
     from ..render.scene import Scene
 
-__all__ = ["BenchEpisodes", "LaboratoryEpisodes", "Policies", "RoleEpisodes", "State"]
-
 State = list[npt.NDArray[Any]]
 
 Ended = list[tuple[IntArray, ObservationArray]]

@@ -22,22 +22,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-__all__ = [
-    "SLOT",
-    "WORD",
-    "BoolArray",
-    "Field",
-    "FloatArray",
-    "Handle",
-    "IntArray",
-    "MaskArray",
-    "ObservationArray",
-    "StreamArray",
-    "addresses",
-    "declared",
-    "merged",
-]
-
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]

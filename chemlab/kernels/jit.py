@@ -34,8 +34,6 @@ from numba.core.typing import templates
 
 from .arrays import SLOT, FloatArray, Handle, declared
 
-__all__ = ["COMPILED", "chained", "code_address", "folder", "helper", "inner", "kernel", "opened", "scratch"]
-
 _NUMBA: Any = numba
 _EXTENDING: Any = extending
 _TYPES: Any = types

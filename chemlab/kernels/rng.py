@@ -11,9 +11,6 @@ import numpy as np
 from .arrays import FloatArray, StreamArray
 from .jit import helper, inner, kernel
 
-__all__ = ["checked_seed", "normal", "random_bits", "seed_streams", "uniform", "uniforms"]
-
-
 _STEP = np.uint64(0x9E3779B97F4A7C15)
 _UNIT = 1.0 / 9007199254740992.0
 

@@ -11,8 +11,6 @@ import numpy.typing as npt
 from .arrays import SLOT, WORD, Declared, Field, Handle, IntArray, addresses, declared
 from .jit import COMPILED, kernel, opened
 
-__all__ = ["Table", "put_back"]
-
 T = TypeVar("T")
 
 

@@ -18,31 +18,6 @@ from ..config.scenario import InstrumentSpec, OrderSpec, Scenario
 from ..roles.bench import Channel
 from .engine import Laboratories
 
-__all__ = [
-    "FactTable",
-    "action_list",
-    "action_table",
-    "agent_table",
-    "amount_words",
-    "bench_table",
-    "channel_table",
-    "description",
-    "goal_words",
-    "hidden_words",
-    "instrument_table",
-    "limit_words",
-    "manager_action_table",
-    "needed_words",
-    "reward_words",
-    "safety_words",
-    "space_words",
-    "stock_table",
-    "vessel_table",
-    "wear_words",
-    "world_table",
-]
-
-
 """Definition of the manager's score, as ``score_meaning`` is for a bench."""
 
 

@@ -11,8 +11,6 @@ import numpy.typing as npt
 
 from ..kernels.arrays import BoolArray, IntArray, StreamArray
 
-__all__ = ["INTERRUPTED", "EpisodeStreams", "Guarded"]
-
 P = ParamSpec("P")
 T = TypeVar("T")
 

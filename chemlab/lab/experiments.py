@@ -24,8 +24,6 @@ from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import Start, StartPool, draw_start, lab_starts, start_pool
 
-__all__ = ["ExperimentBatch"]
-
 
 @kernel
 def _draw_starts(

@@ -30,8 +30,6 @@ from ..physics.shelf import Shelf, ShelfArrays
 from ..roles.manager import rest_on_shelf
 from .sampling import compile_draws, draw_worlds, given_values, named_values, next_numbers, positions, world_draws
 
-__all__ = ["NumberedWorld", "World", "Worlds", "world_chemistry"]
-
 
 @dataclass(frozen=True)
 class NumberedWorld:

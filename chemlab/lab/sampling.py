@@ -16,19 +16,6 @@ from ..kernels.jit import inner, kernel, opened
 from ..kernels.rng import normal, random_bits, uniform
 from ..kernels.tables import Table
 
-__all__ = [
-    "Variables",
-    "WorldDraws",
-    "compile_draws",
-    "draw_worlds",
-    "given_values",
-    "named_values",
-    "next_numbers",
-    "positions",
-    "quantiles",
-    "world_draws",
-]
-
 _TRIES = 10_000
 
 _LEAST_KEPT = 0.05

@@ -27,18 +27,6 @@ from ..kernels.tables import Table
 from ..physics.chemistry import ChemistryTable
 from ..physics.shelf import Shelf
 
-__all__ = [
-    "SUBMIT",
-    "Start",
-    "StartPool",
-    "draw_start",
-    "goals_met",
-    "lab_starts",
-    "start_pool",
-    "starts_file",
-    "write_starts",
-]
-
 _FILE_BYTES = 20_000_000
 _SUFFIX = ".starts.json"
 

@@ -19,20 +19,6 @@ from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
 from ..roles.manager_view import order_channels
 from .engine import Laboratories
 
-__all__ = [
-    "RoleText",
-    "Shades",
-    "action_words",
-    "curve_words",
-    "describe_laboratory",
-    "folded_lines",
-    "measured_words",
-    "named_costs",
-    "named_events",
-    "position_words",
-    "reading_words",
-]
-
 _BAR = 20
 _CURVE_ERROR = 0.05
 """Maximum error of a curve in words, by linear interpolation between the printed points."""
@@ -70,11 +56,11 @@ def action_words(laboratories: Laboratories, agent: int, action: Any) -> str:
     return laboratories.roles[agent].workplace.action_words(action)
 
 
-def reading_words(laboratories: Laboratories, slot: int, instrument: str, member: int = 0) -> str:
+def reading_words(laboratories: Laboratories, slot: int, instrument: str) -> str:
     """Describe the manager's last reading of an instrument on a slot, with its price."""
     labs, table = laboratories, laboratories.instruments
     i = table.names.index(instrument)
-    values = labs.state.reading[member, slot, table.start[i] : table.start[i + 1]]
+    values = labs.state.reading[0, slot, table.start[i] : table.start[i + 1]]
     return f"{measured_words(labs, i, values)}; price {table.price[i]:g}"
 
 

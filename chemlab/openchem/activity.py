@@ -32,22 +32,6 @@ try:
 except ImportError as error:
     raise ImportError(f'activity coefficients need thermo ({error}): pip install ".[chem]"') from error
 
-__all__ = [
-    "IDEAL",
-    "Fit",
-    "Measured",
-    "Model",
-    "Mutual",
-    "described",
-    "fit",
-    "is_molecule",
-    "make_pairs",
-    "measured_pairs",
-    "models",
-    "nrtl",
-    "stable",
-]
-
 Array = npt.NDArray[np.float64]
 
 TEMPERATURES_K: Array = np.array([270.0, 285.0, 300.0, 320.0, 340.0, 365.0, 390.0, 420.0, 450.0, 480.0])

@@ -16,17 +16,6 @@ from .names import is_mineral
 from .properties import DOUBTFUL, Properties, Value
 from .writing import toml_key, toml_tables
 
-__all__ = [
-    "OWN_FIELDS",
-    "checked_materials",
-    "compounds",
-    "doubts",
-    "estimates",
-    "known_as",
-    "material_tables",
-    "own_values",
-]
-
 OWN_FIELDS = (
     "density_kg_l", "heat_capacity_j_mol_k", "melting_point_k", "boiling_point_k", "vaporization_enthalpy_j_mol",
     "critical_temperature_k", "formation_enthalpy_j_mol", "fusion_enthalpy_j_mol",

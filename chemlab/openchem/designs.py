@@ -19,8 +19,6 @@ from ..config.scenario import SAFETY_EVENTS, RealSpec
 from ..physics.constants import GAS_CONSTANT
 from .writing import toml_tables
 
-__all__ = ["INSTRUMENTS", "Design", "check_design", "design", "feeds", "scenario_text", "solvent_for", "steps_to"]
-
 ROOM_K = 298.15
 WATER = "water"
 SOLVENTS = ("diethyl_ether", "ethyl_acetate", "hexane", "toluene")

@@ -42,8 +42,6 @@ from ..roles.manager_actions import WAIT
 from ..roles.reaction_bench import ReactionBench, ReactionOptions
 from .designs import feeds, steps_to
 
-__all__ = ["Conditions", "GoalDifficulty", "constant_conditions", "difficulty", "waiting"]
-
 _TEMPERATURES = 8
 _SLOWLY = 0.5
 """Share of an experiment over which slow additions extend."""

@@ -16,8 +16,6 @@ from ..config.catalogue import IDEAL_PAIR, CataloguePair
 from ..config.materials import Material
 from .activity import Array, _forms, models, stable
 
-__all__ = ["fits", "quick_pairs"]
-
 TEMPERATURES_K: Array = np.array([270.0, 300.0, 340.0, 400.0, 480.0])
 _HALF = [1e-10, 1e-3, 0.01, 0.04, 0.12, 0.25]
 FRACTIONS: Array = np.array([*_HALF, 0.5, *(1.0 - x for x in reversed(_HALF))])

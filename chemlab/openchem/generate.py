@@ -33,8 +33,6 @@ from .invented import SOURCE, dilute_log, material_tables, pair_rows, significan
 from .reaction_networks import Draws, Network, Size, chosen_size, draw_network
 from .writing import family_text, lock, material_text, pair_text
 
-__all__ = ["LEVELS", "Generated", "Level", "chemistry", "generated"]
-
 _WARM_K = 330.0
 """Temperature in K at which rates are compared."""
 _MOL_PER_L = 0.8

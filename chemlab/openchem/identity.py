@@ -20,17 +20,6 @@ try:
 except ImportError as error:
     raise ImportError(f'open chemistry needs rdkit and chemicals ({error}): pip install ".[chem]"') from error
 
-__all__ = [
-    "Compound",
-    "canonical",
-    "check_length",
-    "composition_of",
-    "compound_of",
-    "molar_mass",
-    "parsed",
-    "structures",
-]
-
 RDLogger.DisableLog("rdApp.*")
 
 _LONGEST = 500

@@ -25,8 +25,6 @@ from ..config.materials import Material
 from ..physics.constants import GAS_CONSTANT
 from .reaction_networks import Draws, Network
 
-__all__ = ["SOURCE", "boiling_point", "dilute_log", "material_tables", "pair_rows", "significant"]
-
 ROOM_K = 298.15
 _FREEZING_K = 273.15
 _ATMOSPHERE_PA = 101_325.0

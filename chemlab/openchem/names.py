@@ -11,8 +11,6 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-__all__ = ["element_of", "is_metal", "is_mineral", "meaning", "spellings"]
-
 try:
     from chemicals.elements import periodic_table, simple_formula_parser
 except ImportError as error:

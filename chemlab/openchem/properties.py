@@ -23,8 +23,6 @@ try:
 except ImportError as error:
     raise ImportError(f'properties need chemicals and thermo ({error}): pip install ".[chem]"') from error
 
-__all__ = ["Properties", "Value"]
-
 ROOM_K = 298.15
 ATMOSPHERE_PA = 101325.0
 

@@ -14,8 +14,6 @@ from typing import Literal, TypeVar
 
 from ..config.datafile import DataError
 
-__all__ = ["MOST_MATERIALS", "Draws", "Network", "Size", "Step", "chosen_size", "draw_network"]
-
 MOST_MATERIALS = 40
 _MOST_STEPS = 8
 _MOST_PER_STEP = 6

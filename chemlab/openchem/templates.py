@@ -23,8 +23,6 @@ try:
 except ImportError as error:
     raise ImportError(f'reaction templates need rdkit ({error}): pip install ".[chem]"') from error
 
-__all__ = ["Found", "Rate", "Species", "Template", "expand", "family_tables", "heat_of_reaction", "rate_constant"]
-
 ROOM_K = 298.15
 _MOST_WAYS = 50_000
 """Maximum number of assignments of molecules to a template's places."""

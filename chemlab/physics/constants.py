@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["FIRST_PHASE", "GAS_CONSTANT", "LEAST_CAPACITY", "SOLIDS", "TRACE_MOL"]
-
 GAS_CONSTANT = 8.31446261815324
 """Gas constant in J/mol/K (CODATA 2018, exact)."""
 TRACE_MOL = 1e-12

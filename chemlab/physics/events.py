@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from ..config.scenario import SAFETY_EVENTS
 
-__all__ = ["BOILED_DRY", "DRY_HEATING", "METAL_IN_WATER", "RELIEF", "SPILL"]
-
 SPILL = SAFETY_EVENTS.index("spill_l")
 RELIEF = SAFETY_EVENTS.index("relief_valve_mol")
 BOILED_DRY = SAFETY_EVENTS.index("boiled_dry")

@@ -14,8 +14,6 @@ from .backends import rate_constant
 from .chemistry import AMOUNTS, Chemistry
 from .constants import GAS_CONSTANT
 
-__all__ = ["arrhenius", "integrate", "react_work_size"]
-
 _A21 = 1 / 5
 _A31, _A32 = 3 / 40, 9 / 40
 _A41, _A42, _A43 = 44 / 45, -56 / 15, 32 / 9

@@ -28,8 +28,6 @@ from .chemistry import (
     build_chemistry,
 )
 
-__all__ = ["CLOCK_SETTLED", "T_MIX", "Shelf", "ShelfArrays", "Vessel"]
-
 T_MIX = -float(np.log(2.0 * np.sqrt(2.0 * np.pi)))
 """Settling clock of a fully mixed vessel (PHYSICS section 2; there the variance of a layer is 2)."""
 CLOCK_SETTLED = T_MIX + 6.0

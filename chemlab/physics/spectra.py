@@ -7,8 +7,6 @@ from ..kernels.jit import helper, inner, opened
 from .chemistry import AMOUNTS, Chemistry
 from .transfer import liquid_volume
 
-__all__ = ["spectrum"]
-
 
 @inner
 def _next_present(row: FloatArray, i: int, n: int) -> int:

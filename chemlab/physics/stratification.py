@@ -16,8 +16,6 @@ from .backends import find_layers, layer_density, layer_shade, solid_mol, solid_
 from .chemistry import AMOUNTS, CLOCK, PRESENT, Chemistry
 from .shelf import CLOCK_SETTLED, T_MIX
 
-__all__ = ["camera", "profile"]
-
 _BLOCK = 128
 """Number of pixels processed together."""
 _STEEPEST = 600.0

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-__all__ = ["Surroundings"]
-
 
 class Surroundings(NamedTuple):
     """Surroundings of a reacting vessel, and tolerances of the integration; all are floats."""

@@ -9,8 +9,6 @@ from .chemistry import AIR, CAPACITY, TEMPERATURE, Chemistry
 from .constants import GAS_CONSTANT
 from .transfer import volume
 
-__all__ = ["air_in_open_vessel", "pressure", "seal_vessel"]
-
 
 @helper
 def air_in_open_vessel(row: FloatArray, chem: Handle) -> float:

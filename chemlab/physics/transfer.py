@@ -16,26 +16,6 @@ from .constants import SOLIDS, TRACE_MOL
 from .events import SPILL
 from .shelf import CLOCK_SETTLED, T_MIX
 
-__all__ = [
-    "add",
-    "clear",
-    "drain",
-    "free_liquid",
-    "heat_capacity",
-    "liquid_volume",
-    "move",
-    "place",
-    "pour",
-    "remove_fraction",
-    "row_has",
-    "spill",
-    "strain",
-    "take",
-    "turn_clock",
-    "volume",
-    "within_range",
-]
-
 
 @helper
 def volume(row: FloatArray, chem: Handle) -> float:

@@ -21,23 +21,6 @@ from ..config.materials import DataError, validated
 from ..config.scenario import Scenario
 from ..kernels.arrays import MaskArray, ObservationArray
 
-__all__ = [
-    "FORMAT",
-    "LIMITS",
-    "FormatError",
-    "Header",
-    "HeaderError",
-    "Record",
-    "RecordError",
-    "digest",
-    "read_record",
-    "recorded_scenario",
-    "scenario_hash",
-    "seen_hash",
-    "short",
-    "to_text",
-]
-
 FORMAT = {"name": "chemlab-episode", "version": 5}
 """Format entry of every record's first line.
 

@@ -24,8 +24,6 @@ from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE
 from ..roles.manager_state import RUNNING, STATUS_WORDS
 from .format import FORMAT, Header, digest, seen_hash, to_text
 
-__all__ = ["Play", "Recorder", "Witness", "environment_here"]
-
 
 class Play(NamedTuple):
     """Observation hash and action of one agent."""

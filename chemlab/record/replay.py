@@ -17,8 +17,6 @@ from ..roles.manager_state import RUNNING
 from .format import Header, HeaderError, Record, RecordError, recorded_scenario, short
 from .recorder import Play
 
-__all__ = ["Replay"]
-
 
 class Replay:
     """Replays a record's episode on the simulator turn by turn.

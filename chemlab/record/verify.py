@@ -16,8 +16,6 @@ from .format import FormatError, Header, HeaderError, Record, RecordError, read_
 from .recorder import Witness, environment_here
 from .replay import Replay
 
-__all__ = ["EXIT_CODES", "Status", "Verification", "verify_record"]
-
 _ROUNDING = 1e-6
 """Relative difference that another processor or compiler may cause in a number by the end of an episode."""
 

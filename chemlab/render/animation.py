@@ -17,8 +17,6 @@ from .canvas import Image
 from .draw import draw
 from .scene import Scene, laboratory_scene
 
-__all__ = ["animation"]
-
 _MILLISECONDS = 250
 _BEGINNING, _END = 1500, 4000
 """Milliseconds that the first and the last frame are shown."""

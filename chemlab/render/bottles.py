@@ -13,8 +13,6 @@ from .figure import FORMATS, SETTINGS, import_matplotlib, new_figure, save_figur
 if TYPE_CHECKING:
     from ..sandbox import Moment
 
-__all__ = ["flask_figure", "save"]
-
 _LEAST_SHARE = 0.002
 """Of all mol: materials that never reach it are not drawn."""
 _MOST_LINES = 8

@@ -25,8 +25,6 @@ from .figure import new_figure
 from .history import Move, RecordReplay
 from .mole_balance import PLACES, Balance, Group, mole_balance
 
-__all__ = ["draw_moles", "draw_spectra", "draw_timeline", "spread"]
-
 _DOING = {
     "start": "#009E73",
     "measure": "#56B4E9",

@@ -19,8 +19,6 @@ import numpy.typing as npt
 from .canvas import Box, Canvas, Image, ImageDraw, TextBox, text_width
 from .scene import BenchPicture, ChannelPicture, LayerPicture, MaterialPicture, Scene, SlotPicture, VesselPicture
 
-__all__ = ["GlassBox", "Painting", "draw", "draw_vessel", "paint"]
-
 _UNITS = (960.0, 540.0)
 _SMALLEST = (480, 270)
 _SMALLEST_VESSEL = 120

@@ -7,8 +7,6 @@ from typing import Any
 
 from ..config.files import draft_of
 
-__all__ = ["FORMATS", "SETTINGS", "import_matplotlib", "new_figure", "save_figure"]
-
 FORMATS = ("png", "svg", "pdf")
 SETTINGS: Any = {
     "font.size": 10.0,

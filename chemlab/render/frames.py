@@ -13,8 +13,6 @@ from .canvas import Image
 from .draw import draw
 from .scene import Scene
 
-__all__ = ["Viewer", "picture_html"]
-
 
 class Viewer:
     """Shows an environment's scenes, one frame per call.

@@ -15,8 +15,6 @@ from ..kernels.arrays import MaskArray, ObservationArray
 from ..record import Play, RecordError, Replay
 from ..roles.manager_state import RUNNING
 
-__all__ = ["Look", "Move", "RecordReplay"]
-
 
 class Look(NamedTuple):
     """The observation of one agent and its action mask."""

@@ -11,8 +11,6 @@ from ..lab.engine import Laboratories
 from ..record import Record
 from .history import Move, RecordReplay
 
-__all__ = ["PLACES", "Balance", "Group", "Inventory", "mole_balance"]
-
 PLACES = ("submitted", "vessels", "stock", "samples", "discarded", "lost")
 """Locations of material.
 

@@ -14,8 +14,6 @@ from ..physics.chemistry import TEMPERATURE
 from ..record import Record
 from .history import Move, RecordReplay
 
-__all__ = ["protocol"]
-
 _TRACE_MOL = 1e-9
 
 

@@ -29,8 +29,6 @@ from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_ITEMS
 from .scene import Camera, Scene, laboratory_scene
 
-__all__ = ["MOST_TURNS", "Film", "comparison_page", "filled_page", "replay_data", "replay_page", "side_by_side"]
-
 _DIGITS = 4
 _LONG = 30
 """Lists of numbers in [0, 1] of at least this length (spectra, pictures) are stored in thousandths."""

@@ -33,26 +33,6 @@ from ..physics.stratification import profile
 from ..roles.bench import CAMERA_PIXELS, Bench, Experiments
 from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
 
-__all__ = [
-    "MIXTURE_SLICES",
-    "BenchPicture",
-    "BottlePicture",
-    "Camera",
-    "ChannelPicture",
-    "LayerPicture",
-    "MaterialPicture",
-    "OrderPicture",
-    "ReadingPicture",
-    "Scene",
-    "SlotPicture",
-    "VesselPicture",
-    "bench_scene",
-    "laboratory_scene",
-    "material_pictures",
-    "vessel_scene",
-    "visible_scene",
-]
-
 MIXTURE_SLICES = 40
 _SEPARATED = 1e-3
 """A profile within this distance of the stacked layers is drawn as stacked layers."""
@@ -671,16 +651,15 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
     )
 
 
-def vessel_scene(scenario: Scenario, shelf: Shelf, member: int = 0, place: int = 0) -> Scene:
+def vessel_scene(scenario: Scenario, shelf: Shelf) -> Scene:
     """Return the scene of a single vessel of a :class:`chemlab.sandbox.Flask`; nothing is changed.
 
     Args:
         scenario: Scenario whose materials are listed.
         shelf: Shelf of the vessel.
-        member, place: Environment index and position.
     """
-    vessel = Camera(scenario, shelf).take(member, place, "")
-    _, temperatures = _ranges(scenario, [], shelf, member)
+    vessel = Camera(scenario, shelf).take(0, 0, "")
+    _, temperatures = _ranges(scenario, [], shelf, 0)
     return Scene(
         kind="vessel",
         scenario=scenario.name,
@@ -697,10 +676,10 @@ def vessel_scene(scenario: Scenario, shelf: Shelf, member: int = 0, place: int =
         budget=0.0,
         safety=(),
         stock=(),
-        waste_l=_waste_l(shelf, member),
-        shelf=(SlotPicture(place, vessel, None, "", ()),),
+        waste_l=_waste_l(shelf, 0),
+        shelf=(SlotPicture(0, vessel, None, "", ()),),
         benches=(),
         materials=material_pictures(scenario),
-        largest_capacity_l=shelf.vessel(member, place).capacity_l,
+        largest_capacity_l=shelf.vessel(0, 0).capacity_l,
         temperature_range_k=temperatures,
     )

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from ..lab.engine import Laboratories
     from .bench import Channel
 
-__all__ = ["VESSEL_TEMPERATURES_K", "Quantity", "Role", "Workplace", "one_hot"]
-
 VESSEL_TEMPERATURES_K = 200.0, 800.0
 """Temperatures that observations and the global state show as 0 and 1."""
 

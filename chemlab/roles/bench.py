@@ -40,29 +40,6 @@ from .base import Quantity
 from .grades import Grades, GradeState, best_vessel, noisy
 from .models import load_model
 
-__all__ = [
-    "CAMERA_PIXELS",
-    "HEAT",
-    "STIR",
-    "Bench",
-    "BenchRules",
-    "Channel",
-    "ExperimentState",
-    "Experiments",
-    "Goals",
-    "Observation",
-    "channel_slices",
-    "check_box",
-    "check_discrete",
-    "check_vessels",
-    "goal_amount",
-    "load_observations",
-    "load_terms",
-    "on_scale",
-    "told_channel",
-    "weighted_amount",
-]
-
 CAMERA_PIXELS = 100
 
 _ROUNDING_MOL = 1e-9

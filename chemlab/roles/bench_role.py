@@ -18,8 +18,6 @@ from .wear import MOST_GAIN, renew, wear_out
 if TYPE_CHECKING:
     from ..lab.engine import Laboratories
 
-__all__ = ["BenchRole"]
-
 
 class BenchRole(Role):
     """A bench of N laboratories and the agent that operates it.

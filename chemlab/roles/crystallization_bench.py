@@ -17,8 +17,6 @@ from ..physics.shelf import Shelf
 from .bench import Experiments
 from .operation_bench import OperationBench
 
-__all__ = ["CrystallizationBench"]
-
 
 class CrystallizationBench(OperationBench):
     """Crystallization bench: a crystallizer CV with a jacket, a filter and an air line; a filter flask F and a dish W.

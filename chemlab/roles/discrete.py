@@ -13,8 +13,6 @@ from ..kernels.arrays import FloatArray, IntArray, MaskArray
 from ..physics.shelf import Shelf
 from .bench import Bench, Experiments, check_discrete
 
-__all__ = ["Discretised", "discretised"]
-
 
 class Discretised(Bench):
     """Mixin of a discretised bench: see :func:`discretised`.

@@ -14,8 +14,6 @@ from ..physics.shelf import Shelf
 from .bench import Experiments
 from .operation_bench import OperationBench
 
-__all__ = ["DistillationBench"]
-
 
 class DistillationBench(OperationBench):
     """Distillation bench: a distillation vessel DV, the condensate's beaker B1 and a second beaker B2.

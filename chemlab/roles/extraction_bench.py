@@ -12,8 +12,6 @@ from ..physics.shelf import Shelf
 from .bench import Experiments
 from .operation_bench import OperationBench
 
-__all__ = ["ExtractionBench"]
-
 
 class ExtractionBench(OperationBench):
     """Extraction bench: an extraction vessel EV and two beakers B1 and B2.

@@ -12,8 +12,6 @@ from ..kernels.jit import kernel
 from ..kernels.rng import normal
 from ..physics.chemistry import AMOUNTS
 
-__all__ = ["REPORT", "GradeState", "Grades", "best_vessel", "noisy"]
-
 REPORT = ("amount", "purity", "ticks")
 """Self-reported outcome of an experiment: mol of the goal in the vessel with the largest mol x purity, its purity,
 and the elapsed ticks.

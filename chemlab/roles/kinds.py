@@ -8,8 +8,6 @@ from ..physics.chemistry import ChemistryTable
 from .bench import Bench
 from .discrete import Discretised, discretised
 
-__all__ = ["BENCH_KINDS", "build_bench", "discretised_twin"]
-
 BENCH_KINDS: dict[str, str] = {
     "reaction": "chemlab.roles.reaction_bench:ReactionBench",
     "extraction": "chemlab.roles.extraction_bench:ExtractionBench",

@@ -25,17 +25,6 @@ from .manager_state import INSTRUMENTS, TIME, ManagerState, Rules
 if TYPE_CHECKING:
     from ..lab.hidden import Worlds
 
-__all__ = [
-    "begin_drift",
-    "calibrate",
-    "equip",
-    "go_astray",
-    "maintenance_rules",
-    "send_fitter",
-    "under_repair",
-    "usable",
-]
-
 
 def maintenance_rules(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
     """Rules of drift [I] and repair [B], by field of :class:`~.manager_state.Rules`; empty where there is none."""

@@ -47,24 +47,6 @@ from .manager_state import (
 )
 from .manager_view import shown_fill
 
-__all__ = [
-    "BEGUN",
-    "MEASURED",
-    "OVER",
-    "RECALLED",
-    "REPAIRED",
-    "advance",
-    "age_on_shelf",
-    "charge_events",
-    "itemize",
-    "manager_act",
-    "manager_mask",
-    "open_turn",
-    "rest_on_shelf",
-    "return_vessels",
-    "turns",
-]
-
 BEGUN, RECALLED, OVER, MEASURED, REPAIRED = 1, 2, 4, 8, 16
 """Flags of a turn's consequences: experiment started, experiment recalled, episode over, measurement due, repair
 due.

@@ -13,24 +13,6 @@ import numpy as np
 from ..config.scenario import Scenario
 from ..kernels.arrays import IntArray
 
-__all__ = [
-    "CALIBRATE",
-    "DISCARD",
-    "FIRST",
-    "GOAL",
-    "GRADE",
-    "KIND",
-    "KINDS",
-    "MEASURE",
-    "RECALL",
-    "REPAIR",
-    "SECOND",
-    "START",
-    "SUBMIT",
-    "WAIT",
-    "ManagerActions",
-]
-
 START, MEASURE, DISCARD, SUBMIT, RECALL, WAIT, CALIBRATE, REPAIR = range(8)
 KINDS = ("start", "measure", "discard", "submit", "recall", "wait", "calibrate", "repair")
 KIND, FIRST, SECOND, GOAL, GRADE = range(5)

@@ -21,8 +21,6 @@ from .manager_view import manager_channels, manager_observe, report_channels
 if TYPE_CHECKING:
     from ..lab.engine import Laboratories
 
-__all__ = ["Manager", "ManagerRole"]
-
 
 class Manager:
     """The static part of the manager's role: channels and actions.

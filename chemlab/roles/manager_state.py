@@ -6,28 +6,6 @@ from typing import Annotated, NamedTuple
 
 from ..kernels.arrays import BoolArray, Field, FloatArray, IntArray, StreamArray
 
-__all__ = [
-    "ARRIVES",
-    "CLOSED",
-    "COST_ITEMS",
-    "ILLEGAL",
-    "INSTRUMENTS",
-    "LEAST_AMOUNT",
-    "LEAST_PURITY",
-    "LIMIT",
-    "MANAGER",
-    "PRICE",
-    "RUNNING",
-    "SAFETY",
-    "STATUS_WORDS",
-    "STOCK",
-    "TIME",
-    "WASTE",
-    "WITHIN",
-    "ManagerState",
-    "Rules",
-]
-
 COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal_actions", "safety")
 """Cost items of the manager's score, in units of the score; calibrations are part of instruments, repairs of time."""
 INSTRUMENTS, STOCK, WASTE, TIME, ILLEGAL, SAFETY = range(len(COST_ITEMS))

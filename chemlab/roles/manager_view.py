@@ -19,8 +19,6 @@ from .instruments.table import InstrumentTable
 from .manager_actions import ManagerActions
 from .manager_state import ARRIVES, INSTRUMENTS, LEAST_AMOUNT, LEAST_PURITY, PRICE, WITHIN, ManagerState, Rules
 
-__all__ = ["manager_channels", "manager_observe", "order_channels", "report_channels", "shown_fill", "terms_channels"]
-
 _COLDEST_K, _HOTTEST_K = VESSEL_TEMPERATURES_K
 
 

@@ -11,8 +11,6 @@ from ..config.parts import blamed, load_part
 from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray
 
-__all__ = ["ReactionModel", "SeparationModel", "checked_reaction", "load_model"]
-
 _CONSERVED = 1e-6
 """Maximum relative error of atoms in a user's integrator."""
 

@@ -50,8 +50,6 @@ from .bench import (
 from .models import SeparationModel
 from .operations import OPERATIONS, Operation, Turn
 
-__all__ = ["OperationBench", "OperationOptions", "Process"]
-
 END = -1
 _KIND, _VESSEL, _TARGET, _MATERIAL, _MAGNITUDE, _TOUCHES, _COLUMNS = range(7)
 _BUILT_IN = len(OPERATIONS)

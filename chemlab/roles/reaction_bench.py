@@ -52,8 +52,6 @@ from .bench import (
 )
 from .models import checked_reaction
 
-__all__ = ["ReactionBench", "ReactionOptions", "Span"]
-
 _FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _FULLEST = 0.98
 """Share of the vessel that the contents may fill at most when the piston moves in."""

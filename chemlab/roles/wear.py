@@ -9,8 +9,6 @@ from ..kernels.jit import kernel, opened
 from ..kernels.rng import normal, uniform
 from .bench import Bench, BenchRules, Experiments, ExperimentState
 
-__all__ = ["LEAST_GAIN", "MOST_GAIN", "renew", "wear_out"]
-
 LEAST_GAIN, MOST_GAIN = 0.01, 100.0
 """Bounds of a drifting gain."""
 

@@ -20,8 +20,6 @@ from chemlab.agents.pretrained import PretrainedPolicy, load_pretrained, pretrai
 from chemlab.agents.roles import MANAGER_ROLE, role_of
 from chemlab.agents.runs import RESULT_SEED
 
-__all__ = ["bench_policies", "benches_table", "collect_benches"]
-
 _FILE, _STARTS, _SCRIPTED = "benches.csv", ("paper", "lab"), "scripted"
 _COLUMNS = ("name", "scenario", "bench", "starts", "episodes", "seed", "chemlab", "player", *_STARTS, "reward", "score")
 

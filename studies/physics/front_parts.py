@@ -9,8 +9,6 @@ from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.shelf import Shelf
 from chemlab.roles.bench import Bench, Experiments
 
-__all__ = ["kept", "pot"]
-
 
 def pot(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return [B] mol of the goal in the pots, and its mole fraction there."""

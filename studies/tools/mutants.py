@@ -25,8 +25,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-__all__ = ["Mutant", "choose", "main", "mutants"]
-
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("chemlab/physics", "chemlab/roles", "chemlab/lab")
 _LEAST_S = 60.0

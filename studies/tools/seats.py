@@ -20,8 +20,6 @@ from chemlab.agents.policies import agent_policy
 from chemlab.agents.seats import Room
 from chemlab.agents.verbs import ToolError
 
-__all__ = ["call_for", "main", "measure", "play_scripted"]
-
 Call = tuple[str, dict[str, Any]]
 
 

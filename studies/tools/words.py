@@ -13,8 +13,6 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["code", "findings", "main"]
-
 ROOT = Path(__file__).parents[2]
 REFUSED = (
     r"whoever|whomever|nobody|strangers?|go(?:es)? astray|(?:comes?|came|coming) along|those (?:that|who)|"

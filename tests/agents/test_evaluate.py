@@ -11,14 +11,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from chemlab.agents.episodes import play_episode
-from chemlab.agents.evaluate import play as module
 from chemlab.agents.evaluate.play import Target, bench_policy, evaluate, find_target, play_bench
-from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
-from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 
 runner = CliRunner()
@@ -103,22 +99,6 @@ def test_cases_are_what_is_in_the_vessel() -> None:
     assert play_bench(rxn, bench_policy("scripted", rxn.bench), "NaCl", 0).cases == ["", ""]
 
 
-@pytest.mark.parametrize("policy", ["scripted", "random"])
-def test_laboratories_play_what_episodes_play(policy: str) -> None:
-    """Laboratory i of a batch is an episode with seed + i (random policies draw for the batch: one at a time)."""
-    target = find_target("wurtz_dodecane")
-    assert target.bench is None
-    count = 3 if policy == "scripted" else 1
-    played = target.play(policy, "dodecane", count, 4)
-    env = raw_env(target.scenario)
-    for i in range(count):
-        single = play_episode(env, make_policies(policy, env.laboratories, 4 + i), 4 + i, options={"goal": "dodecane"})
-        assert played.returns[i] == pytest.approx(single.score, abs=1e-12)
-        assert played.lengths[i] == single.ticks
-        assert played.measures["purity"][i] == pytest.approx(single.purity, abs=1e-12)
-        assert played.measures["reward ext_0"][i] == pytest.approx(single.rewards["ext_0"], abs=1e-12)
-
-
 def test_report_is_made_of_the_returns() -> None:
     """Means, differences and wins follow from the returns that are stored with them, pair by pair."""
     results = evaluate(find_target(DIT), ["random"], episodes=5, seed=3, goals=["dodecane", "NaCl"])
@@ -194,31 +174,6 @@ def test_mistakes_are_explained(arguments: list[str], words: list[str]) -> None:
     result = runner.invoke(app, ["evaluate", *arguments, "--episodes", "1"])
     assert result.exit_code == 2
     assert all(word in result.output for word in words)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["evaluate", DIT, "--out", "file/out.json"], "file: cannot write there"),
-        (["evaluate", DIT, "--out", "."], "is a folder; give a file's name"),
-        (["evaluate", "fictitious", "--update", "nope.md"], "nope.md: no such file"),
-        (["evaluate", "fictitious", "--update", "file"], "needs the lines <!-- results: begin -->"),
-    ],
-)
-def test_what_is_in_the_way_of_results_is_found_before_anything_is_played(
-    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("file").write_text("no marks")
-
-    def play(*_: Any, **__: Any) -> None:
-        raise AssertionError("nothing is to be played")
-
-    monkeypatch.setattr(module, "play_bench", play)
-    monkeypatch.setattr("chemlab.agents.episodes.play_episode", play)
-    result = runner.invoke(app, arguments, env={"COLUMNS": "200"})
-    assert result.exit_code == 2
-    assert words in result.output.replace("\n", " ")
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

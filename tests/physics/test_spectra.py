@@ -54,31 +54,6 @@ def test_absorption_is_concentration_times_peaks(scenario: str, left_out: int) -
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)
 
 
-def test_absorption_is_linear_in_concentration() -> None:
-    """Twice the dilute solute at the same volume of liquid (metal is no liquid) absorbs twice as much."""
-    glass = Glassware("wurtz_dodecane", 1)
-    blank = seen(glass, {"diethyl_ether": 8.0})
-    once, twice = (seen(glass, {"diethyl_ether": 8.0, "Na": mol}) - blank for mol in (0.2, 0.4))
-    assert once.max() > 0.01
-    np.testing.assert_allclose(twice, 2.0 * once, rtol=1e-9, atol=1e-12)
-
-
-def test_absorption_depends_on_concentration_not_on_amount() -> None:
-    """Three times everything is the same spectrum."""
-    glass = Glassware("fictitious", 1)
-    contents = {"diethyl_ether": 2.0, "A": 0.1, "E": 0.05}
-    tripled = {name: 3.0 * mol for name, mol in contents.items()}
-    np.testing.assert_allclose(seen(glass, tripled), seen(glass, contents), rtol=1e-12, atol=1e-15)
-
-
-@given(st.dictionaries(st.sampled_from([*"ABCDEFGHI", "diethyl_ether"]), st.floats(0.0, 1e4), max_size=8))
-def test_absorption_is_clipped_to_the_unit_interval(contents: dict[str, float]) -> None:
-    """Whatever is in the vessel, every value is finite and from 0 to 1."""
-    found = seen(Glassware("fictitious", 1), contents)
-    assert np.isfinite(found).all()
-    assert 0.0 <= found.min() <= found.max() <= 1.0
-
-
 def test_strong_absorption_is_cut_at_one() -> None:
     """Where concentration times peak exceeds 1 the spectrum is exactly 1, elsewhere it is unchanged."""
     glass = Glassware("wurtz_dodecane", 1)

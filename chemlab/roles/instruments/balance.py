@@ -10,9 +10,6 @@ from ...physics.chemistry import AMOUNTS, Chemistry
 from ..bench import Channel
 from .instrument import Instrument, Reading
 
-__all__ = ["INSTRUMENT"]
-
-
 RANGE_KG = 2.0
 
 

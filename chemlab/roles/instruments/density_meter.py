@@ -12,8 +12,6 @@ from ...physics.constants import SOLIDS, TRACE_MOL
 from ..bench import Channel
 from .instrument import Instrument, Reading, in_numbers
 
-__all__ = ["INSTRUMENT"]
-
 RANGE_KG_L = 3.0
 
 

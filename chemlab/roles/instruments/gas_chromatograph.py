@@ -13,9 +13,6 @@ from ...physics.constants import TRACE_MOL
 from ..bench import Channel
 from .instrument import Instrument, Reading, shares_in_words
 
-__all__ = ["INSTRUMENT"]
-
-
 HOTTEST_COLUMN_K = 750.0
 """Boiling point in K above which a material does not pass the column and counts as residue."""
 

@@ -16,8 +16,6 @@ from ...physics.constants import TRACE_MOL
 from ..bench import Channel
 from .instrument import Instrument, Reading, shares_in_words
 
-__all__ = ["INSTRUMENT"]
-
 
 @inner
 def _read(reading: Reading, chem: Handle) -> float:

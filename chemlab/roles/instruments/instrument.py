@@ -13,8 +13,6 @@ from ...kernels.arrays import FloatArray, Handle, IntArray, StreamArray
 from ...physics.chemistry import Chemistry, ChemistryTable
 from ..bench import Channel
 
-__all__ = ["Instrument", "Reading", "in_numbers", "no_analytes", "no_numbers", "shares_in_words"]
-
 
 class Reading(NamedTuple):
     """Objects of a measurement in one laboratory."""

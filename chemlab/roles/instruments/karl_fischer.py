@@ -13,8 +13,6 @@ from ...physics.chemistry import AMOUNTS, Chemistry, ChemistryTable
 from ..bench import Channel
 from .instrument import Instrument, Reading
 
-__all__ = ["INSTRUMENT"]
-
 
 @inner
 def _read(reading: Reading, chem: Handle) -> float:

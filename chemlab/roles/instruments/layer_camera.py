@@ -10,8 +10,6 @@ from ...physics.stratification import camera, profile
 from ..bench import CAMERA_PIXELS, Channel
 from .instrument import Instrument, Reading
 
-__all__ = ["INSTRUMENT"]
-
 
 @inner
 def _read(reading: Reading, chem: Handle) -> float:

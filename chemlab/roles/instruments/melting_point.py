@@ -19,8 +19,6 @@ from ...physics.constants import GAS_CONSTANT, TRACE_MOL
 from ..bench import Channel
 from .instrument import Instrument, Reading, in_numbers
 
-__all__ = ["INSTRUMENT"]
-
 COLDEST_K, HOTTEST_K = 173.15, 673.15
 """The lowest value means no reading."""
 

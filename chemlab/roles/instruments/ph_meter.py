@@ -11,8 +11,6 @@ from ...physics.backends.real.acids import ph
 from ..bench import Channel
 from .instrument import Instrument, Reading, in_numbers
 
-__all__ = ["INSTRUMENT"]
-
 LOWEST, HIGHEST = -2.0, 16.0
 """Range beyond that of a glass electrode; the lowest value means no reading."""
 

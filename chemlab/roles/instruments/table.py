@@ -24,8 +24,6 @@ from ..bench import CAMERA_PIXELS, Channel
 from . import INSTRUMENTS
 from .instrument import Instrument, Reading
 
-__all__ = ["InstrumentRules", "InstrumentTable"]
-
 _TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_position"})
 
 

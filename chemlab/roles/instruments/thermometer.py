@@ -10,8 +10,6 @@ from ...physics.chemistry import TEMPERATURE
 from ..bench import Channel
 from .instrument import Instrument, Reading
 
-__all__ = ["INSTRUMENT"]
-
 COLDEST_K, HOTTEST_K = 173.15, 773.15
 """-100 to 500 degrees Celsius, as of a resistance thermometer."""
 

@@ -10,8 +10,6 @@ from ...physics.spectra import spectrum
 from ..bench import Channel
 from .instrument import Instrument, Reading
 
-__all__ = ["INSTRUMENT"]
-
 
 @inner
 def _read(reading: Reading, chem: Handle) -> float:

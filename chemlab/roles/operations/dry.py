@@ -8,8 +8,6 @@ from ...physics.backends import dry
 from ...physics.transfer import liquid_volume
 from .operation import Operation, Turn
 
-__all__ = ["OPERATION"]
-
 _LEAST_L = 1e-9
 
 

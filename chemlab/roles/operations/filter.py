@@ -7,8 +7,6 @@ from ...kernels.jit import inner
 from ...physics.transfer import free_liquid, strain
 from .operation import Operation, Turn
 
-__all__ = ["OPERATION"]
-
 _CAKE_LIQUID = 4
 """Index in ``Turn.limits``."""
 _LEAST_L = 1e-6

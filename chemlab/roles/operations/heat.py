@@ -7,8 +7,6 @@ from ...kernels.jit import inner
 from ...physics.backends import heat
 from .operation import Operation, Turn, always
 
-__all__ = ["OPERATION"]
-
 
 @inner
 def _act(turn: Turn, chem: Handle) -> float:

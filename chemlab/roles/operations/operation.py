@@ -16,8 +16,6 @@ from ...physics.transfer import volume
 if TYPE_CHECKING:
     from ..bench import Bench
 
-__all__ = ["Operation", "Turn", "always", "no_numbers", "not_empty"]
-
 
 class Turn(NamedTuple):
     """Objects of an operation in one laboratory."""

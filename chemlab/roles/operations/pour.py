@@ -7,8 +7,6 @@ from ...kernels.jit import inner
 from ...physics.transfer import pour
 from .operation import Operation, Turn, not_empty
 
-__all__ = ["OPERATION"]
-
 
 @inner
 def _act(turn: Turn, chem: Handle) -> float:

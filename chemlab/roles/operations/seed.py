@@ -9,8 +9,6 @@ from ...physics.constants import TRACE_MOL
 from ...physics.transfer import pour_out
 from .operation import Operation, Turn
 
-__all__ = ["OPERATION"]
-
 
 @inner
 def _act(turn: Turn, chem: Handle) -> float:

@@ -6,8 +6,6 @@ from ...kernels.arrays import Handle
 from ...kernels.jit import inner
 from .operation import Operation, Turn, always
 
-__all__ = ["OPERATION"]
-
 
 @inner
 def _act(turn: Turn, chem: Handle) -> float:

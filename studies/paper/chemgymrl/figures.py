@@ -20,8 +20,6 @@ from chemlab.render.figure import SETTINGS, import_matplotlib, new_figure, save_
 
 from .results import EXPERIMENTS, Results
 
-__all__ = ["FIGURES", "FigureSpec", "write_figures"]
-
 _GOALS = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000")
 _BEHIND_TEXT = {"facecolor": "white", "edgecolor": "none", "pad": 0.8, "alpha": 0.8}
 

@@ -14,8 +14,6 @@ from chemlab.kernels.arrays import FloatArray
 
 from .results import EXPERIMENTS, Results
 
-__all__ = ["MEASURES", "Measure", "Values"]
-
 Values = Mapping[str, float]
 """Values by goal, reagent or starting state; a single number has the key ''."""
 _GOAL, _SALT = "dodecane", ("without NaCl", "with NaCl")

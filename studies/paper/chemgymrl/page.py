@@ -15,8 +15,6 @@ from .figures import FIGURES
 from .results import EXPERIMENTS, Results
 from .statements import Finding, compare_with_paper
 
-__all__ = ["paper_table", "write_page"]
-
 
 def paper_table(results: Results) -> list[str]:
     """Return the lines of a Markdown table of the paper's experiments.

@@ -16,20 +16,6 @@ from chemlab.agents.evaluate.results import Cell, Cells, TrainedRun, cells_of, d
 from chemlab.agents.train.arguments import PPO
 from chemlab.agents.train.tasks import task_fingerprint
 
-__all__ = [
-    "EXPERIMENTS",
-    "TABLES",
-    "TRACE_COLUMNS",
-    "TRACE_FILE",
-    "Experiment",
-    "Results",
-    "Trace",
-    "experiment_of",
-    "read_results",
-    "results_of",
-    "source_of",
-]
-
 TABLES = Path(__file__).parent / "results"
 """Folder of the published results."""
 

@@ -21,8 +21,6 @@ from chemlab.config.materials import read_toml
 from .measures import MEASURES, Values
 from .results import EXPERIMENTS, Results
 
-__all__ = ["Claim", "Finding", "Reference", "Test", "compare_with_paper", "load_claims"]
-
 _OPERATORS: dict[str, Callable[[float, float, float], bool]] = {
     ">": lambda left, right, margin: left > right + margin,
     ">=": lambda left, right, margin: left >= right + margin,

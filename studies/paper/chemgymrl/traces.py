@@ -18,8 +18,6 @@ from chemlab.roles.bench import Bench
 
 from .results import EXPERIMENTS, TRACE_COLUMNS, TRACE_FILE, Experiment, Results, source_of
 
-__all__ = ["collect_traces"]
-
 EPISODES = 40
 """Episodes per goal, enough to meet every starting state and to estimate a random policy's mean."""
 SEED = 10_000

@@ -10,8 +10,6 @@ from ...events import BOILED_DRY, DRY_HEATING
 from ...thermal import air_in_open_vessel
 from ...transfer import add, heat_capacity, take
 
-__all__ = ["heat"]
-
 
 @helper
 def heat(

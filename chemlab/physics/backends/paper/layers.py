@@ -8,8 +8,6 @@ from ...chemistry import AMOUNTS, CAPACITY, ROLE_ION, ROLE_SOLID, Chemistry
 from ...constants import SOLIDS, TRACE_MOL
 from ...transfer import row_has
 
-__all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_mol", "solid_volume"]
-
 
 @helper
 def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:

@@ -10,8 +10,6 @@ from ...chemistry import AMOUNTS, CLOCK, CLOCK_WAS, Chemistry
 from ...constants import TRACE_MOL
 from ...shelf import T_MIX
 
-__all__ = ["equilibrium", "partition", "set_dissolved_total"]
-
 _DECAY = 30.0
 """The paper's rate of transition from the mixed to the polarity-driven distribution."""
 

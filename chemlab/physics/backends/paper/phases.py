@@ -9,8 +9,6 @@ from ....kernels.jit import helper, opened
 from ...chemistry import AMOUNTS, ROLE_GAS, Chemistry
 from .partition import set_dissolved_total
 
-__all__ = ["react_violently", "settle_phases", "settle_salts"]
-
 
 @helper
 def _set_amount(row: FloatArray, chem: Handle, material: int, total: float, share: FloatArray) -> None:

@@ -9,8 +9,6 @@ from ...mass_action import integrate, react_work_size
 from ...surroundings import Surroundings
 from ...transfer import liquid_volume
 
-__all__ = ["elapse", "react", "work_size"]
-
 
 @helper
 def react(

@@ -12,8 +12,6 @@ from ...events import RELIEF
 from ...thermal import pressure
 from ...transfer import take, volume
 
-__all__ = ["dry", "headspace_gas", "vapor_pressure", "vent"]
-
 _STEP = 0.05
 """Share of the liquids that evaporates in one step of drying."""
 _MOST_STEPS = 1000

@@ -18,8 +18,6 @@ from ...transfer import heat_capacity
 from .fields import STANDARD_K
 from .real_chemistry import RealChemistry
 
-__all__ = ["acid_work_size", "ionizes", "ph", "settle_acids"]
-
 _LN10 = math.log(10.0)
 _SALTIEST = 0.5
 """Ionic strength in mol/kg above which the Davies equation is invalid; activity coefficients are constant beyond."""

@@ -23,8 +23,6 @@ from .real_chemistry import MOST_FLUIDS, RealChemistry
 from .salts import let_salts_fall_out
 from .vapor import bubble_point, latent_heat, write_back
 
-__all__ = ["evaporate", "heat"]
-
 _STEP = 0.15
 """Maximum share of the liquid that boils off in one step of the integration (second order)."""
 _MOST_STEPS = 400

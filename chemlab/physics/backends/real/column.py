@@ -16,8 +16,6 @@ from ...constants import GAS_CONSTANT
 from .liquids import Liquids, clear_liquids, dimer_root, nrtl, on_curve, prepare
 from .real_chemistry import MOST_FLUIDS, ORGANIC, RealChemistry
 
-__all__ = ["LADDER", "MOST_STAGES", "overhead"]
-
 MOST_STAGES = 16
 LADDER = MOST_STAGES * MOST_FLUIDS
 _CLOSE = 1e-4

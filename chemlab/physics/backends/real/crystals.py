@@ -17,8 +17,6 @@ from .liquids import Liquids, clear_liquids, gather, split
 from .partition import crystallizes
 from .real_chemistry import MOST_FLUIDS, RealChemistry
 
-__all__ = ["find_crystals", "limit", "saturate"]
-
 _MOST_ROUNDS = 60
 _SATURATED = 1e-9
 """Convergence tolerance of ln of the dissolved amount at saturation."""

@@ -12,8 +12,6 @@ from .real_chemistry import MOST_FLUIDS
 from .salts import settle_salts
 from .vapor import write_back
 
-__all__ = ["dry"]
-
 _STEP = 0.1
 """Maximum share of the liquids evaporated in one step of the integration (second order)."""
 _MOST_STEPS = 400

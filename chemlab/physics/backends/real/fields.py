@@ -16,8 +16,6 @@ from ...chemistry import Parameter, Structure
 if TYPE_CHECKING:
     from ....config.scenario import Scenario
 
-__all__ = ["STANDARD_K", "AcidFields", "KineticFields", "acid_fields", "independent_reactions", "kinetic_fields"]
-
 STANDARD_K = 298.15
 """Temperature of tabulated constants and formation enthalpies, K."""
 _HEAT_TOLERANCE = 5000.0

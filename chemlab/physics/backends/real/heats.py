@@ -10,8 +10,6 @@ from ...transfer import heat_capacity, within_range
 from .fields import STANDARD_K
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
-__all__ = ["add_heat", "crystals", "dissolved", "enthalpy", "set_enthalpy"]
-
 
 @helper
 def dissolved(row: FloatArray, chem: Handle, k: int) -> float:

@@ -25,26 +25,6 @@ from .fields import STANDARD_K
 from .heats import dissolved
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
-__all__ = [
-    "ALONE",
-    "COLUMN",
-    "CRYSTALS",
-    "KEPT",
-    "PLACE",
-    "PREDICTED",
-    "PROBE",
-    "SATURATED",
-    "SATURATION",
-    "SHARE",
-    "SHARES",
-    "Ways",
-    "add_species",
-    "available",
-    "extra",
-    "integrate",
-    "react_work_size",
-]
-
 _GAMMA = 0.5
 _MOST_STEPS = 100_000
 _USED_UP = 1e-15

@@ -9,8 +9,6 @@ from ...constants import FIRST_PHASE, SOLIDS, TRACE_MOL
 from .heats import crystals
 from .real_chemistry import RealChemistry
 
-__all__ = ["drain_layer", "find_layers", "layer_density", "layer_shade", "solid_mol", "solid_volume"]
-
 
 @helper
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:

@@ -16,20 +16,6 @@ from ...chemistry import AMOUNTS
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 
-__all__ = [
-    "Liquids",
-    "activities",
-    "clear_liquids",
-    "dimer_root",
-    "gather",
-    "nrtl",
-    "on_curve",
-    "partial_pressures",
-    "prepare",
-    "split",
-    "vapor_mol",
-]
-
 _ROOM = MOST_FLUIDS * MOST_FLUIDS
 _BOTH = 2 * MOST_FLUIDS
 _SETSCHENOW = 0.2

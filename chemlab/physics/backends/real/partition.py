@@ -12,8 +12,6 @@ from .acids import settle_acids
 from .liquids import clear_liquids, gather, split
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
-__all__ = ["crystallizes", "partition", "place_new"]
-
 _STIRRED = 0.99
 """Share of the way to equilibrium from which acids and bases equilibrate across the layers."""
 _MOST_ROUNDS, _CLOSE = 60, 1e-7

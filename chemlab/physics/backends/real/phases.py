@@ -21,8 +21,6 @@ from .real_chemistry import RealChemistry
 from .salts import change_amount, settle_salts
 from .vapor import flash_off
 
-__all__ = ["elapse", "settle_phases", "work_size"]
-
 _RTOL, _ATOL = 1e-3, 1e-9
 
 

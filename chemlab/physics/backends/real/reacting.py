@@ -23,8 +23,6 @@ from .real_chemistry import RealChemistry
 from .spans import drifted, lengthened, prepare
 from .vapor import boiling_point, flash_off
 
-__all__ = ["react"]
-
 _HEAT_K = 20.0
 """Maximum heat of a part, as warming of the contents in K without boiling."""
 _RISE_K = 6.0

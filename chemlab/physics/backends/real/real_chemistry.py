@@ -23,8 +23,6 @@ from .fields import AcidFields, KineticFields, acid_fields, kinetic_fields
 if TYPE_CHECKING:
     from ....config.scenario import Scenario
 
-__all__ = ["AQUEOUS", "CURVE_POINTS", "MOST_FLUIDS", "ORGANIC", "FluidFields", "RealChemistry", "build"]
-
 AQUEOUS, ORGANIC = 0, 1
 """The two liquid phases."""
 MOST_FLUIDS = 32

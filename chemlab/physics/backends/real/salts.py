@@ -11,8 +11,6 @@ from .heats import enthalpy, set_enthalpy
 from .liquids import on_curve
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
-__all__ = ["change_amount", "let_salts_fall_out", "settle_salts"]
-
 _MOST_ROUNDS = 60
 _CLOSE = 1e-12
 

@@ -22,8 +22,6 @@ from .kinetics import COLUMN, PLACE, PREDICTED, PROBE, SATURATION, Ways, add_spe
 from .real_chemistry import AQUEOUS, RealChemistry
 from .salts import let_salts_fall_out
 
-__all__ = ["drifted", "lengthened", "prepare", "settle_shifts"]
-
 _VOLUME, _SATURATION, _CONCENTRATION, _KELVIN = 0.02, 0.01, 0.02, 0.5
 """Allowed changes in a span.
 

@@ -15,17 +15,6 @@ from .liquids import Liquids, activities, clear_liquids, gather, on_curve, parti
 from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .salts import let_salts_fall_out
 
-__all__ = [
-    "boiling_point",
-    "bubble_point",
-    "flash_off",
-    "headspace_gas",
-    "latent_heat",
-    "vapor_pressure",
-    "vent",
-    "write_back",
-]
-
 _NO_BOILING = 1e4
 """Temperature in K that is returned if nothing boils."""
 _CLOSE_K = 1e-3
