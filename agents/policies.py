@@ -58,8 +58,8 @@ __all__ = [
     "scripted_manager",
 ]
 
-_MARGINS_K = {"scripted:hot": -8.0, "scripted:cool": 10.0}
-"""Habits by name: kelvin below the highest temperature that a reaction bench thinks right."""
+_MARGINS_K: dict[str, float | None] = {"scripted:hot": -8.0, "scripted:fixed": None}
+"""Habits by name: kelvin below the highest temperature that a reaction bench thinks right, see ScriptedReaction."""
 
 _SCRIPTS: dict[str, dict[str, type[Any]]] = {
     "paper": {
@@ -152,10 +152,10 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
             * ``scripted``; with an ability removed: ``scripted:unsafe`` (no actions that serve only safety or
               measurement), ``scripted:no-extraction`` (the manager does not use extraction), ``scripted:memoryless``
               (the manager forgets its findings at the end of a batch, or at the next measurement), ``scripted:fifo``
-              (the manager takes one order at a time, in the order of arrival); with other habits: ``scripted:hot`` and
-              ``scripted:cool`` (reaction benches to which the highest useful temperature is revealed work above or
-              below it, extraction benches to which polarities are revealed wash with more or less, and the manager
-              counts on that; others play as ``scripted``)
+              (the manager takes one order at a time, in the order of arrival); with other habits: ``scripted:hot``
+              (reaction benches to which the highest useful temperature is revealed work above it, extraction benches to
+              which polarities are revealed wash with more) and ``scripted:fixed`` (such benches do what is right at the
+              median, whatever is revealed); the manager counts on the habit; others play as ``scripted``
             * ``random``
             * ``pretrained``: bundled benches and the scripted manager; ``pretrained-isolated``: the same with benches
               trained on single benches; ``trained``: a bundled manager as well, with the benches of its training
@@ -295,7 +295,7 @@ def is_scripted(bench: Bench) -> bool:
 
 
 def scripted_bench(
-    bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None, margin_k: float = 0.0
+    bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None, margin_k: float | None = 0.0
 ) -> Policy:
     """Return the scripted policy of a bench; for kinds without one, random legal actions with a warning.
 
@@ -343,7 +343,7 @@ def scripted_manager(
     skip: Collection[str] = (),
     remember: bool = True,
     schedule: bool = True,
-    margin_k: float = 0.0,
+    margin_k: float | None = 0.0,
 ) -> Policy:
     """Return the scripted manager of some laboratories.
 

@@ -39,6 +39,7 @@ class ScriptedExtraction(Remembering):
         bench: the bench.
         careful: False washes in any case.
         margin_k: habit of the team, see :class:`.reaction.ScriptedReaction`: washes are the smaller, the larger it is.
+            None: the same volume, whatever is revealed.
     """
 
     _MEMORY: tuple[str, ...] = ("_phase", "_washes")
@@ -46,7 +47,7 @@ class ScriptedExtraction(Remembering):
     wash_l = 0.05
     """Volume of one wash in litres."""
 
-    def __init__(self, bench: ExtractionBench, careful: bool = True, margin_k: float = 0.0) -> None:
+    def __init__(self, bench: ExtractionBench, careful: bool = True, margin_k: float | None = 0.0) -> None:
         materials = bench.scenario.materials
         violent = {name for step in bench.scenario.family.violent for name in step.reactants}
         solids = {name: m.shade for name, m in materials.items() if m.role == "solid"}
@@ -70,8 +71,10 @@ class ScriptedExtraction(Remembering):
         )
         sizes, first = np.array(processes[add].magnitudes), int(starts[add])
         self._add = first + int(np.argmin(np.abs(sizes - self.wash_l)))
-        taken = _TAKEN / (1.0 - _TAKEN) * 0.5 ** (margin_k / _MARGIN_K)
+        taken = _TAKEN / (1.0 - _TAKEN) * 0.5 ** ((margin_k or 0.0) / _MARGIN_K)
         self._told, volumes = _wash_volumes(bench, str(processes[add].material))
+        if margin_k is None:
+            volumes = volumes[len(volumes) // 2 :][:1]
         self._adds = [first + int(np.argmin(np.abs(sizes - taken * volume))) for volume in volumes]
         self._most = bench.spec.step_limit if self._adds else _WASHES
         self._mix = int(starts[mix]) + int(np.argmax(processes[mix].magnitudes))

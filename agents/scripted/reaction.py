@@ -61,10 +61,11 @@ class ScriptedReaction:
     Args:
         bench: the bench.
         careful: False heats regardless of the pressure gauge.
-        margin_k: kelvin below the highest temperature that a revealed rate allows; a negative number is above it.
+        margin_k: kelvin below the highest temperature that a revealed rate allows; a negative number is above it. None:
+            the temperature that is right at the median of the prior, whatever is revealed.
     """
 
-    def __init__(self, bench: ReactionBench, careful: bool = True, margin_k: float = 0.0) -> None:
+    def __init__(self, bench: ReactionBench, careful: bool = True, margin_k: float | None = 0.0) -> None:
         priced = bench.scenario.safety.reward_price > 0.0
         self._safe_pressure = (_SAFEST_PRESSURE if priced else _SAFE_PRESSURE) if careful else np.inf
         self._slices = channel_slices(bench.channels)
@@ -99,7 +100,8 @@ class ScriptedReaction:
             low, high, most = self._span
             now = low + observation[:, self._slices["temperature"]][:, 0] * (high - low)
             column, shares, kelvin = self._hottest
-            wanted = np.interp(observation[:, self._slices["told"]][:, column], shares, kelvin) - self._margin_k
+            told = 0.5 if self._margin_k is None else observation[:, self._slices["told"]][:, column]
+            wanted = np.interp(told, shares, kelvin) - (self._margin_k or 0.0)
             warm = np.minimum(warm, np.clip(0.5 + (wanted - now) / (2.0 * most), 0.0, 1.0))
         piston = np.where(close, 1.0, 0.5)
         return np.column_stack((warm, piston, adding))

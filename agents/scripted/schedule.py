@@ -409,7 +409,7 @@ def _asks_for_purity(scenario: Scenario) -> bool:
 
 @functools.lru_cache(maxsize=16)
 def _foreseen(
-    scenario: Scenario, titres: tuple[float, ...], script: Callable[..., Policy], margin_k: float
+    scenario: Scenario, titres: tuple[float, ...], script: Callable[..., Policy], margin_k: float | None
 ) -> FloatArray:
     """Simulate [2, stages, grades before, grades, L, T] mol and purity of each stage's goal from the first vessel.
 

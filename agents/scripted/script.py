@@ -155,7 +155,7 @@ class Setting(NamedTuple):
     positions: Mapping[str, int]
     careful: bool = True
     skip: Collection[str] = ()
-    margin_k: float = 0.0
+    margin_k: float | None = 0.0
 
 
 class _Advice(NamedTuple):

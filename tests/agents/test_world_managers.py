@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import math
 from typing import Any
 
@@ -321,14 +322,18 @@ def test_a_near_deadline_gets_the_quick_grade() -> None:
         assert [start[1:] for start in starts] == [("rxn_0", slot, "F", "quick"), ("fin_0", slot, "E", "quick")]
 
 
-def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_lost() -> None:
-    """The temperature at which a run takes a tenth of a time constant of the loss, by the law of Arrhenius."""
+@pytest.mark.parametrize("margin_k", [0.0, None])
+def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_lost(margin_k: float | None) -> None:
+    """The temperature at which a run takes a tenth of a time constant of the loss, by the law of Arrhenius.
+
+    With a fixed habit, it is that of the median.
+    """
     labs = Laboratories("relay")
     step = next(one for one in labs.scenario.family.reaction if set(one.reactants) == {"F"})
     for factor in (0.1, 1.0, 10.0):
         labs.seed(0, np.random.SeedSequence(0))
         labs.reset(labs.members, world={"first_limit": factor})
-        agent: Any = ScriptedReaction(labs.benches[0])  # type: ignore[arg-type]
+        agent: Any = ScriptedReaction(labs.benches[0], margin_k=margin_k)  # type: ignore[arg-type]
         for action in (labs.actions.encode("start", "rxn_0", 0, "F", "slow"), labs.actions.encode("wait")):
             labs.act(0, labs.members, np.array([action]))
         row, hottest = labs.experiments[0].places[0, 0], 0.0
@@ -336,7 +341,8 @@ def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_l
             actions = agent.act(labs.observe(1, labs.members), None, np.array([turn]), labs.members)
             labs.act(1, labs.members, actions)
             hottest = max(hottest, float(labs.shelf.rows[row, TEMPERATURE]))
-        limit = step.activation_energy_j_mol / (GAS * math.log(factor * step.pre_exponential * 40 * 0.05 / 0.1))
+        rate = step.pre_exponential * (1.0 if margin_k is None else factor)
+        limit = step.activation_energy_j_mol / (GAS * math.log(rate * 40 * 0.05 / 0.1))
         assert hottest == pytest.approx(min(limit, 348.15), abs=0.2)
 
 
@@ -358,23 +364,26 @@ def test_a_cooperative_scenario_needs_each_member(scenario: str, role: str) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("scenario", "partners", "wrong"),
+    ("scenario", "partners", "wrong", "episodes"),
     [
-        ("relay", "scripted", "scripted:hot"),
-        ("relay", "scripted:hot", "scripted"),
-        ("refine", "scripted:hot", "scripted"),
+        *(("relay", *pair, 120) for pair in itertools.permutations(("scripted", "scripted:hot", "scripted:fixed"), 2)),
+        ("refine", "scripted:hot", "scripted", 40),
     ],
 )
 def test_the_best_manager_of_a_cooperative_scenario_depends_on_the_partners(
-    scenario: str, partners: str, wrong: str
+    scenario: str, partners: str, wrong: str, episodes: int
 ) -> None:
     """The manager that counts on its partners' habits scores more than one that counts on others'."""
-    gain = team_scores(scenario, partners) - team_scores(scenario, f"{partners},manager={wrong}")
+    gain = team_scores(scenario, partners, episodes) - team_scores(scenario, f"{partners},manager={wrong}", episodes)
     assert gain.mean() > 2.0 * gain.std() / np.sqrt(len(gain))
 
 
-def test_a_funnel_that_is_told_takes_more_water_where_water_takes_less() -> None:
-    """At equal shares of an impurity in a wash, by the law of partition: volume times polarity's distance."""
+@pytest.mark.parametrize("margin_k", [0.0, None])
+def test_a_funnel_that_is_told_takes_more_water_where_water_takes_less(margin_k: float | None) -> None:
+    """At equal shares of an impurity in a wash, by the law of partition: volume times polarity's distance.
+
+    With a fixed habit, as at the median.
+    """
     labs = Laboratories("refine")
     sizes = np.array([0.05, 0.1, 0.2, 0.3, 0.4])
     for polarity in (0.5, 0.7, 0.9):
@@ -383,9 +392,10 @@ def test_a_funnel_that_is_told_takes_more_water_where_water_takes_less() -> None
         for action in (labs.actions.encode("start", "ext_0", 0, "F", "slow"), labs.actions.encode("wait")):
             labs.act(0, labs.members, np.array([action]))
         seen, mask = labs.observe(2, labs.members), labs.mask(2, labs.members)
-        action = int(ScriptedExtraction(labs.benches[1]).act(seen, mask, np.zeros(1, np.int64), labs.members)[0])  # type: ignore[arg-type]
-        litres = 3.0 * 0.09213842 / 0.8622  # of toluene
-        wanted = litres * 0.6 / 0.4 * (1.0 - polarity) / (polarity - 0.099)
+        funnel = ScriptedExtraction(labs.benches[1], margin_k=margin_k)  # type: ignore[arg-type]
+        action = int(funnel.act(seen, mask, np.zeros(1, np.int64), labs.members)[0])
+        litres, at = 3.0 * 0.09213842 / 0.8622, 0.7 if margin_k is None else polarity  # of toluene
+        wanted = litres * 0.6 / 0.4 * (1.0 - at) / (at - 0.099)
         meaning = labs.benches[1].action_meanings[action]
         assert meaning == f"add water to EV, {sizes[np.abs(sizes - wanted).argmin()]:g} L"
 
