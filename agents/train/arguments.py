@@ -143,7 +143,8 @@ ABOUT: dict[str, str] = {
     "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
     "own_goals": "Share of training over which starts are for goals of the orders alone, in ever fewer laboratories.",
-    "revealed": "Share of training over which the manager observes hidden parameters, in ever fewer laboratories.",
+    "shown_readings": "Share of training over which instruments read every vessel unasked; they stop in its 2nd half.",
+    "partial": "Share of training over which submissions that fail their specification are paid in part, ever less.",
     "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",
     "self_imitation": "Weight of the manager's own turns that went better than expected.",
     "tied": "Whether slots share the manager's weights, and orders, too. Default: where parameters are hidden.",
@@ -433,7 +434,7 @@ class TD3(Replay):
     action_noise: Weight = 0.1
 
 
-_HELP = ("practice", "refund", "processed", "own_goals", "revealed", "free_readings", "self_imitation")
+_HELP = ("practice", "refund", "processed", "own_goals", "shown_readings", "partial", "free_readings", "self_imitation")
 """Options that help to learn from nothing."""
 
 
@@ -467,7 +468,8 @@ class IPPO(Clipped, Arguments, Cloning):
     refund: Share = 0.5
     processed: Share = 0.3
     own_goals: Share = 0.5
-    revealed: Share = 0.5
+    shown_readings: Share = 0.7
+    partial: Share = 0.6
     free_readings: Share = 0.8
     self_imitation: Weight = 1.0
     tied: bool | None = None

@@ -25,8 +25,9 @@ from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.physics.chemistry import PRESENT
 from chemlab.roles.bench import Channel, channel_slices
-from chemlab.roles.manager_actions import DISCARD, START, SUBMIT
+from chemlab.roles.manager_actions import DISCARD, MEASURE, START, SUBMIT
 from chemlab.roles.manager_state import INSTRUMENTS
 
 from ..advice import Advisor
@@ -39,7 +40,7 @@ try:
     import torch
     from torch import nn
 
-    from .tied import TiedLinear, action_units, tied_layers
+    from .tied import TiedLinear, action_units, numbered, observed_units, tied_layers
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
@@ -47,6 +48,8 @@ __all__ = ["PPOTeam", "compact", "joined", "wide_columns"]
 
 _WIDE = 32
 """Channels of more numbers are left out of the manager's view."""
+_LEAST_DEVIATION = 0.02
+"""Least standard deviation of what is observed, by which it is normalized."""
 _FORBIDDEN = -1e9
 """Logit of an action that the mask forbids."""
 _PRACTICE = 20
@@ -64,6 +67,9 @@ Arrays = npt.NDArray[Any]
 
 class _Network(nn.Module):
     """Actor and critic of one role."""
+
+    mean: torch.Tensor
+    scale: torch.Tensor
 
     def __init__(
         self,
@@ -83,6 +89,9 @@ class _Network(nn.Module):
         else:
             self.actor = tied_layers(tied, 0, action_units(tied), hidden, 0.01)
             self.critic = tied_layers(tied, state, [("value", -1, -1)], hidden, 0.01)
+        # What is observed is normalized: a reading of a hundredth can matter as much as one of a half.
+        self.register_buffer("mean", torch.zeros(observed + state))
+        self.register_buffer("scale", torch.ones(observed + state))
         if not discrete:
             self.log_std = nn.Parameter(torch.full((actions,), -1.0))
             nn.init.constant_(self.actor[-1].bias, 0.5)  # type: ignore[arg-type]
@@ -91,13 +100,21 @@ class _Network(nn.Module):
         """Distribution of actions [B] (discrete) or [B, n]."""
         if self.discrete:
             return torch.distributions.Categorical(logits=self.logits(observed, mask), validate_args=False)
-        out = self.actor(observed)
+        out = self.actor(self._normalized(observed))
         return torch.distributions.Normal(out, self.log_std.exp().expand_as(out), validate_args=False)
 
     def logits(self, observed: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
         """Logits [B, actions] of discrete actions."""
-        out: torch.Tensor = self.actor(observed)
+        out: torch.Tensor = self.actor(self._normalized(observed))
         return out if mask is None else out.masked_fill(~mask, _FORBIDDEN)
+
+    def value(self, seen: torch.Tensor) -> torch.Tensor:
+        """Values [B] of what the critic sees."""
+        found: torch.Tensor = self.critic(self._normalized(seen))[:, 0]
+        return found
+
+    def _normalized(self, x: torch.Tensor) -> torch.Tensor:
+        return (x - self.mean[: x.shape[1]]) * self.scale[: x.shape[1]]
 
 
 def _layers(size: int, hidden: Sequence[int], out: int, gain: float) -> nn.Sequential:
@@ -121,15 +138,6 @@ def compact(scenario: Scenario) -> Scenario:
     return scenario.model_copy(update={"manager": scenario.manager.model_copy(update={"readings": kept})})
 
 
-def _told(scenario: Scenario) -> Scenario:
-    """A scenario whose manager observes all hidden parameters; itself if it observes any already, or there are none."""
-    world = scenario.world
-    if not world.draws or world.told_to(MANAGER_ROLE):
-        return scenario
-    draws = {name: draw.model_copy(update={"told": (*draw.told, MANAGER_ROLE)}) for name, draw in world.draws.items()}
-    return scenario.model_copy(update={"world": world.model_copy(update={"draws": draws})})
-
-
 def _columns(whole: Sequence[Channel], part: Sequence[Channel]) -> IntArray:
     """Columns of the channels ``part`` in an observation of the channels ``whole``; -1 where they are not in it."""
     slices = channel_slices(whole)
@@ -145,18 +153,21 @@ class _Learner:
     """One role: its network and optimizer.
 
     Args:
-        columns: where what it observes stands in the observation of the whole scenario, of ``size`` numbers; -1 for
-            hidden parameters, which it observes in a part of training alone.
+        columns: where what it observes stands in the observation of the whole scenario, of ``size`` numbers.
+        groups: for each number that its critic observes, the group of those that are normalized alike.
     """
 
-    def __init__(self, columns: IntArray, size: int, network: _Network, settings: IPPO, gamma: float) -> None:
-        self.columns, self.size, self.network, self.gamma = columns, size, network, gamma
+    def __init__(
+        self, columns: IntArray, size: int, network: _Network, settings: IPPO, gamma: float, groups: IntArray
+    ) -> None:
+        self.columns, self.size, self.network, self.gamma, self._groups = columns, size, network, gamma, groups
         self.settings, self.critic_first = settings, 0
+        self._count, self._moments, self._normalizes = 0, np.zeros((2, len(groups))), True
         self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, eps=1e-5)
 
     def seen(self, whole: Arrays) -> Arrays:
-        """Return its part [B, columns] of observations [B, size] of the whole scenario; hidden parameters are 0."""
-        return np.where(self.columns >= 0, whole[:, self.columns], np.float32(0.0))
+        """Return its part [B, columns] of observations [B, size] of the whole scenario."""
+        return whole[:, self.columns]
 
     def act(self, observed: Arrays, mask: BoolArray | None, greedy: bool = False) -> tuple[Arrays, Arrays]:
         """Draw actions, or take the most probable ones; return them with their log-probabilities."""
@@ -177,7 +188,7 @@ class _Learner:
     def value(self, observed: Arrays) -> Arrays:
         """Values [B] of what the critic sees."""
         with torch.inference_mode():
-            return np.asarray(self.network.critic(torch.from_numpy(observed))[:, 0].numpy())
+            return np.asarray(self.network.value(torch.from_numpy(observed)).numpy())
 
     def update(self, batch: Mapping[str, Arrays | None], remaining: float, rng: np.random.Generator) -> None:
         """Learn from a batch of turns.
@@ -207,6 +218,23 @@ class _Learner:
                 nn.utils.clip_grad_norm_(self.network.parameters(), 0.5)
                 self.optimizer.step()
 
+    def normalize(self, seen: Arrays) -> None:
+        """Take observations [B, size] of the critic into the means and standard deviations that normalize.
+
+        A policy that has been cloned or taken from elsewhere keeps the scale that it has.
+        """
+        if not self._normalizes:
+            return
+        self._count += len(seen)
+        self._moments += np.stack([seen.sum(axis=0, dtype=np.float64), np.square(seen, dtype=np.float64).sum(axis=0)])
+        sizes = np.bincount(self._groups)
+        mean, square = (
+            (np.bincount(self._groups, weights=one) / sizes)[self._groups] for one in self._moments / self._count
+        )
+        deviation = np.sqrt(np.maximum(square - mean**2, 0.0))
+        self.network.mean[:] = torch.from_numpy(mean)
+        self.network.scale[:] = torch.from_numpy(1.0 / np.maximum(deviation, _LEAST_DEVIATION))
+
     def _losses(self, batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Clipped policy loss, value loss and entropy of a minibatch."""
         distribution = self.network.distribution(batch["observed"], batch["mask"])
@@ -218,7 +246,7 @@ class _Learner:
         ratio = (log_probability - batch["log_probability"]).exp()
         clip = self.settings.clip_range
         policy = -torch.min(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
-        value = (self.network.critic(batch["seen"])[:, 0] - batch["target"]).square().mean()
+        value = (self.network.value(batch["seen"]) - batch["target"]).square().mean()
         return policy, value, entropy
 
     def take(self, policy: PretrainedPolicy) -> None:
@@ -241,7 +269,7 @@ class _Learner:
                 layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
             if LOG_STD in policy.weights:
                 self.network.log_std.copy_(torch.from_numpy(policy.weights[LOG_STD]))
-        self.critic_first = _CRITIC_FIRST
+        self.critic_first, self._normalizes = _CRITIC_FIRST, False
 
     def clone(self, batch: Mapping[str, Arrays | None], rng: np.random.Generator, least_std: float) -> float:
         """Fit the actor to the actions of a batch of turns, and the critic to their returns (``target``).
@@ -250,7 +278,7 @@ class _Learner:
             Share of turns with the same action; for continuous actions the mean absolute difference.
         """
         tensors: dict[str, Any] = {n: None if array is None else torch.from_numpy(array) for n, array in batch.items()}
-        count, network = len(tensors["target"]), self.network
+        count, network, self._normalizes = len(tensors["target"]), self.network, False
         parts = max(1, count // int(_CLONE["batch"]))
         epochs = max(int(_CLONE["epochs"]), -(-int(_CLONE["updates"]) // parts))
         network.train()
@@ -261,7 +289,7 @@ class _Learner:
                 own: dict[str, Any] = {n: None if tensor is None else tensor[rows] for n, tensor in tensors.items()}
                 distribution = network.distribution(own["observed"], own["mask"])
                 log_probability = distribution.log_prob(own["action"])
-                value = (network.critic(own["seen"])[:, 0] - own["target"]).square().mean()
+                value = (network.value(own["seen"]) - own["target"]).square().mean()
                 shown = log_probability.reshape(len(rows), -1).sum(1).mean()
                 loss = -shown - _CLONE["entropy"] * _entropy(distribution) + 0.5 * value
                 optimizer.zero_grad()
@@ -529,11 +557,9 @@ class PPOTeam:
         self.settings, seed = settings, settings.seed
         torch.manual_seed(seed)
         self.rng = np.random.default_rng(seed)
-        full = Laboratories(scenario, 1)
-        self._hides = _told(scenario) is not scenario
+        full, world = Laboratories(scenario, 1), scenario.world
+        self._hides = bool(world.draws) and not world.told_to(MANAGER_ROLE)
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
-        if MANAGER_ROLE in roles and settings.revealed:
-            seen_by_all = _told(seen_by_all)
         self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, infos=False, split=settings.split)
         self.labs = labs = self.batch.laboratories
         self.agents = self.batch.possible_agents
@@ -557,7 +583,10 @@ class PPOTeam:
                 tied = labs if role == MANAGER_ROLE and ties else None
                 network = _Network(len(columns), state, size, bool(count), settings.net_arch, tied)
                 gamma = settings.manager_gamma if role == MANAGER_ROLE else settings.gamma
-                self.learners[role] = _Learner(columns, whole, network, settings, gamma)
+                groups = np.arange(len(columns) + state)
+                if tied:
+                    groups[: len(columns)] = numbered([unit[0] for unit in observed_units(labs)])
+                self.learners[role] = _Learner(columns, whole, network, settings, gamma, groups)
             seen = len(self.learners[role].columns)
             self._tracks[agent] = _Track(
                 settings.rollout, settings.envs, seen, seen + state, () if count else tuple(space.shape or ()), count
@@ -583,7 +612,7 @@ class PPOTeam:
         self.scores: list[float] = []
         self._earned = np.zeros(self.settings.envs)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
-        self._reveal(0.0)
+        self._read(0.0)
 
     def learn(self, done: float, rounds: int) -> int:
         """Learn from a rollout; return the number of turns, at least 1.
@@ -618,19 +647,31 @@ class PPOTeam:
         places = np.arange(self.settings.envs) + 0.5
         return done * self.settings.envs < share * places
 
-    def _reveal(self, done: float) -> None:
-        """Hide the hidden parameters from the manager where its help is over: there, they are 0."""
-        if MANAGER_ROLE in self.learners:
-            hidden = np.flatnonzero(self.learners[MANAGER_ROLE].columns < 0)
-            rows = np.flatnonzero(self._infos[MANAGER_AGENT]["has_turn"])
-            shown, at = self._helps(self.settings.revealed, done)[rows, None], np.ix_(rows, hidden)
-            seen = self._observed[MANAGER_AGENT]
-            seen[at] = np.where(shown, seen[at], 0.0)
+    def _reads(self, done: float) -> BoolArray:
+        """Return [N] where instruments read by themselves: everywhere in the first half of this help."""
+        share = 0.5 * self.settings.shown_readings if self.labs.scenario.world.draws else 0.0
+        return self._helps(share, done - share)
+
+    def _read(self, done: float) -> None:
+        """Let all instruments read the vessels on the shelf that they have not read, where this help goes on."""
+        labs, state = self.labs, self.labs.state
+        if MANAGER_ROLE not in self.learners:
+            return
+        helped = self._reads(done) & self._infos[MANAGER_AGENT]["has_turn"].astype(np.bool_)
+        present = labs.shelf.vessels[:, : labs.scenario.shelf.slots, PRESENT] > 0.0
+        members, slots, used = np.nonzero(helped[:, None, None] & present[:, :, None] & (state.age < 0))
+        if len(members):
+            drifted = state.bias if state.bias.shape[1] else None
+            labs.instruments.read(labs.shelf, state.reading, state.stream, members, slots, used, drifted)
+            state.age[members, slots, used] = 0
+            rows = np.unique(members)
+            labs.observe(labs.manager.index, rows, self._observed[MANAGER_AGENT], rows)
 
     def collect(self, remaining: float) -> None:
         """Play a rollout."""
         done, refund = 1.0 - remaining, _fading(self.settings.refund, remaining)
         free = _fading(self.settings.free_readings, remaining) if self._hides else 0.0
+        near = _fading(self.settings.partial, remaining)
         for learner in self.learners.values():
             learner.network.eval()
         for t in range(1, self.settings.rollout + 1):
@@ -639,17 +680,19 @@ class PPOTeam:
             }
             paid = self.labs.state.charges[:, INSTRUMENTS].copy()
             self._observed, rewards, over, _, self._infos = self.batch.step(actions)
-            self._reveal(done)
+            self._read(done)
             self.scores += self._infos["manager_0"]["score"][over].tolist()
             for agent, track in self._tracks.items():
                 track.reward[t], track.ended[t] = rewards[agent], over
                 if role_of(agent) == MANAGER_ROLE:
                     # Where an episode has ended, the charges are those of the next one.
                     measured = np.maximum(self.labs.state.charges[:, INSTRUMENTS] - paid, 0.0)
-                    earned = self._earned + rewards[agent] + free * measured
+                    nearly = near * self._infos[agent]["partial"]
+                    earned = self._earned + rewards[agent] + free * measured + nearly
+                    least = 0.5 * (self._infos[agent]["paid"] + nearly)
                     # At once, and not at the end: what costs something is not avoided then.
-                    refunds = np.maximum(-earned, 0.0) - np.maximum(-self._earned, 0.0)
-                    track.reward[t] += free * measured + refund * refunds
+                    refunds = np.maximum(least - earned, 0.0) - np.maximum(-self._earned, 0.0)
+                    track.reward[t] += free * measured + nearly + refund * refunds
                     self._earned = np.where(over, 0.0, earned)
                     if self._best is not None:
                         self._best.rewarded(track.reward[t], over)
@@ -710,14 +753,17 @@ class PPOTeam:
         """
         table, state, settings = self.labs.actions.table, self.labs.state, self.settings
         kinds, helped = table[:, 0], mask.copy()
-        starts, submits, discards = (np.flatnonzero(kinds == kind) for kind in (START, SUBMIT, DISCARD))
-        own, limited = (
-            np.flatnonzero(self._helps(share, done)[rows]) for share in (settings.own_goals, settings.processed)
+        starts, submits, discards, measures = (
+            np.flatnonzero(kinds == kind) for kind in (START, SUBMIT, DISCARD, MEASURE)
         )
+        # In every second laboratory, what no order asks for can be made on the way.
+        own = np.flatnonzero((self._helps(settings.own_goals, done) & (np.arange(settings.envs) % 2 == 0))[rows])
+        limited = np.flatnonzero(self._helps(settings.processed, done)[rows])
         wanted = (table[starts, 3][None, :, None] == state.goal[rows[own]][:, None, :]).any(axis=2)
         helped[np.ix_(own, starts)] &= wanted
         helped[np.ix_(limited, submits)] &= state.last_bench[rows[limited]][:, table[submits, 1]] > 0
         helped[np.ix_(limited, discards)] = False
+        helped[np.ix_(np.flatnonzero(self._reads(done)[rows]), measures)] = False
         empty = ~helped.any(axis=1)
         helped[empty] = mask[empty]
         return helped
@@ -750,6 +796,8 @@ class PPOTeam:
             count = len(batch["advantage"])  # type: ignore[arg-type]
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
+                if role == MANAGER_ROLE:
+                    self.learners[role].normalize(np.asarray(batch["seen"]))
             if self._best is not None and role == MANAGER_ROLE:
                 self._best.learn(self.learners[role], self.rng)
             learned += count
@@ -798,12 +846,15 @@ class PPOTeam:
         linear = [layer for layer in learner.network.actor if isinstance(layer, (nn.Linear, TiedLinear))]
         found: dict[str, Arrays] = {}
         for i, layer in enumerate(linear):
-            weight = layer.weight.detach().numpy()
+            weight, bias = layer.weight.detach().numpy(), layer.bias.detach().numpy()
             if i == 0:
-                whole, kept = np.zeros((len(weight), learner.size), dtype=np.float32), learner.columns >= 0
-                whole[:, learner.columns[kept]] = weight[:, kept]
+                size = weight.shape[1]
+                weight = weight * learner.network.scale[:size].numpy()
+                bias = bias - weight @ learner.network.mean[:size].numpy()
+                whole = np.zeros((len(weight), learner.size), dtype=np.float32)
+                whole[:, learner.columns] = weight
                 weight = whole
-            found[f"{i}.weight"], found[f"{i}.bias"] = weight.copy(), layer.bias.detach().numpy().copy()
+            found[f"{i}.weight"], found[f"{i}.bias"] = weight.copy(), bias.copy()
         if not learner.network.discrete:
             found[LOG_STD] = learner.network.log_std.detach().numpy().copy()
         return found

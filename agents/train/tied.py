@@ -25,7 +25,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
-__all__ = ["TiedLinear", "Unit", "action_units", "observed_units", "tied_layers"]
+__all__ = ["TiedLinear", "Unit", "action_units", "numbered", "observed_units", "tied_layers"]
 
 Unit = tuple[Hashable, int, int]
 """Kind of a unit, and the slot and the order that it belongs to; -1: none."""
@@ -50,7 +50,7 @@ class TiedLinear(nn.Module):
     def __init__(self, ins: Sequence[Unit], outs: Sequence[Unit], gain: float) -> None:
         super().__init__()
         self.in_features, self.out_features = len(ins), len(outs)
-        kinds, rows = (_numbered([unit[0] for unit in units]) for units in (ins, outs))
+        kinds, rows = (numbered([unit[0] for unit in units]) for units in (ins, outs))
         slots = _relation([slot for _, slot, _ in ins], [slot for _, slot, _ in outs])
         orders = _relation([order for _, _, order in ins], [order for _, _, order in outs])
         which = ((rows[:, None] * (kinds.max() + 1) + kinds) * 4 + slots) * 4 + orders
@@ -88,7 +88,8 @@ class TiedLinear(nn.Module):
         return nn.functional.linear(x, weight, bias)
 
 
-def _numbered(kinds: Sequence[Hashable]) -> IntArray:
+def numbered(kinds: Sequence[Hashable]) -> IntArray:
+    """Return the number of each kind, in order of first appearance."""
     numbers: dict[Hashable, int] = {}
     return np.array([numbers.setdefault(kind, len(numbers)) for kind in kinds])
 

@@ -38,7 +38,9 @@ class BatchedLaboratory:
         autoreset: whether a laboratory whose episode ends is reset in the same step; otherwise the caller resets it
             before the next one by ``options["reset_mask"]``, and its arrays show the end until then.
         infos: whether infos are complete; otherwise they have ``has_turn``, ``action_mask``, ``experiment_over`` and
-            ``score`` only, which takes less time.
+            ``score`` only, which takes less time, and for the manager ``paid`` [N] (of the score, for what was
+            submitted) and ``partial`` [N] (:meth:`~chemlab.lab.engine.Laboratories.partial_worth`), of episodes that
+            have ended.
         settings: ``rewards``, ``split`` and ``actions`` (:meth:`~chemlab.config.scenario.Scenario.configured`).
 
     Raises:
@@ -245,12 +247,17 @@ class BatchedLaboratory:
         labs, state = self.laboratories, self.laboratories.state
         acted = np.zeros_like(self._turns) if begun else self._turns
         scores = np.full_like(state.scores, np.nan) if begun else state.scores.copy()
+        paid, partial = np.zeros(self.num_envs), np.zeros(self.num_envs)
         if len(over):
             scores[labs.manager.index, over] = labs.result(over)
+            paid[over] = labs.worth(over).mean(axis=1)
+            partial[over] = labs.partial_worth(over)
         ended = np.isfinite(scores)
         scores[~ended] = 0.0
         if not self.infos:
-            return [{"experiment_over": ended[a], "score": scores[a]} for a in range(len(scores))]
+            few: list[Arrays] = [{"experiment_over": ended[a], "score": scores[a]} for a in range(len(scores))]
+            few[labs.manager.index] |= {"paid": paid, "partial": partial}
+            return few
         cost = state.cost.copy()
         # An experiment may start with a safety event in a round in which its agent has not acted.
         eventful = acted | (cost > 0.0)

@@ -38,7 +38,18 @@ from ..roles.manager import (
 )
 from ..roles.manager_actions import ManagerActions
 from ..roles.manager_role import ManagerRole
-from ..roles.manager_state import COST_ITEMS, PRICE, RUNNING, SAFETY, STOCK, WASTE, ManagerState, Rules
+from ..roles.manager_state import (
+    COST_ITEMS,
+    LEAST_AMOUNT,
+    LEAST_PURITY,
+    PRICE,
+    RUNNING,
+    SAFETY,
+    STOCK,
+    WASTE,
+    ManagerState,
+    Rules,
+)
 from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
@@ -527,6 +538,23 @@ class Laboratories:
             worth = amount * purity / rules.maximum[goals]
             worth[(purity < rules.least_purity[goals]) | (amount < rules.least_amount[goals])] = 0.0
         return np.asarray(worth)
+
+    def partial_worth(self, members: IntArray) -> FloatArray:
+        """Return [B] what submissions that fail their specification are nearly worth, as a mean over the orders.
+
+        It is half of what they would be worth without it, times the share of the required amount that they have and the
+        fourth power of their share of the required purity. It is never part of a score; training can begin with it.
+        """
+        rules, goals, terms = self.rules.arrays, self.state.goal[members], self.state.terms[members]
+        amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
+        least_amount, least_purity = rules.least_amount[goals], rules.least_purity[goals]
+        worth = amount * purity / rules.maximum[goals]
+        if self.scenario.demand.order:
+            least_amount = np.maximum(least_amount, terms[..., LEAST_AMOUNT])
+            least_purity, worth = np.maximum(least_purity, terms[..., LEAST_PURITY]), terms[..., PRICE]
+        met = amount / np.maximum(least_amount, 1e-9), purity / np.maximum(least_purity, 1e-9)
+        near = np.minimum(met[0], 1.0) * np.minimum(met[1], 1.0) ** 4
+        return np.asarray(np.where(near < 1.0, 0.5 * near * worth, 0.0).mean(axis=1))
 
     def feedback(self, which: int | slice) -> FloatArray:
         """Return [..., O, 2] mol and purity of each submission as the manager knows them: exactly at the end."""
