@@ -143,7 +143,7 @@ ABOUT: dict[str, str] = {
     "refund": "Share of training over which scores below 0 count as 0; the refund fades.",
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
     "own_goals": "Share of training over which starts are for goals of the orders alone, in ever fewer laboratories.",
-    "shown_readings": "Share of training over which instruments read every vessel unasked; they stop in its 2nd half.",
+    "shown_readings": "Share of training over which instruments read vessels unasked, ever fewer of them.",
     "partial": "Share of training over which submissions that fail their specification are paid in part, ever less.",
     "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",
     "self_imitation": "Weight of the manager's own turns that went better than expected.",

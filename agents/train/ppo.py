@@ -27,7 +27,7 @@ from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import MANAGER_AGENT, Laboratories
 from chemlab.physics.chemistry import PRESENT
 from chemlab.roles.bench import Channel, channel_slices
-from chemlab.roles.manager_actions import DISCARD, MEASURE, START, SUBMIT
+from chemlab.roles.manager_actions import DISCARD, FIRST, MEASURE, SECOND, START, SUBMIT
 from chemlab.roles.manager_state import INSTRUMENTS
 
 from ..advice import Advisor
@@ -611,8 +611,9 @@ class PPOTeam:
         self.turns = dict.fromkeys(self.learners, 0)
         self.scores: list[float] = []
         self._earned = np.zeros(self.settings.envs)
+        self._unread, everywhere = np.zeros(self.labs.state.age.shape, np.bool_), np.ones(self.settings.envs, np.bool_)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
-        self._read(0.0)
+        self._read(0.0, everywhere)
 
     def learn(self, done: float, rounds: int) -> int:
         """Learn from a rollout; return the number of turns, at least 1.
@@ -647,19 +648,24 @@ class PPOTeam:
         places = np.arange(self.settings.envs) + 0.5
         return done * self.settings.envs < share * places
 
-    def _reads(self, done: float) -> BoolArray:
-        """Return [N] where instruments read by themselves: everywhere in the first half of this help."""
-        share = 0.5 * self.settings.shown_readings if self.labs.scenario.world.draws else 0.0
-        return self._helps(share, done - share)
+    def _read(self, done: float, over: BoolArray) -> None:
+        """Let all instruments read vessels on the shelf unasked: each once, with a probability that falls to 0.
 
-    def _read(self, done: float) -> None:
-        """Let all instruments read the vessels on the shelf that they have not read, where this help goes on."""
+        Args:
+            done: share of training that is over.
+            over: [N] where an episode has just ended, and another begun.
+        """
         labs, state = self.labs, self.labs.state
-        if MANAGER_ROLE not in self.learners:
+        share = _fading(self.settings.shown_readings, 1.0 - done) if labs.scenario.world.draws else 0.0
+        if MANAGER_ROLE not in self.learners or not share:
             return
-        helped = self._reads(done) & self._infos[MANAGER_AGENT]["has_turn"].astype(np.bool_)
-        present = labs.shelf.vessels[:, : labs.scenario.shelf.slots, PRESENT] > 0.0
-        members, slots, used = np.nonzero(helped[:, None, None] & present[:, :, None] & (state.age < 0))
+        turn = self._infos[MANAGER_AGENT]["has_turn"].astype(np.bool_)
+        present = labs.shelf.vessels[:, : labs.scenario.shelf.slots, PRESENT, None] > 0.0
+        self._unread &= present & ~over[:, None, None]
+        new = turn[:, None, None] & present & (state.age < 0) & ~self._unread
+        shown = new & (self.rng.random(new.shape) < share)
+        self._unread |= new & ~shown
+        members, slots, used = np.nonzero(shown)
         if len(members):
             drifted = state.bias if state.bias.shape[1] else None
             labs.instruments.read(labs.shelf, state.reading, state.stream, members, slots, used, drifted)
@@ -680,7 +686,7 @@ class PPOTeam:
             }
             paid = self.labs.state.charges[:, INSTRUMENTS].copy()
             self._observed, rewards, over, _, self._infos = self.batch.step(actions)
-            self._read(done)
+            self._read(done, over)
             self.scores += self._infos["manager_0"]["score"][over].tolist()
             for agent, track in self._tracks.items():
                 track.reward[t], track.ended[t] = rewards[agent], over
@@ -752,6 +758,7 @@ class PPOTeam:
         tried would suddenly be likely.
         """
         table, state, settings = self.labs.actions.table, self.labs.state, self.settings
+        shown = settings.shown_readings if self.labs.scenario.world.draws else 0.0
         kinds, helped = table[:, 0], mask.copy()
         starts, submits, discards, measures = (
             np.flatnonzero(kinds == kind) for kind in (START, SUBMIT, DISCARD, MEASURE)
@@ -763,7 +770,8 @@ class PPOTeam:
         helped[np.ix_(own, starts)] &= wanted
         helped[np.ix_(limited, submits)] &= state.last_bench[rows[limited]][:, table[submits, 1]] > 0
         helped[np.ix_(limited, discards)] = False
-        helped[np.ix_(np.flatnonzero(self._reads(done)[rows]), measures)] = False
+        read = state.age[rows][:, table[measures, FIRST], table[measures, SECOND]] >= 0
+        helped[:, measures] &= ~(read & self._helps(shown, done)[rows, None])
         empty = ~helped.any(axis=1)
         helped[empty] = mask[empty]
         return helped
