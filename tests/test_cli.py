@@ -12,6 +12,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -675,6 +676,29 @@ def test_kernels_are_compiled_ahead() -> None:
     result = runner.invoke(app, ["warm", "wurtz_dodecane_direct", "wurtz_dodecan"])
     assert result.exit_code == 2
     assert "wurtz_dodecane" in result.output
+
+
+def test_an_episode_is_watched_instead(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`run --watch` opens the page of `serve`, with the episode that was asked for."""
+    live = pytest.importorskip("chemlab.agents.live", reason="needs the extra live")
+    opened = []
+
+    class Server:
+        def __init__(self, made: Any, host: str, port: int) -> None:
+            opened.extend(made.state.show.lives)
+
+        def run(self) -> None:
+            assert [(one.seed, one.room.scenario.name) for one in opened] == [(3, "wurtz_dodecane_direct")]
+            opened[0].room.close()
+
+    monkeypatch.setattr(live, "live_server", Server)
+    result = runner.invoke(app, ["run", "wurtz_dodecane_direct", "--watch", "--seed", "3"])
+    assert result.exit_code == 0, result.output
+    assert len(opened) == 1
+    assert "watch: http://127.0.0.1:" in result.output
+    result = runner.invoke(app, ["run", "wurtz_dodecane_direct", "--watch", "--json"])
+    assert (result.exit_code, len(opened)) == (2, 1)
+    assert "--watch: cannot be given with" in result.output
 
 
 def test_notebooks_show_what_things_are(tmp_path: Path) -> None:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from ..lab.engine import Laboratories
     from ..record import Recorder
 
+__all__: list[str] = []
+
 
 @app.command("list")
 def list_scenarios(as_json: JsonOption = False) -> None:
@@ -183,9 +185,20 @@ def run(
         ),
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing records.")] = False,
+    watch: Annotated[
+        bool,
+        typer.Option("--watch", help="Watch in a browser instead, as with `chemlab serve` (needs the extra `live`)."),
+    ] = False,
     trust: TrustOption = False,
 ) -> None:
     """Play episodes: print every agent's actions and their outcomes, then the results."""
+    if watch:
+        from .servers import serve
+
+        if record is not None or as_json or episodes > 1:
+            raise ValueError("--watch: cannot be given with --record, --json or --episodes; the page has these")
+        serve(scenario, [policy], seed, split)
+        return
     _, env = prepare(scenario, quiet=as_json, split=split)
     seeds = range(seed, seed + episodes)
     recorders = _recorders(env, policy, seeds, record, force)
