@@ -27,7 +27,9 @@ from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder, read_record, verify_record
+from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_actions import DISCARD, MEASURE, START, SUBMIT
+from chemlab.roles.manager_state import LEAST_AMOUNT, PRICE
 
 QUICK = {"envs": 8, "rollout": 16, "batch_size": 64, "evaluations": 2, "eval_episodes": 4, "final_episodes": 4}
 
@@ -87,7 +89,7 @@ def team(**given: Any) -> PPOTeam:
 
 
 def test_help_is_of_the_mask_and_ends() -> None:
-    """Raw vessels are not submitted and nothing is discarded or started for another goal, as long as there is help."""
+    """Raw vessels are not submitted, nothing is discarded, and every second laboratory starts for its order alone."""
     made = team(processed=0.5, own_goals=0.8)
     table, rows = made.labs.actions.table, made.labs.members
     mask = made._infos["manager_0"]["action_mask"].astype(np.bool_)
@@ -98,7 +100,8 @@ def test_help_is_of_the_mask_and_ends() -> None:
     starts = np.flatnonzero(kinds == START)
     goals = made.labs.state.goal[:, 0]
     assert helped[:, starts].any()
-    assert all((table[starts[row], 3] == goal).all() for row, goal in zip(helped[:, starts], goals, strict=True))
+    alone = [bool((table[starts[row], 3] == goal).all()) for row, goal in zip(helped[:, starts], goals, strict=True)]
+    assert alone == [number % 2 == 0 for number in range(len(rows))], "goals of no order may be on the way to it"
     submits = kinds == SUBMIT
     fading = made._helped(mask, rows, 0.25)[:, submits]
     assert not fading[len(rows) // 2 :].any()
@@ -162,27 +165,85 @@ def managers(scenario: str, **given: Any) -> PPOTeam:
     return PPOTeam(load_scenario(scenario), ["manager"], arguments, "scripted", False)
 
 
-def test_hidden_parameters_are_revealed_in_ever_fewer_laboratories() -> None:
-    """What is exported has no weights for them."""
-    made = managers("rush", revealed=0.5)
-    hidden = np.flatnonzero(made.learners["manager"].columns < 0)
-    labs = made.labs
-    assert len(hidden) == labs.scenario.world.numbers(list(labs.scenario.world.draws))
-    for done, first in ((0.0, 0), (0.25, 4), (0.5, 8)):
-        made.collect(1.0 - done)
-        rows = np.flatnonzero(made._infos["manager_0"]["has_turn"])
-        shown = made._observed["manager_0"][np.ix_(rows, hidden)]
-        assert not shown[rows < first].any()
-        assert shown[rows >= first].any(axis=1).all()
-    whole = Laboratories(load_scenario("rush"), 1)
-    assert made.weights("manager")["0.weight"].shape[1] == whole.observation_sizes[0]
-    told = managers("rush@1", revealed=0.5)
-    assert (told.learners["manager"].columns >= 0).all(), "all of it is observed in play, too"
+def test_instruments_read_ever_fewer_vessels_unasked() -> None:
+    """What they read is observed, costs nothing, and cannot be measured again at first."""
+    made = managers("rush", shown_readings=0.5, refund=0.0, free_readings=0.0, rollout=1)
+    labs, age = made.labs, made.labs.state.age
+    column = next(
+        c for name, c in channel_slices(labs.roles[0].channels).items() if name == "slot_0_gas_chromatograph_age"
+    )
+    assert (age == 0).all()
+    assert not made._observed["manager_0"][:, column].any()
+    measures = labs.actions.table[:, 0] == MEASURE
+    everywhere = np.ones((made.settings.envs, len(measures)), dtype=np.bool_)
+    rows = np.arange(made.settings.envs)
+    assert not made._helped(everywhere, rows, 0.0)[:, measures].any()
+    assert made._helped(everywhere, rows, 0.5)[:, measures].all()
+    begun = np.ones(made.settings.envs, dtype=np.bool_)
+    for done, least, most in ((0.25, 0.3, 0.7), (0.5, 0.0, 0.0)):
+        age[:] = -1
+        made._read(done, begun)
+        assert least <= (age == 0).mean() <= most
+        before = age.copy()
+        made._read(done, ~begun)  # what was passed over once is not read later
+        assert (age == before).all()
+    assert not labs.state.charges.any()
+    assert not managers("wurtz_dodecane").labs.state.age.max() >= 0, "where nothing is hidden, nothing is read"
+
+
+def test_failing_submissions_are_paid_in_part() -> None:
+    """Half of the worth, by the share of amount and purity; never in a score."""
+    labs = managers("failing").labs
+    members, state = labs.members, labs.state
+    least = labs.scenario.specifications["2-chlorohexane"].purity_at_least
+    state.submitted[:, :, 0], state.submitted[:, :, 1] = 2.0, 0.9 * least
+    whole = 2.0 * 0.9 * least / labs.rules.arrays.maximum[state.goal[0, 0]]
+    assert labs.partial_worth(members) == pytest.approx(0.5 * 0.9**4 * whole)
+    assert not labs.worth(members).any()
+    state.submitted[:, :, 1] = least
+    assert not labs.partial_worth(members).any()
+    assert labs.worth(members).all()
+    orders = managers("rush").labs
+    terms = orders.state.terms
+    orders.state.submitted[:, :, 0], orders.state.submitted[:, :, 1] = 0.5 * terms[..., LEAST_AMOUNT], 1.0
+    assert orders.partial_worth(orders.members) == pytest.approx(0.25 * terms[..., PRICE].mean(axis=1))
+
+
+def test_observations_of_the_manager_are_normalized() -> None:
+    """The exported weights are of the observation as it is; a policy that was cloned keeps its scale."""
+    made = managers("rush")
+    learner = made.learners["manager"]
+    for rounds in range(3):
+        made.learn(0.1 * rounds, rounds)
+    assert (learner.network.scale > 1.5).any()
+    weights, seen = made.weights("manager"), made._observed["manager_0"]
+    whole = np.zeros((len(seen), learner.size), dtype=np.float32)
+    whole[:, learner.columns] = seen
+    for layer in range(3):
+        whole = whole @ weights[f"{layer}.weight"].T + weights[f"{layer}.bias"]
+        whole = np.tanh(whole) if layer < 2 else whole
+    learner.network.eval()
+    with torch.no_grad():
+        assert whole == pytest.approx(learner.network.logits(torch.from_numpy(seen), None).numpy(), abs=1e-4)
+    same = learner.network.scale.clone()
+    learner.clone(
+        {
+            "observed": seen,
+            "seen": seen,
+            "mask": None,
+            "action": np.zeros(len(seen), np.int64),
+            "target": np.zeros(len(seen), np.float32),
+        },
+        made.rng,
+        0.1,
+    )
+    learner.normalize(seen)
+    assert torch.equal(learner.network.scale, same)
 
 
 @pytest.mark.parametrize(("remaining", "kept"), [(1.0, 0.0), (0.75, 0.5), (0.5, 1.0)])
 def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> None:
-    made = managers("rush", free_readings=0.5, refund=0.0, revealed=0.0, rollout=1)
+    made = managers("rush", free_readings=0.5, refund=0.0, shown_readings=0.0, rollout=1)
     measures = np.flatnonzero(made.labs.actions.table[:, 0] == MEASURE)
     mask = made._infos["manager_0"]["action_mask"]
     mask[:] = 0
@@ -302,7 +363,6 @@ def find_best(run: Path) -> Path:
 
 
 def make_laboratories() -> Any:
-    from chemlab.lab.engine import Laboratories
 
     labs = Laboratories(load_scenario("wurtz_dodecane"), 3)
     for member in labs.members:
