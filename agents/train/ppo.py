@@ -154,7 +154,7 @@ class _Learner:
 
     Args:
         columns: where what it observes stands in the observation of the whole scenario, of ``size`` numbers.
-        groups: for each number that its critic observes, the group of those that are normalized alike.
+        groups: the group of each number that its critic observes; all numbers of a group are normalized alike.
     """
 
     def __init__(
