@@ -559,6 +559,8 @@ class PPOTeam:
         self.rng = np.random.default_rng(seed)
         full, world = Laboratories(scenario, 1), scenario.world
         self._hides = bool(world.draws) and not world.told_to(MANAGER_ROLE)
+        # Where nothing may be measured, nothing is read unasked.
+        self._shown = settings.shown_readings if world.draws and scenario.limits.budget > 0.0 else 0.0
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
         self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, infos=False, split=settings.split)
         self.labs = labs = self.batch.laboratories
@@ -656,7 +658,7 @@ class PPOTeam:
             over: [N] where an episode has just ended, and another begun.
         """
         labs, state = self.labs, self.labs.state
-        share = _fading(self.settings.shown_readings, 1.0 - done) if labs.scenario.world.draws else 0.0
+        share = _fading(self._shown, 1.0 - done)
         if MANAGER_ROLE not in self.learners or not share:
             return
         turn = self._infos[MANAGER_AGENT]["has_turn"].astype(np.bool_)
@@ -758,7 +760,6 @@ class PPOTeam:
         tried would suddenly be likely.
         """
         table, state, settings = self.labs.actions.table, self.labs.state, self.settings
-        shown = settings.shown_readings if self.labs.scenario.world.draws else 0.0
         kinds, helped = table[:, 0], mask.copy()
         starts, submits, discards, measures = (
             np.flatnonzero(kinds == kind) for kind in (START, SUBMIT, DISCARD, MEASURE)
@@ -771,7 +772,7 @@ class PPOTeam:
         helped[np.ix_(limited, submits)] &= state.last_bench[rows[limited]][:, table[submits, 1]] > 0
         helped[np.ix_(limited, discards)] = False
         read = state.age[rows][:, table[measures, FIRST], table[measures, SECOND]] >= 0
-        helped[:, measures] &= ~(read & self._helps(shown, done)[rows, None])
+        helped[:, measures] &= ~(read & self._helps(self._shown, done)[rows, None])
         empty = ~helped.any(axis=1)
         helped[empty] = mask[empty]
         return helped

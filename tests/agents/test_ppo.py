@@ -13,6 +13,7 @@ pytest.importorskip("stable_baselines3")
 import torch
 
 from chemlab.agents.episodes import play_episode
+from chemlab.agents.evaluate.jobs import without_instruments
 from chemlab.agents.evaluate.play import find_target, notes
 from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
@@ -188,7 +189,10 @@ def test_instruments_read_ever_fewer_vessels_unasked() -> None:
         made._read(done, ~begun)  # what was passed over once is not read later
         assert (age == before).all()
     assert not labs.state.charges.any()
-    assert not managers("wurtz_dodecane").labs.state.age.max() >= 0, "where nothing is hidden, nothing is read"
+    assert (managers("wurtz_dodecane").labs.state.age == -1).all(), "where nothing is hidden, nothing is read"
+    arguments = IPPO(scenario="rush", roles=("manager",), **QUICK)
+    blind = PPOTeam(without_instruments(load_scenario("rush")), ["manager"], arguments, "scripted")
+    assert (blind.labs.state.age == -1).all()
 
 
 def test_failing_submissions_are_paid_in_part() -> None:
