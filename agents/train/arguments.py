@@ -142,7 +142,7 @@ ABOUT: dict[str, str] = {
     "practice": "Share of training in which benches that learn do so on their own; a manager that learns begins then.",
     "refund": "Share of training over which an episode counts at least half of what it was paid; the refund fades.",
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
-    "own_goals": "Share of training over which half of the laboratories start for goals of their orders alone, ever fewer.",
+    "own_goals": "Share of training over which half of the laboratories, ever fewer, start for goals of orders alone.",
     "shown_readings": "Share of training over which instruments read vessels unasked, ever fewer of them.",
     "partial": "Share of training over which submissions that fail their specification are paid in part, ever less.",
     "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",

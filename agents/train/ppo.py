@@ -559,8 +559,7 @@ class PPOTeam:
         self.rng = np.random.default_rng(seed)
         full, world = Laboratories(scenario, 1), scenario.world
         self._hides = bool(world.draws) and not world.told_to(MANAGER_ROLE)
-        # Where nothing may be measured, nothing is read unasked.
-        self._shown = settings.shown_readings if world.draws and scenario.limits.budget > 0.0 else 0.0
+        self._shown = settings.shown_readings if world.draws else 0.0
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
         self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, infos=False, split=settings.split)
         self.labs = labs = self.batch.laboratories
@@ -651,7 +650,7 @@ class PPOTeam:
         return done * self.settings.envs < share * places
 
     def _read(self, done: float, over: BoolArray) -> None:
-        """Let all instruments read vessels on the shelf unasked: each once, with a probability that falls to 0.
+        """Let instruments read vessels on the shelf unasked: each once, with a probability that falls to 0.
 
         Args:
             done: share of training that is over.
@@ -664,7 +663,8 @@ class PPOTeam:
         turn = self._infos[MANAGER_AGENT]["has_turn"].astype(np.bool_)
         present = labs.shelf.vessels[:, : labs.scenario.shelf.slots, PRESENT, None] > 0.0
         self._unread &= present & ~over[:, None, None]
-        new = turn[:, None, None] & present & (state.age < 0) & ~self._unread
+        affordable = labs.rules.arrays.price <= labs.scenario.limits.budget
+        new = turn[:, None, None] & present & affordable & (state.age < 0) & ~self._unread
         shown = new & (self.rng.random(new.shape) < share)
         self._unread |= new & ~shown
         members, slots, used = np.nonzero(shown)
