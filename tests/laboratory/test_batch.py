@@ -148,14 +148,18 @@ def test_short_infos_change_nothing_else() -> None:
     for _ in range(250):
         for agent in full.possible_agents:
             told = {"has_turn", "experiment_over", "score"} | ({"action_mask"} & set(seen[-1][agent]))
-            assert set(brief[-1][agent]) == told
+            assert set(brief[-1][agent]) == told | ({"paid", "partial"} if agent == "manager_0" else set())
             np.testing.assert_array_equal(seen[0][agent], brief[0][agent])
             for key in told:
                 np.testing.assert_array_equal(seen[-1][agent][key], brief[-1][agent][key])
         actions = stacked(full, [choose(full, member, rng) for member in range(3)])
         seen, brief = full.step(actions), short.step(actions)
         np.testing.assert_equal(seen[1:4], brief[1:4])
-        ended += int(seen[2].sum())
+        manager, over = seen[-1]["manager_0"], seen[2]
+        paid = brief[-1]["manager_0"]["paid"]
+        assert paid[over] == pytest.approx((manager["score"] + manager["costs"].sum(axis=1))[over])
+        assert not paid[~over].any()
+        ended += int(over.sum())
     assert ended > 0
 
 
