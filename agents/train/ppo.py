@@ -139,14 +139,9 @@ def compact(scenario: Scenario) -> Scenario:
 
 
 def _columns(whole: Sequence[Channel], part: Sequence[Channel]) -> IntArray:
-    """Columns of the channels ``part`` in an observation of the channels ``whole``; -1 where they are not in it."""
+    """Columns of the channels ``part`` in an observation of the channels ``whole``."""
     slices = channel_slices(whole)
-    return np.concatenate(
-        [
-            np.arange(slices[one.name].start, slices[one.name].stop) if one.name in slices else np.full(one.size, -1)
-            for one in part
-        ]
-    )
+    return np.concatenate([np.arange(slices[one.name].start, slices[one.name].stop) for one in part])
 
 
 class _Learner:
