@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy.typing as npt
 
+from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import Players
-from chemlab.envs.role_env import Policies, RoleEnv, RoleVectorEnv
+from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
+from chemlab.envs.role_episodes import Policies
 from chemlab.kernels.arrays import IntArray
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
 
 from .policies import agent_policy
 from .roles import role_of

@@ -36,8 +36,8 @@ from gymnasium.envs.registration import EnvSpec
 
 from chemlab import __version__
 from chemlab.config.loading import plain_scenario
-from chemlab.config.scenario import Scenario
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
+from chemlab.lab.engine import Laboratories
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.render.history import Look, Move, RecordReplay
 from chemlab.roles.manager_state import RUNNING

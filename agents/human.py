@@ -289,7 +289,7 @@ class HumanPolicy:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`~chemlab.agents.policies.Policy`.
+        """See :class:`~chemlab.envs.players.Policy`.
 
         Raises:
             Left: the person has left.

@@ -34,8 +34,8 @@ from chemlab.render.replay_page import MOST_TURNS, Film, filled_page, side_by_si
 from chemlab.roles.bench import channel_slices
 
 from .policies import agent_policy
-from .seats import Reply, Room, ToolError
-from .verbs import Verb
+from .seats import Reply, Room
+from .verbs import ToolError, Verb
 
 SPEEDS = (1, 2, 6, 15, 40, 60)
 """Turns a second."""

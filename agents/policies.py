@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy, as_policy
+from chemlab.envs.players import Policy as Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
@@ -42,21 +42,6 @@ from .scripted.screening import ScreeningManager, ScriptedScreening, catalysts
 from .scripted.script import Setting
 from .scripted.upkeep import UpkeepManager, has_wearing_lines
 from .scripted.workup import ScriptedWorkup
-
-__all__ = [
-    "LapsingPolicy",
-    "Policy",
-    "RandomPolicy",
-    "agent_policy",
-    "as_policy",
-    "bench_policy",
-    "has_memory",
-    "is_scripted",
-    "make_policies",
-    "policy_names",
-    "scripted_bench",
-    "scripted_manager",
-]
 
 _MARGINS_K: dict[str, float | None] = {"scripted:hot": -8.0, "scripted:fixed": None}
 """Habits by name: kelvin below the highest temperature that a reaction bench thinks right, see ScriptedReaction."""

@@ -27,7 +27,7 @@ from safetensors.numpy import load, save
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
-from chemlab.config.loading import shipped_file
+from chemlab.config.inherit import shipped_file
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Memory, Policy
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
@@ -38,23 +38,6 @@ from chemlab.roles.kinds import discretised_twin
 from .discretised import ChoosingPolicy
 from .former_names import SAMPLED
 from .random_policy import RandomPolicy
-
-__all__ = [
-    "LOG_STD",
-    "LSTM",
-    "Card",
-    "PretrainedPolicy",
-    "Seed",
-    "Workplace",
-    "fingerprint",
-    "fitted",
-    "given_as",
-    "interface",
-    "load_pretrained",
-    "pretrained_for",
-    "pretrained_names",
-    "save_policy",
-]
 
 Weights = Mapping[str, npt.NDArray[np.float32]]
 Seed = int | np.random.SeedSequence | None
@@ -223,7 +206,7 @@ assert set(_CardFile.model_fields) == {field.name for field in fields(Card)}
 
 
 class PretrainedPolicy:
-    """A trained network as a :class:`~chemlab.agents.policies.Policy`, with a memory if it has an LSTM.
+    """A trained network as a :class:`~chemlab.envs.players.Policy`, with a memory if it has an LSTM.
 
     It plays greedily, or sampled if its card says so. A sampled policy depends on its seed alone.
 
@@ -384,7 +367,7 @@ class PretrainedPolicy:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`; without a mask every discrete action counts as legal."""
+        """See :class:`chemlab.envs.players.Policy`; without a mask every discrete action counts as legal."""
         values = self.values(observation, step, members)
         drawn = None if self._draws is None else self._draws.act(observation, None, step, members)
         if self.card.output == "argmax":

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.envs.players import Policy, as_policy
+from chemlab.roles.base import Workplace
 
 from .former_names import SAMPLED, split_way
-from .pretrained import Seed, Workplace, fitted, load_pretrained, pretrained_names
+from .pretrained import Seed, fitted, load_pretrained, pretrained_names
 from .roles import role_of
 from .runs import Run
 

@@ -21,9 +21,9 @@ import numpy as np
 
 from chemlab.config.files import write_text
 from chemlab.config.loading import load_scenario
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Players
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import RoleText, folded_lines
 from chemlab.record import Play, Recorder
 from chemlab.roles.bench import Bench
@@ -33,8 +33,6 @@ from .briefs import brief, opaque_names
 from .ledger import LEDGER, append_entry
 from .policies import agent_policy
 from .verbs import Argument, ToolError, Verb, bench_verbs, manager_verbs, number_of, plain
-
-__all__ = ["CANARY", "LabTools", "Reply", "Room", "ToolError", "call_of", "input_schema"]
 
 CANARY = "chemlab-transcript canary 5f0e3c7a-91d4-4f0e-8a55-6c1b2d9e7f43: not for training data"
 """First line of every transcript, so that corpora can leave transcripts out."""

@@ -9,12 +9,13 @@ import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
+from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import SUBMIT, Start
 
 from .episodes import play_episode
-from .policies import Policy, make_policies, scripted_manager
+from .policies import make_policies, scripted_manager
 
 _EXPLORE = 0.1
 _LEAST_MOL = 1e-6
@@ -29,7 +30,7 @@ class _Recording:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         actions = self._policy.act(observation, mask, step, members)
         kind, *arguments = self._labs.actions.decode(int(actions[0]))
         if kind == "start":

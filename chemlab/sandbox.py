@@ -45,9 +45,9 @@ from .config.catalogue import (
     spellings,
     wrong_cas,
 )
-from .config.datafile import read_text
+from .config.datafile import DataError, read_text
 from .config.loading import load_scenario
-from .config.materials import COLDEST_K, HOTTEST_K, DataError, Material, load_materials, shipped_materials
+from .config.materials import COLDEST_K, HOTTEST_K, Material, load_materials, shipped_materials
 from .config.pairs import Pair, log_activity_coefficients, pair_table
 from .config.reactions import PROTON
 from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario

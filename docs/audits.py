@@ -15,7 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.config.files import replace_between
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.record import scenario_hash
 
 __all__ = ["FOLDER", "PAGE", "audits", "table"]

@@ -33,10 +33,12 @@ from chemlab.agents.policies import has_memory
 from chemlab.cli import app as command
 from chemlab.cli.evaluation import RESULT_COLUMNS
 from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
-from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
+from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
+from chemlab.config.loading import load_scenario
 from chemlab.config.materials import AbsorptionPeak, Material, RealProperties, VaporPressure
 from chemlab.config.reactions import Acid, Reaction, ReactionFamily, Salt, Solubility, Violent, equation
 from chemlab.config.scenario import (
+    MANAGER_AGENT,
     PHYSICS_TIERS,
     BenchSpec,
     Companion,
@@ -59,7 +61,7 @@ from chemlab.config.scenario import (
     WearSpec,
 )
 from chemlab.lab import describe as facts
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.roles import operation_bench as operations
 from chemlab.roles import reaction_bench as reaction

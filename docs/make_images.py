@@ -22,7 +22,7 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.live import Live, live_app, live_server
 from chemlab.agents.policies import make_policies
 from chemlab.config.files import write_bytes, write_text
-from chemlab.config.loading import campaign_names, scenario_names, synthesis_names
+from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
 from chemlab.record import Recorder, read_record
 from chemlab.render.animation import animation
 from chemlab.render.replay_page import replay_page

@@ -28,10 +28,12 @@ from chemlab import raw_env
 from chemlab.agents.background import role_vector_env
 from chemlab.agents.demonstrations import write_datasets
 from chemlab.agents.episodes import play_episode, play_laboratory
-from chemlab.agents.policies import as_policy, make_policies
+from chemlab.agents.policies import make_policies
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.train.imitate import fit
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.config.scenario import MANAGER_AGENT
+from chemlab.envs.players import as_policy
+from chemlab.lab.engine import Laboratories
 from chemlab.record import Recorder
 
 SCENARIO, GOAL = "wurtz_dodecane", "dodecane"

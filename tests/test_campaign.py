@@ -15,7 +15,8 @@ from scipy.integrate import solve_ivp
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.campaign import Campaign, Choice, Range
-from chemlab.config.loading import campaign_names, load_scenario
+from chemlab.config.inherit import campaign_names
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 

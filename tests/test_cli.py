@@ -25,8 +25,10 @@ from chemlab import __version__
 from chemlab.cli import PANELS, app, screen
 from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import TextConsole, hanging, page, show_table
-from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
-from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.datafile import DataError
+from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
+from chemlab.config.loading import load_scenario
+from chemlab.config.materials import shipped_materials
 from chemlab.envs.aec import env
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch

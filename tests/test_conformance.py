@@ -10,7 +10,8 @@ from helpers import FEATURED, slow_but
 from typer.testing import CliRunner
 
 from chemlab.cli import app
-from chemlab.config.loading import load_scenario, scenario_names, synthesis_names
+from chemlab.config.inherit import scenario_names, synthesis_names
+from chemlab.config.loading import load_scenario
 from chemlab.conformance import CHECKS, check_scenario
 
 PARTS = Path(__file__).parent / "parts"

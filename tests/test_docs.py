@@ -25,8 +25,10 @@ from helpers import script, slow_but
 from chemlab import __version__
 from chemlab.cli import app
 from chemlab.cli.options import DefaultGroup
-from chemlab.config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
-from chemlab.config.materials import load_materials, read_toml
+from chemlab.config.datafile import read_toml
+from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
+from chemlab.config.loading import load_scenario
+from chemlab.config.materials import load_materials
 from chemlab.config.reactions import ReactionFamily
 
 ROOT = Path(__file__).parent.parent

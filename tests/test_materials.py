@@ -7,7 +7,8 @@ from pathlib import Path
 import pydantic
 import pytest
 
-from chemlab.config.materials import DataError, atoms_of, load_materials, read_toml, shipped_materials
+from chemlab.config.datafile import DataError, read_toml
+from chemlab.config.materials import atoms_of, load_materials, shipped_materials
 
 GOO = """
 [goo]

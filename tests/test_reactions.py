@@ -8,7 +8,8 @@ from typing import Any
 
 import pytest
 
-from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.datafile import DataError
+from chemlab.config.materials import shipped_materials
 from chemlab.config.reactions import (
     ReactionFamily,
     check_without_real,

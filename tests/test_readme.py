@@ -12,7 +12,8 @@ import pytest
 from scipy import stats
 
 from chemlab.agents.evaluate.leaderboard import check_leaderboard, leaderboard_lines
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.record import scenario_hash
 
 README = Path(__file__).parent.parent / "README.md"

@@ -27,7 +27,8 @@ import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.parallel import parallel_env
 from chemlab.lab.engine import Laboratories

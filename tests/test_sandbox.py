@@ -21,8 +21,8 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import chemlab.sandbox
-from chemlab.config.datafile import read_toml
-from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.datafile import DataError, read_toml
+from chemlab.config.materials import shipped_materials
 from chemlab.openchem.writing import material_text, pair_text
 from chemlab.physics import backends as laws
 from chemlab.physics.constants import GAS_CONSTANT

@@ -20,8 +20,9 @@ from scipy.optimize import linprog
 
 import chemlab
 import chemlab.scenarios
-from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario, scenario_names
-from chemlab.config.materials import DataError, read_toml
+from chemlab.config.datafile import DataError, read_toml
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories

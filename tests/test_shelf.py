@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.physics.chemistry import AMOUNTS, CAPACITY, PRESENT, TEMPERATURE, build_chemistry
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX, Shelf
 

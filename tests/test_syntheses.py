@@ -18,7 +18,8 @@ from helpers import script, slow_but
 import chemlab.scenarios
 from chemlab.agents.episodes import EpisodeResult, play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.loading import dump_scenario, load_scenario, scenario_names, shipped_file, synthesis_names
+from chemlab.config.inherit import scenario_names, shipped_file, synthesis_names
+from chemlab.config.loading import dump_scenario, load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE

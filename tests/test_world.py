@@ -11,9 +11,10 @@ import pytest
 from helpers import slow_but
 from scipy import stats
 
+from chemlab.config.datafile import DataError
+from chemlab.config.datamodel import validated
 from chemlab.config.draws import Split, WorldSpec
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
-from chemlab.config.materials import DataError, validated
 from chemlab.kernels.tables import Table
 from chemlab.lab.sampling import (
     WorldDraws,

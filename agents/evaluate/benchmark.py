@@ -48,12 +48,12 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.files import write_text
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.config.parts import trust
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.kernels.arrays import FloatArray
-from chemlab.lab.engine import MANAGER_AGENT
 from chemlab.record import Record, Recorder, read_record, recorded_scenario, scenario_hash, verify_record
 
 from ..episodes import play_episode
@@ -65,19 +65,6 @@ from ..runs import Run, differences, find_runs, versions
 from . import statistics
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .leaderboard import on_scale, runs_of, write_leaderboard
-
-__all__ = [
-    "DEFAULT_ROWS",
-    "REFERENCES",
-    "Row",
-    "benchmark",
-    "find_rows",
-    "part_count",
-    "provenance",
-    "reference_jobs",
-    "world_scenarios",
-    "write_benchmark",
-]
 
 DEFAULT_ROWS = ("scripted", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``oracle``."""

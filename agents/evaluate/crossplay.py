@@ -21,13 +21,14 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
+from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import FloatArray
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
 from chemlab.record import scenario_hash
 
 from ..former_names import current_name, split_way
-from ..policies import Policy, agent_policy, make_policies, policy_names
+from ..policies import agent_policy, make_policies, policy_names
 from ..roles import MANAGER_ROLE
 from ..runs import Run, find_runs
 from ..saved import find_saved, is_saved

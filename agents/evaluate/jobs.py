@@ -18,9 +18,9 @@ from pydantic import BaseModel, ConfigDict
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import validated
 from chemlab.config.files import write_text
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.kernels.arrays import FloatArray
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
 from chemlab.record import scenario_hash
 from chemlab.roles.manager_actions import ManagerActions
 

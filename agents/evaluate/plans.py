@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.loading import load_scenario
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Players, Policy
 from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
 from chemlab.roles.manager_actions import ManagerActions
 

@@ -11,8 +11,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import DataError
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories

@@ -18,7 +18,8 @@ import numpy as np
 
 import chemlab
 from chemlab.config.files import write_text
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
 

@@ -18,8 +18,6 @@ from chemlab.lab.engine import Laboratories
 
 from .script import ScriptedManager, Setting, cheapest
 
-__all__ = ["Belief", "BeliefManager", "first_reading", "first_worth", "noiseless"]
-
 _SAMPLES = 32
 """Readings sampled to estimate the value of one measurement."""
 

@@ -18,8 +18,6 @@ from chemlab.roles.crystallization_bench import CrystallizationBench
 
 from .script import Remembering
 
-__all__ = ["ScriptedCrystallization", "solubility"]
-
 _PATIENCE = 30
 _FULLEST = 0.85
 """Maximum fill level as a share of the vessel."""
@@ -149,7 +147,7 @@ class ScriptedCrystallization(Remembering):
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the crystallization bench has discrete actions"
         chosen = []
         for o, m, s, i in zip(observation, mask, step.tolist(), members.tolist(), strict=True):

@@ -21,8 +21,6 @@ from chemlab.roles.distillation_bench import DistillationBench
 
 from .script import SAME_SHADE, shows
 
-__all__ = ["ScriptedDistillation"]
-
 _KJ_PER_L_K = 1.7
 """Rough heat capacity of an organic liquid in kJ/(L K); with the heat of vaporization below it selects heating
 steps.
@@ -242,7 +240,7 @@ class ScriptedDistillation:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
         (kept,) = self._memory.recall(step, members)
         out = np.empty(len(members), dtype=np.int64)

@@ -19,8 +19,6 @@ from .belief import Belief, BeliefManager, first_reading, first_worth, noiseless
 from .reaction import ScriptedReaction
 from .script import Setting, likelihood
 
-__all__ = ["CampaignManager", "foreseen", "has_unknown_rate", "run_once"]
-
 _GRID = 48
 """Number of rate candidates: midpoints of equally likely parts of the prior."""
 _MOST_RUNS = 40

@@ -14,8 +14,6 @@ from chemlab.roles.extraction_bench import ExtractionBench
 
 from .script import Remembering, count_pixels
 
-__all__ = ["ScriptedExtraction"]
-
 _WASHES = 4
 _TAKEN = 0.6
 """Share of an impurity that one wash is to take, where its polarity is revealed to the bench."""
@@ -86,7 +84,7 @@ class ScriptedExtraction(Remembering):
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the extraction bench has discrete actions"
         rows = zip(observation[:, :CAMERA_PIXELS], mask, step.tolist(), members.tolist(), strict=True)
         actions = np.array([self._decide(*row) for row in rows], dtype=np.int64)

@@ -28,8 +28,6 @@ from chemlab.roles.bench import Bench, channel_slices
 from .belief import Belief, BeliefManager, first_reading, first_worth, noiseless
 from .script import Setting, cheapest, likelihood
 
-__all__ = ["ForeseeingManager", "foresees", "run_experiment"]
-
 _COMMON, _OWN = 12, 512
 """Number of simulated worlds: draws of shared parameters, and draws of parameters of single vessels.
 

@@ -13,8 +13,6 @@ from chemlab.roles.distillation_bench import DistillationBench
 from .real import ScriptedRealDistillation
 from .script import Remembering
 
-__all__ = ["ScriptedFraction"]
-
 _HEAVIER_K = 5.0
 """Materials that boil this many K above the goal are to stay in the pot."""
 _HEEL_L = 0.01
@@ -79,7 +77,7 @@ class ScriptedFraction(Remembering, ScriptedRealDistillation):
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
         stripping = super().act(observation, mask, step, members)
         t, v = self._temperature, self._volume

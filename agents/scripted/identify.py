@@ -22,8 +22,6 @@ from .belief import noiseless
 from .router import SynthesisManager
 from .script import Setting, cheapest
 
-__all__ = ["IdentifyingManager", "has_unlabelled_vessels"]
-
 _GRID = 24
 """Number of titre candidates."""
 _MODEL_ERROR = 0.005

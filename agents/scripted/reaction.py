@@ -15,8 +15,6 @@ from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
 
-__all__ = ["ScriptedReaction", "told_rate"]
-
 _SAFE_PRESSURE = 0.68
 """Reading of the pressure gauge above which the piston moves out; the valve opens at 0.8."""
 _SAFEST_PRESSURE = 0.45
@@ -90,7 +88,7 @@ class ScriptedReaction:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
         pressure = observation[:, self._slices["pressure"]][:, 0]
         adding = np.where(self._late[goal] & (step < self._hold_until)[:, None], 0.0, self._need[goal])

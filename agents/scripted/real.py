@@ -15,8 +15,6 @@ from chemlab.roles.reaction_bench import ReactionBench
 
 from .extraction import ScriptedExtraction
 
-__all__ = ["ScriptedRealDistillation", "ScriptedRealExtraction", "ScriptedRealReaction"]
-
 _FEED, _QUENCH = 0.6, 0.88
 """Shares of a reaction: liquid reagents are fed until the first; the quench begins at the second."""
 _QUENCH_SHARE = 0.3
@@ -61,7 +59,7 @@ class ScriptedRealReaction:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
         low, span = self._temperature.low, self._temperature.high - self._temperature.low
         kelvin = low + observation[:, self._slices["temperature"]][:, 0] * span
@@ -146,7 +144,7 @@ class ScriptedRealDistillation:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         t, v = self._temperature, self._volume
         kelvin = t.low + observation[:, self._slices["temperature"]][:, 0] * (t.high - t.low)
         litres = v.low + observation[:, self._slices["volume"]][:, 0] * (v.high - v.low)

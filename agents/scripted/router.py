@@ -13,8 +13,6 @@ from ..roles import role_of
 from .script import ScriptedManager, Setting, cheapest
 from .workup import keeps_apart
 
-__all__ = ["SynthesisManager"]
-
 _PURE_ENOUGH = 0.97
 _MOST_OF_IT = 0.5
 _MOST_DISTILLATIONS = 2

@@ -25,8 +25,6 @@ from .belief import Belief, BeliefManager
 from .foresee import run_experiment
 from .script import Setting
 
-__all__ = ["SchedulingManager", "has_orders_to_schedule"]
-
 _GRID = 33
 """Number of titre candidates."""
 _SURE = 0.9

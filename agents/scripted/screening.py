@@ -17,8 +17,6 @@ from chemlab.roles.reaction_bench import ReactionBench
 from .belief import Belief, BeliefManager
 from .script import Setting
 
-__all__ = ["ScreeningManager", "ScriptedScreening", "catalysts"]
-
 _EQUIVALENTS, _CATALYST, _HEAT = 1.3, 0.5, 0.6
 """Rules of thumb: equivalents of every reagent, share of the catalyst's supply, share of the temperature range."""
 
@@ -49,7 +47,7 @@ class ScriptedScreening:
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         (tried,) = self._turns.recall(np.ones_like(step), members)
         low, high, most = self._span.low, self._span.high, self._span.step
         now = low + observation[:, self._slices["temperature"]][:, 0] * (high - low)

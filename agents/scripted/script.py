@@ -18,18 +18,6 @@ from chemlab.roles.instruments.table import InstrumentTable
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_view import order_channels
 
-__all__ = [
-    "SAME_SHADE",
-    "Remembering",
-    "ScriptedManager",
-    "Setting",
-    "apart",
-    "cheapest",
-    "count_pixels",
-    "likelihood",
-    "shows",
-]
-
 M = TypeVar("M")
 
 SAME_SHADE = 1e-3
@@ -191,7 +179,7 @@ class ScriptedManager(Generic[M]):
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.agents.policies.Policy`."""
+        """See :class:`chemlab.envs.players.Policy`."""
         decided = self.advise(observation, mask, step, members, copied=False)
         self._advised.clear()
         return decided

@@ -16,8 +16,6 @@ from .belief import Belief, BeliefManager
 from .exploration import foreseen
 from .script import Setting, apart
 
-__all__ = ["UpkeepManager", "has_wearing_lines"]
-
 _PARTICLES = 128
 """Particles per line: hypotheses about the line and the vessel on it."""
 _SAMPLES = 16

@@ -14,8 +14,6 @@ from chemlab.roles.extraction_bench import ExtractionBench
 
 from .real import ScriptedRealExtraction
 
-__all__ = ["ScriptedWorkup", "keeps_apart"]
-
 _ROOM_K = 298.15
 _APART = 30.0
 """Activity coefficient at infinite dilution in water above which a liquid counts as immiscible with water."""

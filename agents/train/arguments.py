@@ -32,37 +32,6 @@ from ..former_names import current_name
 if TYPE_CHECKING:
     from typing_extensions import Self
 
-__all__ = [
-    "A2C",
-    "ABOUT",
-    "ALGORITHMS",
-    "DQN",
-    "IPPO",
-    "MAPPO",
-    "OLD_NAMES",
-    "PPO",
-    "PRESETS",
-    "QRDQN",
-    "SAC",
-    "TD3",
-    "Arguments",
-    "Clipped",
-    "Cloning",
-    "MaskablePPO",
-    "MaskableRecurrentPPO",
-    "Masked",
-    "OnPolicy",
-    "Recurrent",
-    "RecurrentPPO",
-    "Replay",
-    "Single",
-    "SinglePPO",
-    "Stage",
-    "curriculum_of",
-    "load_arguments",
-    "training_arguments",
-]
-
 
 def _whole(value: Any) -> Any:
     """1e6 is a common way to write a million."""

@@ -25,17 +25,6 @@ from ..runs import Run
 from ..sb3 import ChemlabVecEnv
 from ..seals import read_sealed, seal_file
 
-__all__ = [
-    "commit_checkpoint",
-    "load_agent",
-    "load_state",
-    "random_state",
-    "restore_random_state",
-    "save_agent",
-    "save_state",
-    "tidy",
-]
-
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 

@@ -13,14 +13,14 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.config.materials import DataError
+from chemlab.config.datafile import DataError
 from chemlab.envs.players import as_policy
 from chemlab.kernels.arrays import ObservationArray
 
 from ..advice import with_advice
 from ..former_names import GREEDY, split_way
-from ..policies import RandomPolicy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
+from ..random_policy import RandomPolicy
 from ..runs import RESULT_SEED, Run
 from .arguments import Arguments, Single, training_arguments
 from .tasks import Task, find_task, task_of
@@ -33,7 +33,6 @@ try:
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install ".[train]"') from error
 
-__all__ = ["export_run", "largest_difference", "recorded_arguments"]
 
 _TOLERANCE = 1e-5
 

@@ -16,14 +16,11 @@ import numpy.typing as npt
 import torch
 from sb3_contrib.common.recurrent.type_aliases import RNNStates
 
-from chemlab.envs.players import as_policy
+from chemlab.envs.players import Policy, as_policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray
 
 from ..advice import Advisor, with_advice
-from ..policies import Policy
-
-__all__ = ["fit", "imitate"]
 
 _SPREAD = 0.02
 """Minimum standard deviation of a clone's continuous actions."""

@@ -16,12 +16,13 @@ from pathlib import Path
 import numpy as np
 
 from chemlab.config.loading import load_scenario
+from chemlab.envs.players import Policy
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import goals_met
 
 from ..episodes import play_laboratory
 from ..former_names import GREEDY, SAMPLED
-from ..policies import Policy, agent_policy
+from ..policies import agent_policy
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..roles import MANAGER_ROLE, chosen_roles, role_of
 from ..runs import Evaluation, Run
@@ -36,8 +37,6 @@ try:
     from .tasks import rewarded, task_fingerprint
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
-
-__all__ = ["Team"]
 
 
 class Team(Trainee):

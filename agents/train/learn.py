@@ -30,8 +30,6 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["train"]
-
 
 def _trainee(arguments: Arguments) -> tuple[Trainee, RunConfig]:
     """Return the learner of an algorithm, and the run's ``config.json``; a new engine is chosen here."""

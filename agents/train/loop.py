@@ -33,7 +33,6 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["EVALUATION_SEED", "Progress", "Trainee", "Watcher", "reached", "train_in_rounds"]
 
 EVALUATION_SEED = 1_000_000
 """First seed of the evaluations that choose the best checkpoint. Training episodes have small seeds, the final

@@ -11,7 +11,9 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..pretrained import LOG_STD, LSTM, Card, PretrainedPolicy, Workplace
+from chemlab.roles.base import Workplace
+
+from ..pretrained import LOG_STD, LSTM, Card, PretrainedPolicy
 from ..runs import RunConfig
 
 try:
@@ -22,7 +24,6 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
-__all__ = ["card_of", "learned_policy"]
 
 _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 

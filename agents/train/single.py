@@ -16,8 +16,8 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
 
+from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import as_policy
-from chemlab.lab.engine import MANAGER_AGENT
 
 from ..former_names import GREEDY, SAMPLED
 from ..learners import LEARNERS
@@ -31,8 +31,6 @@ from .imitate import imitate
 from .loop import Progress, Trainee, reached
 from .networks import card_of, learned_policy
 from .tasks import find_task
-
-__all__ = ["Agent"]
 
 _SETTINGS = {
     **{name: name for name in ("learning_rate", "gamma", "gae_lambda", "ent_coef", "clip_range", "batch_size")},

@@ -25,16 +25,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.files import write_text
-from chemlab.config.materials import DataError, read_toml
 from chemlab.config.parts import may_run
 
 from ..executors import WorkerLost, run_chemlab
 from ..runs import Run, RunBusy, differences, to_text
 from .arguments import Arguments, training_arguments
 from .tasks import task_fingerprint
-
-__all__ = ["STATES", "Planned", "Status", "plan", "run_sweep", "status_of"]
 
 STATES: tuple[str, ...] = ("done", "running", "waiting", "interrupted", "failed", "other")
 """``interrupted`` has a checkpoint and waits; ``other`` is a folder with other arguments or a changed scenario."""

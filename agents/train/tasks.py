@@ -12,21 +12,21 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from chemlab.config.loading import load_scenario
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
+from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import FloatArray
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
+from chemlab.roles.base import Workplace
 from chemlab.roles.bench import Bench
 
 from ..advice import AdvisedPolicy, Advisor
 from ..background import background_policies, role_vector_env
 from ..episodes import play_bench, play_laboratory
-from ..policies import Policy, agent_policy, bench_policy, is_scripted
-from ..pretrained import Card, Workplace, fingerprint, given_as
+from ..policies import agent_policy, bench_policy, is_scripted
+from ..pretrained import Card, fingerprint, given_as
 from ..roles import MANAGER_ROLE
 from .arguments import PPO, Arguments, Single
-
-__all__ = ["BenchTask", "LaboratoryTask", "Task", "find_task", "rewarded", "task_fingerprint", "task_of"]
 
 
 class Task(ABC):

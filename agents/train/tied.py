@@ -25,7 +25,6 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
-__all__ = ["TiedLinear", "Unit", "action_units", "numbered", "observed_units", "tied_layers"]
 
 Unit = tuple[Hashable, int, int]
 """Kind of a unit, and the slot and the order that it belongs to; -1: none."""

@@ -22,10 +22,9 @@ from .options import (
     app,
     check_result,
     current_policy,
-    out,
     report_result,
 )
-from .screen import counting, plain, show_table
+from .screen import counting, out, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.evaluate.plans import PlanSearch

@@ -9,17 +9,8 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_folder
-from .options import (
-    AddressOption,
-    JsonOption,
-    ProcessesOption,
-    SplitOption,
-    TrustOption,
-    app,
-    current_policy,
-    out,
-)
-from .screen import counting, show_table
+from .options import AddressOption, JsonOption, ProcessesOption, SplitOption, TrustOption, app, current_policy
+from .screen import counting, out, show_table
 
 
 @app.command()

@@ -7,8 +7,8 @@ from dataclasses import asdict
 
 import typer
 
-from .options import JsonOption, ScenarioArgument, TrustOption, app, out
-from .screen import counting, plain
+from .options import JsonOption, ScenarioArgument, TrustOption, app
+from .screen import counting, out, plain
 
 
 @app.command()

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..config.files import check_apart, check_target, write_text, write_texts
-from .options import JsonOption, app, out
-from .screen import counting, plain, show_table
+from .options import JsonOption, app
+from .screen import counting, out, plain, show_table
 
 if TYPE_CHECKING:
     from ..config.materials import Material

@@ -10,17 +10,8 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_marks, replace_between, write_text
-from .options import (
-    AddressOption,
-    JsonOption,
-    SeedOption,
-    SplitOption,
-    TrustOption,
-    app,
-    check_result,
-    out,
-)
-from .screen import counting, plain, show_table
+from .options import AddressOption, JsonOption, SeedOption, SplitOption, TrustOption, app, check_result
+from .screen import counting, out, plain, show_table
 
 RESULT_COLUMNS: tuple[str, ...] = (
     "scenario",
@@ -83,7 +74,7 @@ def evaluate(
     from ..agents.evaluate.play import evaluate as play
     from ..agents.evaluate.play import find_target
     from ..agents.executors import executor
-    from ..config.loading import scenario_names
+    from ..config.inherit import scenario_names
 
     policies = policy or ["scripted", "random"]
     if output is not None:

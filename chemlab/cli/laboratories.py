@@ -32,13 +32,12 @@ if TYPE_CHECKING:
     from ..lab.engine import Laboratories
     from ..record import Recorder
 
-__all__: list[str] = []
-
 
 @app.command("list")
 def list_scenarios(as_json: JsonOption = False) -> None:
     """List the bundled scenarios, campaigns and syntheses."""
-    from ..config.loading import campaign_names, load_scenario, scenario_names, synthesis_names
+    from ..config.inherit import campaign_names, scenario_names, synthesis_names
+    from ..config.loading import load_scenario
 
     scenarios = [load_scenario(name) for name in scenario_names()]
     campaigns = [load_scenario(name) for name in campaign_names()]
@@ -225,7 +224,7 @@ def warm(
     ] = None,
 ) -> None:
     """Compile the kernels of scenarios ahead, by playing an episode of each; later starts load them from the cache."""
-    from ..config.loading import campaign_names, scenario_names, synthesis_names
+    from ..config.inherit import campaign_names, scenario_names, synthesis_names
 
     names = scenarios or [*scenario_names(), *campaign_names(), *synthesis_names()]
     prepared = [prepare(name, quiet=True) for name in names]

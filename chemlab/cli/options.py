@@ -18,34 +18,12 @@ from .. import __version__
 from ..config.datafile import DataError
 from ..config.files import check_apart, check_target, write_text
 from ..config.parts import strangers_code
-from .screen import err, out, page, plain
+from .screen import err, page, plain
 
 if TYPE_CHECKING:
     from ..config.scenario import Scenario
     from ..envs.aec import raw_env
 
-__all__ = [
-    "FORMER_COMMANDS",
-    "AddressOption",
-    "DefaultGroup",
-    "EpisodesOption",
-    "JsonOption",
-    "PolicyOption",
-    "ProcessesOption",
-    "ScenarioArgument",
-    "SeedOption",
-    "SplitOption",
-    "TrustOption",
-    "app",
-    "check_apart_from",
-    "check_result",
-    "chosen_agents",
-    "current_policy",
-    "err",
-    "out",
-    "prepare",
-    "report_result",
-]
 
 _shown = {"traceback": False}
 _RICH = Console.print.__code__.co_filename

@@ -23,8 +23,8 @@ from .screen import err, event_words, out, page, plain
 
 if TYPE_CHECKING:
     from ..agents.episodes import PlayedTurn
-    from ..agents.policies import Policy
     from ..envs.aec import raw_env
+    from ..envs.players import Policy
     from ..lab.engine import Laboratories
 
 # -- play -------------------------------------------------------------------------------------------------------------

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import JsonOption, TrustOption, app, check_result, err, out
-from .screen import counting, plain
+from .options import JsonOption, TrustOption, app, check_result
+from .screen import counting, err, out, plain
 
 if TYPE_CHECKING:
     from ..record import Status

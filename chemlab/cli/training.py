@@ -17,8 +17,8 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 from rich.table import Table
 from typer.core import TyperCommand
 
-from .options import AddressOption, JsonOption, ProcessesOption, TrustOption, app, err, out
-from .screen import page, plain
+from .options import AddressOption, JsonOption, ProcessesOption, TrustOption, app
+from .screen import err, out, page, plain
 
 if TYPE_CHECKING:
     from concurrent.futures import Executor

@@ -31,17 +31,6 @@ from .reactions import (
 )
 from .scenario import Scenario, Settings
 
-__all__ = [
-    "campaign_names",
-    "dump_scenario",
-    "load_scenario",
-    "plain_scenario",
-    "restore_scenario",
-    "scenario_names",
-    "shipped_file",
-    "synthesis_names",
-]
-
 _MOST_MATERIALS = 256
 
 

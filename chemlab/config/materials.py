@@ -20,23 +20,6 @@ from ..kernels.arrays import FloatArray
 from .datafile import DataError, read_toml, toml_key
 from .datamodel import DataModel, validated
 
-__all__ = [
-    "COLDEST_K",
-    "HOTTEST_K",
-    "AbsorptionPeak",
-    "DataError",
-    "Dimerization",
-    "Material",
-    "RealProperties",
-    "Role",
-    "VaporPressure",
-    "atoms_of",
-    "load_materials",
-    "read_toml",
-    "shipped_materials",
-    "validated",
-]
-
 Role = Literal["solvent", "solute", "ion", "solid", "gas"]
 
 _CITED = (

@@ -90,8 +90,6 @@ from .role_episodes import BenchEpisodes, LaboratoryEpisodes, Policies, RoleEpis
 if TYPE_CHECKING:
     from ..render.scene import Scene
 
-__all__ = ["Policies", "RoleEnv", "RoleVectorEnv"]
-
 
 def _plain(argument: Any) -> Any:
     """Return an environment's argument as equivalent plain data if possible."""

@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from typing_extensions import Unpack
 
+from ..config.datafile import DataError
 from ..config.loading import load_scenario
-from ..config.materials import DataError
-from ..config.scenario import MANAGER_AGENT, OrderSpec, Scenario, Settings
+from ..config.scenario import MANAGER_AGENT as MANAGER_AGENT
+from ..config.scenario import OrderSpec, Scenario, Settings
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform
@@ -53,8 +54,6 @@ from ..roles.manager_state import (
 from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
-
-__all__ = ["MANAGER_AGENT", "Laboratories"]
 
 
 @kernel

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..config.datafile import DataError
 from ..config.loading import load_scenario
-from ..config.materials import DataError
 from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..config.datafile import DataError
 from ..config.draws import (
     BOTTLE,
     DEVICE_QUANTITIES,
@@ -19,7 +20,7 @@ from ..config.draws import (
     changed_limits,
     draw_limits,
 )
-from ..config.materials import COLDEST_K, HOTTEST_K, DataError
+from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.reactions import equation
 from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray, Handle, IntArray, StreamArray

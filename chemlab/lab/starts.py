@@ -18,7 +18,7 @@ import pydantic
 from ..config.datafile import DataError, read_json
 from ..config.datamodel import DataModel, validated
 from ..config.files import write_text
-from ..config.loading import shipped_file
+from ..config.inherit import shipped_file
 from ..config.scenario import Scenario
 from ..kernels.arrays import Field, FloatArray, IntArray, StreamArray
 from ..kernels.jit import inner

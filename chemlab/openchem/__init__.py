@@ -6,5 +6,3 @@ package imports it.
 """
 
 from __future__ import annotations
-
-__all__: list[str] = []

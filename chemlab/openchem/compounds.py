@@ -8,13 +8,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from ..config.datafile import DataError, read_toml
+from ..config.datafile import DataError, read_toml, toml_key
 from ..config.datamodel import validated
 from ..config.materials import Material, shipped_materials
 from .identity import Compound, canonical, compound_of
 from .names import is_mineral
 from .properties import DOUBTFUL, Properties, Value
-from .writing import toml_key, toml_tables
+from .writing import toml_tables
 
 OWN_FIELDS = (
     "density_kg_l", "heat_capacity_j_mol_k", "melting_point_k", "boiling_point_k", "vaporization_enthalpy_j_mol",

@@ -29,13 +29,14 @@ import numpy.typing as npt
 
 from ..agents.episodes import play_laboratory
 from ..agents.evaluate.search import search_plan
-from ..agents.policies import as_policy, make_policies
+from ..agents.policies import make_policies
 from ..config.datafile import DataError
 from ..config.loading import load_scenario
-from ..config.scenario import Scenario
+from ..config.scenario import MANAGER_AGENT, Scenario
+from ..envs.players import as_policy
 from ..envs.role_env import RoleVectorEnv
 from ..kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
-from ..lab.engine import MANAGER_AGENT, Laboratories
+from ..lab.engine import Laboratories
 from ..physics.chemistry import AMOUNTS
 from ..roles.bench import channel_slices
 from ..roles.manager_actions import WAIT

@@ -9,13 +9,13 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..config.datafile import DataError
+from ..config.datafile import DataError, toml_key
 from ..config.datamodel import validated, written
 from ..config.materials import Material
 from ..config.reactions import ReactionFamily, load_reactions, shipped_reactions_folder
 from ..physics.constants import GAS_CONSTANT
 from .identity import Compound, check_length, composition_of, compound_of, parsed
-from .writing import lock, toml_key
+from .writing import lock
 
 try:
     from rdkit import Chem

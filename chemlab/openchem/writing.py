@@ -10,8 +10,6 @@ from typing import Any
 from .. import __version__
 from ..config.datafile import toml_key
 
-__all__ = ["family_text", "lock", "material_text", "pair_text", "toml", "toml_key", "toml_tables"]
-
 
 def toml(value: Any) -> str:
     """Format a value on one line."""

@@ -16,36 +16,11 @@ from typing import Annotated, Any, NamedTuple, cast
 import numpy as np
 import numpy.typing as npt
 
-from ..config.materials import DataError
+from ..config.datafile import DataError
 from ..config.scenario import PHYSICS_TIERS as TIERS
 from ..config.scenario import Scenario
 from ..kernels.arrays import Field, FloatArray, Handle, IntArray, addresses, declared, merged
 from ..kernels.jit import COMPILED
-
-__all__ = [
-    "AIR",
-    "AMOUNTS",
-    "CAPACITY",
-    "CLOCK",
-    "CLOCK_WAS",
-    "PRESENT",
-    "ROLE_GAS",
-    "ROLE_ION",
-    "ROLE_SOLID",
-    "ROLE_SOLUTE",
-    "ROLE_SOLVENT",
-    "TEMPERATURE",
-    "TIERS",
-    "WAVELENGTHS_NM",
-    "Chemistry",
-    "ChemistryTable",
-    "Layout",
-    "Parameter",
-    "Structure",
-    "build_chemistry",
-    "element_matrix",
-    "network_fields",
-]
 
 # Columns of a vessel row; amounts and dissolved amounts follow (see Layout).
 TEMPERATURE, CAPACITY, CLOCK, CLOCK_WAS, AIR, PRESENT, AMOUNTS = range(7)

@@ -14,10 +14,11 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
+from ..config.datafile import DataError
+from ..config.datamodel import validated
 from ..config.display import facts_html
 from ..config.files import read_bytes
 from ..config.loading import dump_scenario, restore_scenario
-from ..config.materials import DataError, validated
 from ..config.scenario import Scenario
 from ..kernels.arrays import MaskArray, ObservationArray
 

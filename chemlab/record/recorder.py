@@ -15,9 +15,9 @@ import numba
 import numpy as np
 
 from .. import __version__
+from ..config.datamodel import validated
 from ..config.files import check_target, locked, naming, sync_folder
 from ..config.loading import dump_scenario
-from ..config.materials import validated
 from ..kernels.arrays import IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
 from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE

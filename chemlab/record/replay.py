@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..config.datafile import DataError
 from ..config.draws import SPLITS
-from ..config.materials import DataError
 from ..config.parts import strangers_code
 from ..lab.engine import Laboratories
 from ..lab.hidden import NumberedWorld

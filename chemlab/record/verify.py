@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any, Literal, get_args
 
 from .. import __version__
-from ..config.loading import load_scenario, shipped_file
+from ..config.inherit import shipped_file
+from ..config.loading import load_scenario
 from ..config.scenario import Scenario
 from .format import FormatError, Header, HeaderError, Record, RecordError, read_record, scenario_hash, short, to_text
 from .recorder import Witness, environment_here

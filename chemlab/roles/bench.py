@@ -14,7 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel
 
-from ..config.materials import COLDEST_K, HOTTEST_K, DataError, validated
+from ..config.datafile import DataError
+from ..config.datamodel import validated
+from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.parts import Part, PartError, blamed, checked_numbers, load_part
 from ..config.scenario import BenchSpec, OrderSpec, Scenario, WearSpec
 from ..kernels.arrays import (

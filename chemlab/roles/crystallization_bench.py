@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..config.materials import DataError
+from ..config.datafile import DataError
 from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray, IntArray
 from ..physics.chemistry import ChemistryTable

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from ..config.materials import COLDEST_K, HOTTEST_K, DataError
+from ..config.datafile import DataError
+from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.parts import blamed, checked_numbers, load_part
 from ..config.scenario import Scenario
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged

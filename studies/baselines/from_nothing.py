@@ -20,12 +20,13 @@ from typing import Any
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.jobs import without_instruments
 from chemlab.agents.evaluate.search import search_plan
-from chemlab.agents.policies import Policy, as_policy, make_policies
+from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import load_scenario
-from chemlab.config.scenario import Scenario
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
+from chemlab.envs.players import Policy, as_policy
+from chemlab.lab.engine import Laboratories
 from chemlab.openchem.difficulty import waiting
 
 SCORES = Path(__file__).parent / "results" / "from_nothing.json"

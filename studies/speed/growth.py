@@ -30,7 +30,7 @@ from typing import Any
 import numpy as np
 
 from chemlab import BatchedLaboratory, load_scenario
-from chemlab.agents.policies import RandomPolicy
+from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.files import replace_between
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv

@@ -15,7 +15,8 @@ import numpy as np
 from chemlab import raw_env
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.envs.role_env import RoleEnv
 from chemlab.render.draw import draw
 from chemlab.render.scene import bench_scene, laboratory_scene

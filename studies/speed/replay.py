@@ -19,7 +19,7 @@ from playwright.sync_api import sync_playwright
 from chemlab import raw_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.loading import scenario_names
+from chemlab.config.inherit import scenario_names
 from chemlab.record import Recorder, read_record
 from chemlab.render.replay_page import replay_page
 

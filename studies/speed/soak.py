@@ -22,8 +22,8 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab import BatchedLaboratory
-from chemlab.agents.policies import RandomPolicy
-from chemlab.config.loading import scenario_names
+from chemlab.agents.random_policy import RandomPolicy
+from chemlab.config.inherit import scenario_names
 from chemlab.config.scenario import SAFETY_EVENTS
 from chemlab.kernels.arrays import FloatArray, IntArray, ObservationArray
 from chemlab.kernels.jit import kernel

@@ -25,7 +25,7 @@ import numpy as np
 import chemlab  # noqa: F401 - registers the environments
 from chemlab import BatchedLaboratory, load_scenario, parallel_env, raw_env
 from chemlab.agents.background import role_vector_env
-from chemlab.agents.policies import RandomPolicy
+from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.files import replace_between
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv

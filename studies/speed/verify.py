@@ -23,7 +23,7 @@ from helpers import Careless
 from chemlab import raw_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.loading import scenario_names
+from chemlab.config.inherit import scenario_names
 from chemlab.record import Recorder, read_record, verify_record
 
 POLICIES = ("scripted", "random", "careless")

@@ -17,7 +17,8 @@ from throughput import batched_laboratory
 
 from chemlab.config.draws import WorldSpec
 from chemlab.config.files import replace_between
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 
 LABORATORIES = 256
 

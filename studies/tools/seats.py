@@ -110,7 +110,7 @@ def main(names: list[str]) -> None:
     """Print the table, as Markdown."""
     import bpe_openai
 
-    from chemlab.config.loading import scenario_names
+    from chemlab.config.inherit import scenario_names
 
     encoding = bpe_openai.get_encoding("o200k_base")
     print(

@@ -13,7 +13,7 @@ pytest.importorskip("stable_baselines3")
 from sb3_contrib import MaskablePPO, RecurrentPPO
 
 from chemlab.agents.learners import load_learner
-from chemlab.agents.policies import as_policy, make_policies
+from chemlab.agents.policies import make_policies
 from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.runs import Run
 from chemlab.agents.sb3 import ChemlabVecEnv
@@ -23,8 +23,10 @@ from chemlab.agents.train.imitate import _examples, fit, imitate
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.tasks import LaboratoryTask
-from chemlab.config.loading import load_scenario, scenario_names
-from chemlab.config.materials import DataError
+from chemlab.config.datafile import DataError
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
+from chemlab.envs.players import as_policy
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import SUBMIT, lab_starts

@@ -11,7 +11,8 @@ import pytest
 from rich.console import Console
 
 from chemlab.agents.human import HumanPolicy, Left, LetterShades, Menu, _manager_paths, parse_numbers
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 
 REAGENTS = ("1-chlorohexane", "2-chlorohexane", "Na")

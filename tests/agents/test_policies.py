@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from chemlab.agents import policies as policies_module
 from chemlab.agents.episodes import play_episode
-from chemlab.agents.policies import RandomPolicy, make_policies, policy_names
+from chemlab.agents.policies import make_policies, policy_names
+from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env

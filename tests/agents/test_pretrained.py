@@ -16,7 +16,7 @@ from run_files import write_run
 from typer.testing import CliRunner
 
 from chemlab.agents import pretrained
-from chemlab.agents.policies import as_policy, make_policies
+from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import (
     Card,
     PretrainedPolicy,
@@ -29,6 +29,7 @@ from chemlab.agents.pretrained import (
 from chemlab.agents.train.tasks import task_of
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
+from chemlab.envs.players import as_policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch

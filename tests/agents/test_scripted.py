@@ -18,9 +18,10 @@ import pytest
 from helpers import FEATURED, slow_but
 
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
-from chemlab.agents.policies import Policy, make_policies
-from chemlab.config.loading import scenario_names
+from chemlab.agents.policies import make_policies
+from chemlab.config.inherit import scenario_names
 from chemlab.envs.aec import raw_env
+from chemlab.envs.players import Policy
 
 AUDITS = Path(__file__).parents[2] / "docs" / "results" / "audits"
 DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")

@@ -16,8 +16,10 @@ import numpy as np
 import pytest
 
 from chemlab.agents.ledger import read_ledger
-from chemlab.agents.seats import LabTools, Room, ToolError, input_schema
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.agents.seats import LabTools, Room, input_schema
+from chemlab.agents.verbs import ToolError
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.record import verify_record
 from studies.tools.seats import call_for, measure, play_scripted

@@ -19,7 +19,7 @@ from chemlab.agents.executors import executor
 from chemlab.agents.runs import Run
 from chemlab.agents.train.sweep import Status, plan, run_sweep, status_of
 from chemlab.cli import app
-from chemlab.config.materials import DataError
+from chemlab.config.datafile import DataError
 
 SMALL = """
 [defaults]

@@ -11,7 +11,8 @@ from gymnasium.vector import AutoresetMode
 
 import chemlab
 from chemlab.agents.background import background_policies, role_env, role_vector_env
-from chemlab.agents.policies import RandomPolicy, make_policies, policy_names
+from chemlab.agents.policies import make_policies, policy_names
+from chemlab.agents.random_policy import RandomPolicy
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 

@@ -20,8 +20,9 @@ from chemlab.agents.scripted.identify import IdentifyingManager, has_unlabelled_
 from chemlab.agents.scripted.reaction import ScriptedReaction
 from chemlab.agents.scripted.schedule import SchedulingManager, has_orders_to_schedule
 from chemlab.agents.scripted.upkeep import UpkeepManager, has_wearing_lines
-from chemlab.config.loading import load_scenario, scenario_names
-from chemlab.config.materials import DataError
+from chemlab.config.datafile import DataError
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.envs.players import Players
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories

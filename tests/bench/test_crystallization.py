@@ -10,9 +10,10 @@ import pytest
 from helpers import mapping
 
 import chemlab  # noqa: F401 - registers the single benches
-from chemlab.agents.policies import RandomPolicy, is_scripted, scripted_bench
+from chemlab.agents.policies import is_scripted, scripted_bench
+from chemlab.agents.random_policy import RandomPolicy
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import DataError
 from chemlab.envs.players import Policy
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import chemlab.scenarios
-from chemlab.config.materials import DataError
+from chemlab.config.datafile import DataError
 from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
 from chemlab.lab.experiments import ExperimentBatch

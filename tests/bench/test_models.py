@@ -11,11 +11,12 @@ import pytest
 from helpers import PIXELS, Glassware
 from scipy.integrate import solve_ivp
 
-from chemlab.agents.policies import Policy, scripted_bench
+from chemlab.agents.policies import scripted_bench
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
 from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Policy
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import build_chemistry
 

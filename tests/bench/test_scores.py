@@ -10,8 +10,10 @@ import numpy.typing as npt
 import pytest
 from helpers import mapping
 
-from chemlab.agents.policies import Policy, RandomPolicy, scripted_bench
+from chemlab.agents.policies import scripted_bench
+from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.loading import load_scenario
+from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.roles.operation_bench import OperationBench

@@ -16,7 +16,8 @@ from gymnasium.vector import AutoresetMode
 from helpers import FEATURED, slow_but
 
 from chemlab.agents.background import role_env, role_vector_env
-from chemlab.config.loading import load_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.record import scenario_hash
 
 MANAGER, AGENT = "chemlab/LabManager-v1", "chemlab/LabAgent-v1"

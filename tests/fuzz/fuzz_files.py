@@ -34,7 +34,8 @@ from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.datafile import DataError, read_json, read_toml
 from chemlab.config.draws import ORDER_QUANTITIES
-from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario, scenario_names
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import shipped_pairs
 from chemlab.envs.aec import raw_env

@@ -32,7 +32,7 @@ from chemlab.agents.demonstrations import demonstrations
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
-from chemlab.config.materials import DataError
+from chemlab.config.datafile import DataError
 from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, RecordError, read_record, verify_record
 from chemlab.render.charts import draw_moles, draw_spectra, draw_timeline

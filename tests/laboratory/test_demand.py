@@ -14,8 +14,8 @@ from helpers import allowed, laboratory, manager, mapping
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import DataError
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from helpers import laboratory, manager, mapping
 
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import DataError
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from helpers import laboratory, manager, mapping
 
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import dump_scenario, load_scenario
-from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.materials import shipped_materials
 from chemlab.config.scenario import InstrumentSpec
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.instruments import INSTRUMENTS

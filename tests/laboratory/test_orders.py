@@ -17,8 +17,9 @@ import chemlab.scenarios
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.loading import load_scenario, scenario_names
-from chemlab.config.materials import DataError
+from chemlab.config.datafile import DataError
+from chemlab.config.inherit import scenario_names
+from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import REWARD_MIXES, RewardSpec
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from helpers import allowed, laboratory, manager, mapping
 
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import DataError
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv

@@ -11,8 +11,8 @@ import pytest
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import DataError
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory

@@ -15,8 +15,8 @@ import numpy.typing as npt
 import pytest
 from helpers import litres
 
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import DataError
 from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv

@@ -11,11 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
-from chemlab.config.materials import DataError
+from chemlab.config.scenario import PHYSICS_TIERS as TIERS
 from chemlab.config.scenario import Scenario
 from chemlab.physics.backends import rate_constant
-from chemlab.physics.chemistry import AMOUNTS, TIERS, build_chemistry
+from chemlab.physics.chemistry import AMOUNTS, build_chemistry
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.physics.mass_action import integrate as react
 from chemlab.physics.mass_action import react_work_size

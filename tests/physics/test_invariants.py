@@ -15,7 +15,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from chemlab.agents.policies import RandomPolicy
+from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import COLDEST_K, HOTTEST_K
 from chemlab.config.scenario import Scenario

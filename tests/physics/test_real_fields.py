@@ -11,8 +11,9 @@ import pytest
 from helpers import composition
 from real_tier import enthalpy_of, filled, react, real_table
 
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
-from chemlab.config.materials import DataError, shipped_materials
+from chemlab.config.materials import shipped_materials
 from chemlab.config.scenario import PHYSICS_TIERS, Scenario
 from chemlab.kernels.jit import kernel
 from chemlab.kernels.tables import Table

@@ -18,32 +18,12 @@ import numba
 import numpy as np
 from numba.extending import overload
 
+from ...config.scenario import PHYSICS_TIERS as TIERS
 from ...kernels import jit
 from ...kernels.arrays import FloatArray, Handle, IntArray
 from ...kernels.jit import COMPILED, helper, opened
-from ..chemistry import TIERS, Chemistry, ChemistryTable
+from ..chemistry import Chemistry, ChemistryTable
 from ..surroundings import Surroundings
-
-__all__ = [
-    "drain_layer",
-    "dry",
-    "elapse",
-    "find_layers",
-    "headspace_gas",
-    "heat",
-    "law_addresses",
-    "layer_density",
-    "layer_shade",
-    "partition",
-    "rate_constant",
-    "react",
-    "settle_phases",
-    "solid_mol",
-    "solid_volume",
-    "vapor_pressure",
-    "vent",
-    "work_size",
-]
 
 LAWS = (
     "vapor_pressure",

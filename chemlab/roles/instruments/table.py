@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numba.extending import overload
 
-from ...config.materials import DataError
+from ...config.datafile import DataError
 from ...config.parts import PartError, blamed, checked_numbers, load_part
 from ...config.scenario import Scenario
 from ...kernels import jit

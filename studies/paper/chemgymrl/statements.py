@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from chemlab.agents.evaluate.results import display_name
-from chemlab.config.materials import read_toml
+from chemlab.config.datafile import read_toml
 
 from .measures import MEASURES, Values
 from .results import EXPERIMENTS, Results

@@ -10,23 +10,3 @@ from .partition import partition
 from .phases import settle_phases
 from .rates import elapse, react, work_size
 from .vapor import dry, headspace_gas, vapor_pressure, vent
-
-__all__ = [
-    "drain_layer",
-    "dry",
-    "elapse",
-    "find_layers",
-    "headspace_gas",
-    "heat",
-    "layer_density",
-    "layer_shade",
-    "partition",
-    "rate_constant",
-    "react",
-    "settle_phases",
-    "solid_mol",
-    "solid_volume",
-    "vapor_pressure",
-    "vent",
-    "work_size",
-]

@@ -13,25 +13,3 @@ from .reacting import react
 from .real_chemistry import RealChemistry as DECLARATION
 from .real_chemistry import build
 from .vapor import headspace_gas, vapor_pressure, vent
-
-__all__ = [
-    "DECLARATION",
-    "build",
-    "drain_layer",
-    "dry",
-    "elapse",
-    "find_layers",
-    "headspace_gas",
-    "heat",
-    "layer_density",
-    "layer_shade",
-    "partition",
-    "rate_constant",
-    "react",
-    "settle_phases",
-    "solid_mol",
-    "solid_volume",
-    "vapor_pressure",
-    "vent",
-    "work_size",
-]

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 
-from ....config.materials import DataError, Material
+from ....config.datafile import DataError
+from ....config.materials import Material
 from ....config.pairs import pair_table
 from ....kernels.arrays import FloatArray, IntArray, merged
 from ...chemistry import Chemistry, Layout, Parameter, Structure
