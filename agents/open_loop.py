@@ -11,16 +11,15 @@ import importlib.resources
 import itertools
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from chemlab.config.datafile import DataError, read_json
-from chemlab.config.datamodel import validated
+from chemlab.config.datamodel import DataModel, validated
 from chemlab.config.files import write_text
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
@@ -159,8 +158,15 @@ class ConstantPlan(Playback):
 # -- stored plans -----------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class PlanFile:
+class StoredPlan(DataModel):
+    """The plan of one context, with actions as in :meth:`~chemlab.roles.manager_actions.ManagerActions.decode`."""
+
+    goals: list[str]
+    score: float
+    steps: list[Annotated[list[str | int], Field(max_length=8)]] = Field(max_length=10_000)
+
+
+class PlanFile(DataModel):
     """Content of a plan file.
 
     Attributes:
@@ -170,52 +176,8 @@ class PlanFile:
         versions: versions of chemlab, numpy and Python.
         tried: number of evaluated plans.
         evaluation: ``episodes``, ``seed`` and the score's ``value``, ``low`` and ``high``.
-        plans: by context, ``goals``, ``score`` and ``steps``; actions as in
-            :meth:`~chemlab.roles.manager_actions.ManagerActions.decode`.
+        plans: one of each context.
     """
-
-    scenario: str
-    benches: str
-    command: str
-    versions: dict[str, str]
-    tried: int
-    evaluation: dict[str, Any]
-    plans: list[dict[str, Any]]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields in the format of the file."""
-        return {"kind": "plan", "format": 1, **asdict(self)}
-
-    def save(self, path: Path) -> None:
-        """Write the file atomically."""
-        write_text(path, json.dumps(self.as_dict(), indent=1) + "\n")
-
-    def decoded(self, actions: ManagerActions) -> dict[Context, Plan]:
-        """Return the plans as action indices of a laboratory.
-
-        Raises:
-            ValueError: the laboratory has no such action; the message lists the alternatives.
-        """
-        try:
-            return {tuple(plan["goals"]): tuple(actions.encode(*step) for step in plan["steps"]) for plan in self.plans}
-        except (TypeError, ValueError) as error:
-            raise ValueError(f"plan of {self.scenario}: does not fit this laboratory: {error}") from error
-
-
-class _Plan(BaseModel):
-    """Schema of one plan in a file."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    goals: list[str]
-    score: float
-    steps: list[Annotated[list[str | int], Field(max_length=8)]] = Field(max_length=10_000)
-
-
-class _Content(BaseModel):
-    """Schema of a plan file."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
     kind: Literal["plan"]
     format: Literal[1]
@@ -224,8 +186,26 @@ class _Content(BaseModel):
     command: str
     versions: dict[str, str]
     tried: int
-    evaluation: dict[str, int | float]
-    plans: list[_Plan]
+    evaluation: dict[str, int | float | None]
+    plans: list[StoredPlan]
+
+    def save(self, path: Path) -> None:
+        """Write the file atomically."""
+        write_text(path, json.dumps(self.model_dump(), indent=1) + "\n")
+
+    def decoded(self, actions: ManagerActions) -> dict[Context, Plan]:
+        """Return the plans as action indices of a laboratory.
+
+        Raises:
+            ValueError: the laboratory has no such action; the message lists the alternatives.
+        """
+        try:
+            return {
+                tuple(plan.goals): tuple(actions.encode(str(kind), *rest) for kind, *rest in plan.steps)
+                for plan in self.plans
+            }
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"plan of {self.scenario}: does not fit this laboratory: {error}") from error
 
 
 def _folder() -> Path:
@@ -249,11 +229,11 @@ def load_plans(path: Path) -> PlanFile:
         ValueError: the file does not exist or is not a plan file.
     """
     try:
-        content: _Content = validated(_Content, read_json(path), str(path))
+        found: PlanFile = validated(PlanFile, read_json(path), str(path))
     except DataError as error:
         what = "cannot be read: not a file of plans of this version; see `chemlab audit plan --out`"
         raise DataError(f"{path}: {what}\n{error}") from error
-    return PlanFile(**content.model_dump(exclude={"kind", "format"}))
+    return found
 
 
 def plan_for(laboratories: Laboratories, benches: str = "scripted") -> ConstantPlan:

@@ -15,17 +15,16 @@ import json
 import shlex
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 from safetensors.numpy import load, save
 
 from chemlab.config.datafile import DataError, read_json
-from chemlab.config.datamodel import validated, written
+from chemlab.config.datamodel import DataModel, validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
 from chemlab.config.inherit import shipped_file
 from chemlab.config.scenario import Scenario
@@ -42,7 +41,6 @@ from .random_policy import RandomPolicy
 Weights = Mapping[str, npt.NDArray[np.float32]]
 Seed = int | np.random.SeedSequence | None
 
-_EXACT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 _MOST_BYTES = 256_000_000
 _MOST_LAYERS = 32
 
@@ -55,14 +53,25 @@ _VALUES = ("dqn", "qr-dqn")
 """Algorithms whose outputs are values of actions, not logits."""
 
 
-def interface(workplace: Workplace) -> dict[str, Any]:
-    """Return an agent's channels and actions as plain values; policies fit if these are equal."""
-    return {
-        "kind": workplace.kind,
-        "channels": [[c.name, c.size, c.unit, c.low, c.high, c.meaning] for c in workplace.channels],
-        "actions": list(workplace.action_meanings),
-        "discrete": bool(workplace.action_count),
-    }
+class Interface(DataModel):
+    """An agent's channels and actions as plain values; policies fit if these are equal."""
+
+    model_config = ConfigDict(strict=True)
+
+    kind: str
+    channels: list[Annotated[list[str | int | float], Field(min_length=6, max_length=6)]]
+    actions: list[str]
+    discrete: bool
+
+
+def interface(workplace: Workplace) -> Interface:
+    """Return the interface of an agent."""
+    return Interface(
+        kind=workplace.kind,
+        channels=[[c.name, c.size, c.unit, c.low, c.high, c.meaning] for c in workplace.channels],
+        actions=list(workplace.action_meanings),
+        discrete=bool(workplace.action_count),
+    )
 
 
 def fingerprint(workplace: Workplace) -> str:
@@ -89,8 +98,7 @@ def fingerprint(workplace: Workplace) -> str:
     return hashlib.sha256(json.dumps(task, sort_keys=True).encode()).hexdigest()[:16]
 
 
-@dataclass(frozen=True)
-class Card:
+class Card(DataModel):
     """Card of a policy, ``NAME.json``.
 
     Attributes:
@@ -115,66 +123,7 @@ class Card:
             probable one is played.
     """
 
-    name: str
-    env_id: str
-    scenario: str
-    bench: str
-    goals: list[str]
-    starts: str
-    fingerprint: str
-    interface: dict[str, Any]
-    observation_size: int
-    action_size: int
-    algo: str
-    label: str
-    seed: int
-    step: int
-    command: str
-    versions: dict[str, str]
-    activation: str
-    output: str
-    evaluation: dict[str, Any]
-    background: str | None = None
-    masked: bool = True
-    memory: int = 0
-    advice: str | None = None
-    sampled: bool = False
-
-    @classmethod
-    def of(cls, workplace: Workplace, **more: Any) -> Card:
-        """Return the card of a policy trained for a workplace; ``more`` are the other fields."""
-        own = {
-            "scenario": workplace.scenario.name,
-            "bench": workplace.key,
-            "fingerprint": fingerprint(workplace),
-            "interface": json.loads(json.dumps(interface(workplace))),
-            "observation_size": int(workplace.observation_space.shape[0]),
-            "action_size": workplace.action_count or len(workplace.action_meanings),
-        }
-        if more.get("advice") is not None:
-            own["observation_size"] += own["action_size"]
-        return cls(**{**own, **more})
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields in the format of the file."""
-        return asdict(self)
-
-
-class _Interface(BaseModel):
-    """Schema of an :func:`interface` in a card."""
-
-    model_config = _EXACT
-
-    kind: str
-    channels: list[Annotated[list[str | int | float], Field(min_length=6, max_length=6)]]
-    actions: list[str]
-    discrete: bool
-
-
-class _CardFile(BaseModel):
-    """Schema of a card file."""
-
-    model_config = _EXACT
+    model_config = ConfigDict(strict=True)
 
     name: str = Field(min_length=1)
     env_id: str
@@ -183,7 +132,7 @@ class _CardFile(BaseModel):
     goals: list[str]
     starts: str
     fingerprint: str
-    interface: _Interface
+    interface: Interface
     observation_size: int = Field(ge=1)
     action_size: int = Field(ge=1)
     algo: str
@@ -201,8 +150,20 @@ class _CardFile(BaseModel):
     advice: str | None = None
     sampled: bool = False
 
-
-assert set(_CardFile.model_fields) == {field.name for field in fields(Card)}
+    @classmethod
+    def of(cls, workplace: Workplace, **more: Any) -> Card:
+        """Return the card of a policy trained for a workplace; ``more`` are the other fields."""
+        own: dict[str, Any] = {
+            "scenario": workplace.scenario.name,
+            "bench": workplace.key,
+            "fingerprint": fingerprint(workplace),
+            "interface": interface(workplace),
+            "observation_size": int(workplace.observation_space.shape[0]),
+            "action_size": workplace.action_count or len(workplace.action_meanings),
+        }
+        if more.get("advice") is not None:
+            own["observation_size"] += own["action_size"]
+        return cls(**{**own, **more})
 
 
 class PretrainedPolicy:
@@ -283,7 +244,7 @@ class PretrainedPolicy:
             ValueError: it has no distribution that could be sampled.
         """
         sampled = self.card.sampled if way is None else way == SAMPLED
-        return PretrainedPolicy(replace(self.card, sampled=sampled), self.weights, seed)
+        return PretrainedPolicy(self.card.model_copy(update={"sampled": sampled}), self.weights, seed)
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Restart the random stream of one member, if it is sampled."""
@@ -396,7 +357,7 @@ def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:
     Raises:
         ValueError: it does not fit, see :meth:`PretrainedPolicy.check`.
     """
-    if isinstance(workplace, Bench) and policy.card.interface["discrete"]:
+    if isinstance(workplace, Bench) and policy.card.interface.discrete:
         twin = discretised_twin(workplace)
         if twin is not None:
             policy.check(twin)
@@ -419,19 +380,19 @@ def given_as(scenario: Scenario) -> str:
 
 def _difference(card: Card, workplace: Workplace) -> str:
     """Describe the first difference between a workplace and the policy's interface; empty if there is none."""
-    mine, other = card.interface, json.loads(json.dumps(interface(workplace)))
-    if mine["kind"] != other["kind"]:
-        return f"it is for {mine['kind']}, this is {other['kind']}"
+    mine, other = card.interface, interface(workplace)
+    if mine.kind != other.kind:
+        return f"it is for {mine.kind}, this is {other.kind}"
     size = int(workplace.observation_space.shape[0]) + (card.action_size if card.advice is not None else 0)
-    for ours, theirs in zip(mine["channels"], other["channels"], strict=False):
+    for ours, theirs in zip(mine.channels, other.channels, strict=False):
         if ours != theirs:
             return f"observation {ours[0]!r}: it knows {ours[1:]}, here {theirs[0]!r} is {theirs[1:]}"
     if card.observation_size != size:
         return f"it sees {card.observation_size} numbers, here there are {size}"
-    if mine["actions"] != other["actions"]:
-        pairs = zip(mine["actions"], other["actions"], strict=False)
-        i = next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(mine["actions"]), len(other["actions"])))
-        return f"it has {len(mine['actions'])} actions, here there are {len(other['actions'])}; they differ from {i} on"
+    if mine.actions != other.actions:
+        pairs = zip(mine.actions, other.actions, strict=False)
+        i = next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(mine.actions), len(other.actions)))
+        return f"it has {len(mine.actions)} actions, here there are {len(other.actions)}; they differ from {i} on"
     return ""
 
 
@@ -450,9 +411,8 @@ def _read_card(path: Path) -> Card:
         raise DataError(
             f"{path}: no such card; policies that come with chemlab: {', '.join(pretrained_names()) or 'none'}"
         )
-    content = read_json(path)
-    validated(_CardFile, content, f"{path}: not a card of this version")
-    return Card(**content)
+    card: Card = validated(Card, read_json(path), f"{path}: not a card of this version")
+    return card
 
 
 def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
@@ -491,7 +451,7 @@ def save_policy(path: Path, card: Card, weights: Weights) -> None:
     """
     PretrainedPolicy(card, weights)
     write_bytes(path.with_name(f"{path.name}.safetensors"), save(dict(weights)))
-    write_text(path.with_name(f"{path.name}.json"), json.dumps(card.as_dict(), indent=1) + "\n")
+    write_text(path.with_name(f"{path.name}.json"), json.dumps(card.model_dump(), indent=1) + "\n")
     load_pretrained(path)
 
 
@@ -509,7 +469,7 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
     """
     reasons, fitting = [], []
     cards = {name: _read_card(_shipped() / f"{name}.json") for name in pretrained_names()}
-    alike = {name: card for name, card in cards.items() if card.interface["kind"] == workplace.kind}
+    alike = {name: card for name, card in cards.items() if card.interface.kind == workplace.kind}
     for name, card in alike.items():
         difference = _difference(card, workplace)
         if difference:

@@ -22,7 +22,7 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.manager_actions import ManagerActions
 
 from ..episodes import play_laboratory
-from ..open_loop import ConstantPlan, Context, Plan, PlanFile, Playback
+from ..open_loop import ConstantPlan, Context, Plan, PlanFile, Playback, StoredPlan
 from ..policies import make_policies
 from ..runs import versions
 from . import statistics
@@ -144,11 +144,21 @@ class PlanSearch:
         actions = ManagerActions.of(self.scenario)
         score = statistics.mean([self.play(episodes, seed)])
         plans = [
-            {"goals": list(one.context), "score": one.score, "steps": [list(actions.decode(a)) for a in one.plan]}
-            for one in self.found
+            StoredPlan(goals=list(o.context), score=o.score, steps=[list(actions.decode(a)) for a in o.plan])
+            for o in self.found
         ]
         evaluation = {"episodes": episodes, "seed": seed, **score.as_dict()}
-        return PlanFile(self.scenario.name, self.benches, command, versions(), self.tried, evaluation, plans)
+        return PlanFile(
+            kind="plan",
+            format=1,
+            scenario=self.scenario.name,
+            benches=self.benches,
+            command=command,
+            versions=versions(),
+            tried=self.tried,
+            evaluation=evaluation,
+            plans=plans,
+        )
 
 
 def plan_words(scenario: Scenario, plan: Iterable[int]) -> list[str]:

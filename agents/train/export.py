@@ -5,7 +5,6 @@ Needs the extra: ``pip install ".[train]"``.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -154,9 +153,9 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
             )
     # The exported policy is played with masks, however it was trained.
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
-    policy = PretrainedPolicy(replace(policy.card, name=path.name, masked=True), policy.weights).as_played(
-        way, RESULT_SEED
-    )
+    policy = PretrainedPolicy(
+        policy.card.model_copy(update={"name": path.name, "masked": True}), policy.weights
+    ).as_played(way, RESULT_SEED)
     episodes = arguments.final_episodes
     found = task.by_goal(task.advised(policy, policy.card.advice), episodes, RESULT_SEED)
     scripted = task.scripted(episodes, RESULT_SEED)
@@ -168,7 +167,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
         "scripted_mean": sum(scripted.values()) / len(scripted) if scripted else None,
         "scripted_by_goal": scripted,
     }
-    card = replace(policy.card, evaluation=evaluation)
+    card = policy.card.model_copy(update={"evaluation": evaluation})
     save_policy(path, card, policy.weights)
     return card
 

@@ -128,7 +128,7 @@ def plan(
     words += ["--episodes", str(episodes)]
     found = search.as_file(shlex.join(words), episodes)
     if as_json:
-        typer.echo(json.dumps(found.as_dict()))
+        typer.echo(json.dumps(found.model_dump()))
     else:
         _tell(search, found)
     if output is not None:

@@ -51,7 +51,7 @@ def policy(
         check_apart([target], (file for file in Path(split_way(str(run))[0]).rglob("*") if file.is_file()))
     card = export_run(run, to, role)
     if as_json:
-        typer.echo(json.dumps(card.as_dict()))
+        typer.echo(json.dumps(card.model_dump()))
         return
     found = card.evaluation
     out.print(plain(f"{card.name}: {card.label} of {card.env_id}, seed {card.seed}, step {card.step:,}"))

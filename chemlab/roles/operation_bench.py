@@ -11,9 +11,10 @@ from typing import Annotated, Any, ClassVar, NamedTuple
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
 from ..config.datafile import DataError
+from ..config.datamodel import DataModel
 from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.parts import blamed, checked_numbers, load_part
 from ..config.scenario import Scenario
@@ -58,10 +59,8 @@ _HEATING, _MIXING = list(OPERATIONS).index("heat"), list(OPERATIONS).index("mix"
 _GAUGES = (("temperature", "K"), ("volume", "L"), ("pressure", "kPa"), ("solids", "share of the volume"))
 
 
-class Process(BaseModel):
+class Process(DataModel):
     """One row of an action table: a process and its magnitudes, each of which is one action."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     kind: str
     """``drain``, ``mix``, ``pour``, ``add``, ``settle``, ``heat``, ``seed``, ``filter``, ``dry``, or your own operation
@@ -78,10 +77,8 @@ class Process(BaseModel):
     (< 0 cools); seed: g; dry: L of air."""
 
 
-class OperationOptions(BaseModel):
+class OperationOptions(DataModel):
     """Scenario keys of a bench with a table of operations."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     process: tuple[Process, ...] = Field(min_length=1, max_length=200)
     auxiliary_capacity_l: float = Field(default=1.0, gt=0.0, le=100.0)

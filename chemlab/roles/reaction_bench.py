@@ -12,8 +12,9 @@ from typing import Annotated, Any, NamedTuple
 import gymnasium
 import numpy as np
 import numpy.typing as npt
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from ..config.datamodel import DataModel
 from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.scenario import Scenario
 from ..kernels.arrays import Field as Array
@@ -52,15 +53,12 @@ from .bench import (
 )
 from .models import checked_reaction
 
-_FROZEN = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 _FULLEST = 0.98
 """Share of the vessel that the contents may fill at most when the piston moves in."""
 
 
-class Span(BaseModel):
+class Span(DataModel):
     """A quantity that the agent moves within [low, high], by at most ``step`` per step."""
-
-    model_config = _FROZEN
 
     low: float = Field(gt=0.0, le=1e4)
     high: float = Field(gt=0.0, le=1e4)
@@ -80,10 +78,8 @@ class TemperatureSpan(Span):
     high: float = Field(ge=COLDEST_K, le=HOTTEST_K)
 
 
-class ReactionOptions(BaseModel):
+class ReactionOptions(DataModel):
     """Scenario keys of a reaction bench."""
-
-    model_config = _FROZEN
 
     reagents: dict[str, Annotated[float, Field(gt=0.0, le=1e4)]] = Field(min_length=1, max_length=100)
     """Maximum mol of each reagent that an experiment takes from stock."""

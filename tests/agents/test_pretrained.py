@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 import warnings
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +58,7 @@ def made_up(bench: Any, seed: int = 0, **changes: Any) -> PretrainedPolicy:
         goals=list(bench.goals.names),
         starts="paper",
         fingerprint=fingerprint(bench),
-        interface=json.loads(json.dumps(interface(bench))),
+        interface=interface(bench),
         observation_size=sizes[0],
         action_size=sizes[-1],
         algo="ppo",
@@ -72,7 +71,7 @@ def made_up(bench: Any, seed: int = 0, **changes: Any) -> PretrainedPolicy:
         output="argmax" if bench.action_count else "clip",
         evaluation={},
     )
-    return PretrainedPolicy(replace(card, **changes), weights)
+    return PretrainedPolicy(card.model_copy(update=changes), weights)
 
 
 def ship(policy: PretrainedPolicy, folder: Path, name: str) -> None:
@@ -84,7 +83,7 @@ def ship(policy: PretrainedPolicy, folder: Path, name: str) -> None:
         f"{i}.{part}": np.ascontiguousarray(a) for i, (w, b) in layers for part, a in (("weight", w.T), ("bias", b))
     }
     (folder / f"{name}.safetensors").write_bytes(save(weights))
-    (folder / f"{name}.json").write_text(json.dumps(replace(policy.card, name=name).as_dict()))
+    (folder / f"{name}.json").write_text(policy.card.model_copy(update={"name": name}).model_dump_json())
 
 
 def act(policy: PretrainedPolicy, seen: Any, mask: Any = None) -> Any:
