@@ -592,6 +592,9 @@ class PPOTeam:
             for role, learner in self.learners.items()
             if role != MANAGER_ROLE and settings.practice
         }
+        import os
+
+        self._potential = float(os.environ.get("POT", "1"))
         self.fixed: set[str] = set()
         self._teachers: dict[str, Advisor] = {}
         self._tried = False
@@ -606,9 +609,10 @@ class PPOTeam:
                 self._best = _Best(self.settings.envs, track)
         self.turns = dict.fromkeys(self.learners, 0)
         self.scores: list[float] = []
-        self._earned = np.zeros(self.settings.envs)
+        self._rewarded, self._refunded = np.zeros(self.settings.envs), np.zeros(self.settings.envs)
         self._unread, everywhere = np.zeros(self.labs.state.age.shape, np.bool_), np.ones(self.settings.envs, np.bool_)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
+        self._earned = self._potential * self.labs.unfinished_worth(self.labs.members)
         self._read(0.0, everywhere)
 
     def learn(self, done: float, rounds: int) -> int:
@@ -681,7 +685,7 @@ class PPOTeam:
             actions = {
                 agent: action for agent in self.agents if (action := self._chosen(agent, t, remaining)) is not None
             }
-            paid = self.labs.state.charges[:, INSTRUMENTS].copy()
+            measured = self.labs.state.charges[:, INSTRUMENTS].copy()
             self._observed, rewards, over, _, self._infos = self.batch.step(actions)
             self._read(done, over)
             self.scores += self._infos["manager_0"]["score"][over].tolist()
@@ -689,18 +693,38 @@ class PPOTeam:
                 track.reward[t], track.ended[t] = rewards[agent], over
                 if role_of(agent) == MANAGER_ROLE:
                     # Where an episode has ended, the charges are those of the next one.
-                    measured = np.maximum(self.labs.state.charges[:, INSTRUMENTS] - paid, 0.0)
-                    nearly = near * self._infos[agent]["partial"]
-                    earned = self._earned + rewards[agent] + free * measured + nearly
-                    least = 0.5 * (self._infos[agent]["paid"] + nearly)
-                    # At once, and not at the end: what costs something is not avoided then.
-                    refunds = np.maximum(least - earned, 0.0) - np.maximum(-self._earned, 0.0)
-                    track.reward[t] += free * measured + nearly + refund * refunds
-                    self._earned = np.where(over, 0.0, earned)
+                    self._refunded += free * np.maximum(self.labs.state.charges[:, INSTRUMENTS] - measured, 0.0)
+                    track.reward[t] = self._credit(rewards[agent], over, near, refund)
                     if self._best is not None:
                         self._best.rewarded(track.reward[t], over)
                 elif self._own_episodes:
                     track.ended[t] |= self._infos[agent]["experiment_over"]
+
+    def _credit(self, reward: Arrays, over: BoolArray, near: float, refund: float) -> Arrays:
+        """Return [N] the manager's rewards with the help that is given, as soon as what they are for has happened.
+
+        Costs, and in some scenarios payments, are otherwise settled at the end of an episode. What unfinished work is
+        nearly worth is a potential, which changes no episode's return (`Ng et al., 1999
+        <https://people.eecs.berkeley.edu/~russell/papers/icml99-shaping.pdf>`_).
+
+        Args:
+            reward: [N] of the round.
+            over: [N] where an episode has just ended, and another begun.
+            near, refund: what is left of these helps.
+        """
+        labs, everywhere, info = self.labs, self.labs.members, self._infos[MANAGER_AGENT]
+        share = labs.rules.arrays.share
+        self._rewarded += reward
+        partial = near * np.where(over, info["partial"], labs.partial_worth(everywhere))
+        paid = share * np.where(over, info["paid"], labs.worth(everywhere).mean(axis=1)) + partial
+        spent = share * labs.charges(everywhere).sum(axis=1)
+        earned = np.where(over, self._rewarded + partial, paid - spent) + self._refunded
+        earned += refund * np.maximum(0.5 * paid - earned, 0.0)
+        unfinished = self._potential * labs.unfinished_worth(everywhere)
+        credit = earned + np.where(over, 0.0, unfinished) - self._earned
+        self._earned = np.where(over, 0.0, earned) + unfinished
+        self._rewarded[over] = self._refunded[over] = 0.0
+        return np.asarray(credit)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Actions [N] of an agent in round ``t``; None if it has the turn nowhere."""

@@ -21,6 +21,7 @@ from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform
 from ..kernels.tables import Table, put_back
 from ..physics.backends import work_size
+from ..physics.chemistry import AMOUNTS
 from ..physics.shelf import Shelf
 from ..roles.base import Role
 from ..roles.bench import Bench, Channel, Experiments, Goals
@@ -40,6 +41,7 @@ from ..roles.manager import (
 from ..roles.manager_actions import ManagerActions
 from ..roles.manager_role import ManagerRole
 from ..roles.manager_state import (
+    ARRIVES,
     COST_ITEMS,
     LEAST_AMOUNT,
     LEAST_PURITY,
@@ -48,6 +50,7 @@ from ..roles.manager_state import (
     SAFETY,
     STOCK,
     WASTE,
+    WITHIN,
     ManagerState,
     Rules,
 )
@@ -544,16 +547,50 @@ class Laboratories:
         It is half of what they would be worth without it, times the share of the required amount that they have and the
         fourth power of their share of the required purity. It is never part of a score; training can begin with it.
         """
-        rules, goals, terms = self.rules.arrays, self.state.goal[members], self.state.terms[members]
         amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
+        near, worth = self._near(members, amount, purity)
+        return np.asarray(np.where(near < 1.0, 0.5 * near * worth, 0.0).mean(axis=1))
+
+    def unfinished_worth(self, members: IntArray) -> FloatArray:
+        """Return [B] what vessels that may be submitted later are nearly worth, as a mean over the orders.
+
+        It is as in :meth:`partial_worth`. The orders that have arrived and are neither filled nor late are given the
+        best vessel that is left, one after the other. It is never part of a score; training can give credit by it.
+        """
+        state, rules = self.state, self.rules.arrays
+        amounts = self.shelf.vessels[members][..., AMOUNTS : AMOUNTS + rules.counts.shape[1]]
+        made, *ions = (amounts[..., np.maximum(rules.parts[:, k], 0)] for k in range(3))
+        made = made + np.where(rules.parts[:, 1] >= 0, np.minimum(*ions), 0.0)
+        purity = made / np.maximum(amounts @ rules.counts.T, 1e-9)
+        goals, found, each = state.goal[members], np.zeros(len(members)), np.arange(len(members))
+        left = np.ones(made.shape[:2])
+        for order in range(goals.shape[1]):
+            goal, open_ = goals[:, order], ~state.filled[members, order]
+            if self.scenario.demand.order:
+                late = state.ticks[members] - state.terms[members, order, ARRIVES]
+                open_ &= (late >= 0.0) & (late <= state.terms[members, order, WITHIN])
+            near, worth = self._near(members, made[each, :, goal], purity[each, :, goal], order)
+            value = near * worth * left
+            best = value.argmax(axis=1)
+            found += 0.5 * open_ * value[each, best]
+            left[each[open_], best[open_]] = 0.0
+        return found / goals.shape[1]
+
+    def _near(
+        self, members: IntArray, amount: FloatArray, purity: FloatArray, order: int | None = None
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return [B, O], of amounts and purities [B, O] submitted for each order, how nearly they meet their
+        specification (1: they do), and what they would be worth without it; [B, V] for V vessels and one order.
+        """
+        rules, which = self.rules.arrays, slice(None) if order is None else slice(order, order + 1)
+        goals, terms = self.state.goal[members, which], self.state.terms[members, which]
         least_amount, least_purity = rules.least_amount[goals], rules.least_purity[goals]
         worth = amount * purity / rules.maximum[goals]
         if self.scenario.demand.order:
             least_amount = np.maximum(least_amount, terms[..., LEAST_AMOUNT])
             least_purity, worth = np.maximum(least_purity, terms[..., LEAST_PURITY]), terms[..., PRICE]
         met = amount / np.maximum(least_amount, 1e-9), purity / np.maximum(least_purity, 1e-9)
-        near = np.minimum(met[0], 1.0) * np.minimum(met[1], 1.0) ** 4
-        return np.asarray(np.where(near < 1.0, 0.5 * near * worth, 0.0).mean(axis=1))
+        return np.minimum(met[0], 1.0) * np.minimum(met[1], 1.0) ** 4, worth
 
     def feedback(self, which: int | slice) -> FloatArray:
         """Return [..., O, 2] mol and purity of each submission as the manager knows them: exactly at the end."""
