@@ -15,6 +15,8 @@ import numpy.typing as npt
 from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 
+from .notes import Notes
+
 
 def with_advice(observation: ObservationArray, advice: IntArray, actions: int) -> ObservationArray:
     """Append hints to observations: [B, size + actions], with a one-hot code of each hinted action."""
@@ -66,14 +68,14 @@ class Advisor:
 
 
 class AdvisedPolicy:
-    """A policy that observes the hints of an advisor.
+    """A policy that observes the hints of an advisor, or its notes.
 
     Args:
         policy: the policy that observes them.
-        advisor: source of the hints.
+        advisor: source of the hints, or notes.
     """
 
-    def __init__(self, policy: Policy, advisor: Advisor) -> None:
+    def __init__(self, policy: Policy, advisor: Advisor | Notes) -> None:
         self._policy, self._advisor = policy, advisor
 
     def act(

@@ -22,6 +22,7 @@ from chemlab.roles.reaction_bench import ReactionBench
 from .advice import AdvisedPolicy, Advisor
 from .discretised import NearestPolicy
 from .former_names import current_name, split_way
+from .notes import Notes
 from .open_loop import plan_for
 from .pretrained import PretrainedPolicy, pretrained_for, pretrained_names
 from .random_policy import RandomPolicy
@@ -233,7 +234,7 @@ def agent_policy(
             )
         saved = find_saved(own)
         if role_of(agent) in saved.load:
-            return _as_trained(saved.load[role_of(agent)](role, seed), laboratories, number, seed, deep)
+            return as_trained(saved.load[role_of(agent)](role, seed), laboratories, number, seed, deep)
         try:
             return agent_policy(saved.background, laboratories, number, seed, deep + 1)
         except ValueError as error:
@@ -244,7 +245,7 @@ def agent_policy(
         return agent_policy(_partners(laboratories), laboratories, number, seed, deep + 1)
     if own == "trained" or (own in ("pretrained", "pretrained-isolated") and operates):
         found = pretrained_for(role, laboratory=True, alone=own == "pretrained-isolated")
-        return _as_trained(found.as_played(way, seed), laboratories, number, seed, deep)
+        return as_trained(found.as_played(way, seed), laboratories, number, seed, deep)
     careful, margin_k = own != "scripted:unsafe", _MARGINS_K.get(own, 0.0)
     if isinstance(role, Bench):
         return scripted_bench(role, careful, seed, margin_k)
@@ -255,10 +256,16 @@ def agent_policy(
     return scripted_manager(laboratories, careful, skip, remember, schedule, margin_k)
 
 
-def _as_trained(
-    policy: Policy, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None, deep: int
+def as_trained(
+    policy: Policy,
+    laboratories: Laboratories,
+    number: int,
+    seed: int | np.random.SeedSequence | None = None,
+    deep: int = 0,
 ) -> Policy:
-    """Wrap a trained policy with the advisor of its training, if it had one."""
+    """Return a trained policy with the notes or the advisor of its training, if it had any."""
+    if isinstance(policy, PretrainedPolicy) and policy.card.notes:
+        return AdvisedPolicy(policy, Notes(laboratories))
     advice = policy.card.advice if isinstance(policy, PretrainedPolicy) else None
     if advice is None:
         return policy

@@ -36,6 +36,7 @@ from chemlab.roles.kinds import discretised_twin
 
 from .discretised import ChoosingPolicy
 from .former_names import SAMPLED
+from .notes import notes_size
 from .random_policy import RandomPolicy
 
 Weights = Mapping[str, npt.NDArray[np.float32]]
@@ -121,6 +122,7 @@ class Card(DataModel):
         advice: name of the policy whose action it observes (:mod:`chemlab.agents.advice`), if any.
         sampled: whether its actions are drawn from its distribution unless a name says otherwise; else the most
             probable one is played.
+        notes: whether it observes its notes of the episode (:mod:`chemlab.agents.notes`), after everything else.
     """
 
     model_config = ConfigDict(strict=True)
@@ -149,6 +151,7 @@ class Card(DataModel):
     memory: int = Field(default=0, ge=0, le=65_536)
     advice: str | None = None
     sampled: bool = False
+    notes: bool = False
 
     @classmethod
     def of(cls, workplace: Workplace, **more: Any) -> Card:
@@ -163,6 +166,8 @@ class Card(DataModel):
         }
         if more.get("advice") is not None:
             own["observation_size"] += own["action_size"]
+        if more.get("notes"):
+            own["observation_size"] += notes_size(workplace)
         return cls(**{**own, **more})
 
 

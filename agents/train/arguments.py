@@ -116,6 +116,7 @@ ABOUT: dict[str, str] = {
     "partial": "Share of training over which submissions that fail their specification are paid in part, ever less.",
     "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",
     "self_imitation": "Weight of the manager's own turns that went better than expected.",
+    "notes": "Whether the manager observes its notes of the episode, too. Default: where parameters are hidden.",
     "tied": "Whether slots share the manager's weights, and orders, too. Default: where parameters are hidden.",
 }
 """Descriptions of arguments."""
@@ -441,6 +442,7 @@ class IPPO(Clipped, Arguments, Cloning):
     partial: Share = 0.6
     free_readings: Share = 0.8
     self_imitation: Weight = 1.0
+    notes: bool | None = None
     tied: bool | None = None
 
     @model_validator(mode="before")

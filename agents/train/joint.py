@@ -22,7 +22,7 @@ from chemlab.lab.starts import goals_met
 
 from ..episodes import play_laboratory
 from ..former_names import GREEDY, SAMPLED
-from ..policies import agent_policy
+from ..policies import agent_policy, as_trained
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..roles import MANAGER_ROLE, chosen_roles, role_of
 from ..runs import Evaluation, Run
@@ -179,7 +179,10 @@ class Team(Trainee):
                 mine = learned.get(role_of(agent))
                 other = self._background
                 how = GREEDY if role_of(agent) in self.team.fixed else way
-                policies[agent] = agent_policy(other, labs, number, own) if mine is None else mine.as_played(how, own)
+                if mine is None:
+                    policies[agent] = agent_policy(other, labs, number, own)
+                else:
+                    policies[agent] = as_trained(mine.as_played(how, own), labs, number)
             found[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())
         return found
 
@@ -212,5 +215,6 @@ class Team(Trainee):
             evaluation=reached(self.arguments, evaluation),
             background=self._background,
             sampled=evaluation is not None and evaluation.sampled and role not in self.team.fixed,
+            notes=manager and self.team.noting,
         )
         return PretrainedPolicy(card, self.team.weights(role))

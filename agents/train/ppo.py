@@ -31,6 +31,7 @@ from chemlab.roles.manager_actions import DISCARD, FIRST, MEASURE, SECOND, START
 from chemlab.roles.manager_state import INSTRUMENTS
 
 from ..advice import Advisor
+from ..notes import WIDE, Notes
 from ..policies import Policy, agent_policy
 from ..pretrained import LOG_STD, PretrainedPolicy
 from ..roles import MANAGER_ROLE, role_of
@@ -40,14 +41,12 @@ try:
     import torch
     from torch import nn
 
-    from .tied import TiedLinear, action_units, numbered, observed_units, tied_layers
+    from .tied import TiedLinear, Unit, action_units, notes_units, numbered, observed_units, tied_layers
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
 __all__ = ["PPOTeam", "compact", "joined", "wide_columns"]
 
-_WIDE = 32
-"""Channels of more numbers are left out of the manager's view."""
 _LEAST_DEVIATION = 0.02
 """Least standard deviation of what is observed, by which it is normalized."""
 _FORBIDDEN = -1e9
@@ -79,6 +78,7 @@ class _Network(nn.Module):
         discrete: bool,
         hidden: Sequence[int],
         tied: Laboratories | None = None,
+        units: Sequence[Unit] = (),
     ) -> None:
         super().__init__()
         self.discrete = discrete
@@ -87,8 +87,9 @@ class _Network(nn.Module):
             self.actor = _layers(observed, hidden, actions, 0.01)
             self.critic = _layers(observed + state, hidden, 1, 0.01)
         else:
-            self.actor = tied_layers(tied, 0, action_units(tied), hidden, 0.01)
-            self.critic = tied_layers(tied, state, [("value", -1, -1)], hidden, 0.01)
+            seen = [*units, *((("state", k), -1, -1) for k in range(state))]
+            self.actor = tied_layers(tied, units, action_units(tied), hidden, 0.01)
+            self.critic = tied_layers(tied, seen, [("value", -1, -1)], hidden, 0.01)
         # What is observed is normalized: a reading of a hundredth can matter as much as one of a half.
         self.register_buffer("mean", torch.zeros(observed + state))
         self.register_buffer("scale", torch.ones(observed + state))
@@ -131,9 +132,9 @@ def _layers(size: int, hidden: Sequence[int], out: int, gain: float) -> nn.Seque
 
 
 def compact(scenario: Scenario) -> Scenario:
-    """A scenario whose manager does not observe readings of more than :data:`_WIDE` numbers (spectra, pictures)."""
+    """A scenario whose manager does not observe readings of more than :data:`~.notes.WIDE` numbers (spectra, pictures)."""
     table = Laboratories(scenario, 1).instruments
-    wide = {name for name, channel in zip(table.names, table.channels, strict=True) if channel.size > _WIDE}
+    wide = {name for name, channel in zip(table.names, table.channels, strict=True) if channel.size > WIDE}
     kept = tuple(name for name in scenario.seen_instruments if name not in wide)
     return scenario.model_copy(update={"manager": scenario.manager.model_copy(update={"readings": kept})})
 
@@ -260,7 +261,9 @@ class _Learner:
         with torch.no_grad():
             for i, layer in enumerate(linear):
                 weight = policy.weights[f"{i}.weight"]
-                layer.weight.copy_(torch.from_numpy(weight if i else self.seen(weight)))
+                if i == 0:  # a policy may have been trained without notes
+                    weight = self.seen(np.pad(weight, ((0, 0), (0, self.size - weight.shape[1]))))
+                layer.weight.copy_(torch.from_numpy(weight))
                 layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
             if LOG_STD in policy.weights:
                 self.network.log_std.copy_(torch.from_numpy(policy.weights[LOG_STD]))
@@ -555,6 +558,7 @@ class PPOTeam:
         full, world = Laboratories(scenario, 1), scenario.world
         self._hides = bool(world.draws) and not world.told_to(MANAGER_ROLE)
         self._shown = settings.shown_readings if world.draws else 0.0
+        self.noting, self._notes = self._hides if settings.notes is None else settings.notes, None
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
         self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, infos=False, split=settings.split)
         self.labs = labs = self.batch.laboratories
@@ -577,11 +581,20 @@ class PPOTeam:
                 size = count or int(space.shape[0])  # type: ignore[index]
                 ties = self._hides if settings.tied is None else settings.tied
                 tied = labs if role == MANAGER_ROLE and ties else None
-                network = _Network(len(columns), state, size, bool(count), settings.net_arch, tied)
+                units = []
+                if role == MANAGER_ROLE and self.noting:
+                    self._notes = Notes(labs)
+                    columns, whole = (
+                        np.concatenate([columns, whole + np.arange(self._notes.size)]),
+                        whole + self._notes.size,
+                    )
+                if tied:
+                    units = [*observed_units(labs), *(notes_units(labs) if self.noting else ())]
+                network = _Network(len(columns), state, size, bool(count), settings.net_arch, tied, units)
                 gamma = settings.manager_gamma if role == MANAGER_ROLE else settings.gamma
                 groups = np.arange(len(columns) + state)
                 if tied:
-                    groups[: len(columns)] = numbered([unit[0] for unit in observed_units(labs)])
+                    groups[: len(columns)] = numbered([unit[0] for unit in units])
                 self.learners[role] = _Learner(columns, whole, network, settings, gamma, groups)
             seen = len(self.learners[role].columns)
             self._tracks[agent] = _Track(
@@ -726,6 +739,13 @@ class PPOTeam:
         self._rewarded[over] = self._refunded[over] = 0.0
         return np.asarray(credit)
 
+    def _noted(self, agent: str, rows: IntArray) -> Arrays:
+        """Return [B, observed] what a learner observes in the laboratories ``rows``: with notes, if it takes any."""
+        seen = self._observed[agent][rows]
+        if self._notes is None or role_of(agent) != MANAGER_ROLE:
+            return seen
+        return self._notes.shown(seen, None, self.labs.turns_had(self.labs.manager.index)[rows], rows)
+
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Actions [N] of an agent in round ``t``; None if it has the turn nowhere."""
         info = self._infos[agent]
@@ -744,19 +764,21 @@ class PPOTeam:
         else:
             learner, track = self.learners[role_of(agent)], self._tracks[agent]
             self.turns[role_of(agent)] += len(rows)
-            observed = self._observed[agent][rows]
+            observed = self._noted(agent, rows)
             allowed = None if mask is None else mask.astype(np.bool_)
             if role_of(agent) == MANAGER_ROLE and allowed is not None and not self._teachers:
                 allowed = self._helped(allowed, rows, 1.0 - remaining)
             steps, chosen, log_probability = self.labs.turns_had(number)[rows], None, np.zeros(len(rows))
             if agent in self._teachers:
-                chosen = self._teachers[agent].advice(observed, mask, steps, rows)
+                chosen = self._teachers[agent].advice(self._observed[agent][rows], mask, steps, rows)
             if chosen is None or self._tried:
                 played, log_probability = learner.act(observed, allowed, greedy=chosen is not None)
             else:
                 played = chosen
             if agent in self._teachers:
                 self._teachers[agent].played(played, rows)
+            if self._notes is not None and role_of(agent) == MANAGER_ROLE:
+                self._notes.played(played, rows)
             track.acted[t, rows], track.tick[t, rows] = True, self.labs.state.ticks[rows]
             track.observed[t, rows], track.action[t, rows] = observed, played if chosen is None else chosen
             track.log_probability[t, rows] = log_probability
@@ -810,7 +832,7 @@ class PPOTeam:
             turn = self._infos[agent]["has_turn"]
             rows, value = np.flatnonzero(turn), np.zeros(self.settings.envs, dtype=np.float32)
             if len(rows):
-                seen = self._observed[agent][rows]
+                seen = self._noted(agent, rows)
                 if not track.shared:
                     seen = np.concatenate([seen, self.batch.state(rows)], axis=1)
                 value[rows] = learner.value(seen)

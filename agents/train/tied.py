@@ -19,6 +19,8 @@ from chemlab.lab.engine import Laboratories
 from chemlab.roles.manager_actions import DISCARD, FIRST, KIND, MEASURE, SECOND, START, SUBMIT
 from chemlab.roles.manager_view import order_channels, terms_channels
 
+from ..notes import notes_shape
+
 try:
     import torch
     from torch import nn
@@ -124,6 +126,13 @@ def observed_units(labs: Laboratories) -> list[Unit]:
     return units
 
 
+def notes_units(labs: Laboratories) -> list[Unit]:
+    """Units of the manager's notes (:mod:`chemlab.agents.notes`)."""
+    slots, of_slot, kinds, of_kind = notes_shape(labs.manager.workplace)
+    found: list[Unit] = [(("noted", k), slot, -1) for slot in range(slots) for k in range(of_slot)]
+    return [*found, *((("noted", kind, k), -1, -1) for kind in range(kinds) for k in range(of_kind))]
+
+
 def _told(name: str, target: str) -> Unit:
     """The unit of a hidden parameter."""
     what, _, number = target.rpartition("_")
@@ -143,19 +152,18 @@ def action_units(labs: Laboratories) -> list[Unit]:
 
 
 def tied_layers(
-    labs: Laboratories, state: int, outs: Sequence[Unit], hidden: Sequence[int], gain: float
+    labs: Laboratories, observed: Sequence[Unit], outs: Sequence[Unit], hidden: Sequence[int], gain: float
 ) -> nn.Sequential:
-    """Layers from the manager's observation and the laboratory's state, with tanh between them.
+    """Layers with tanh between them.
 
     Args:
         labs: the laboratories.
-        state: size of the state, which is 0 for an actor.
+        observed: units of the input.
         outs: units of the output.
         hidden: twice the units of the laboratory in each hidden layer; a slot has an eighth of it, an order a 16th.
         gain: of the last layer.
     """
-    first: list[Unit] = [*observed_units(labs), *((("state", k), -1, -1) for k in range(state))]
-    layers, scenario = [first], labs.scenario
+    layers, scenario = [list(observed)], labs.scenario
     for number, size in enumerate(hidden):
         units: list[Unit] = [((number, k), -1, -1) for k in range(-(-size // 2))]
         units += [((number, "slot", k), s, -1) for s in range(scenario.shelf.slots) for k in range(-(-size // 8))]
