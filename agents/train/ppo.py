@@ -132,7 +132,7 @@ def _layers(size: int, hidden: Sequence[int], out: int, gain: float) -> nn.Seque
 
 
 def compact(scenario: Scenario) -> Scenario:
-    """A scenario whose manager does not observe readings of more than :data:`~.notes.WIDE` numbers (spectra, pictures)."""
+    """A scenario whose manager does not observe readings of more than :data:`~.notes.WIDE` numbers."""
     table = Laboratories(scenario, 1).instruments
     wide = {name for name, channel in zip(table.names, table.channels, strict=True) if channel.size > WIDE}
     kept = tuple(name for name in scenario.seen_instruments if name not in wide)
