@@ -157,7 +157,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
         policy.card.model_copy(update={"name": path.name, "masked": True}), policy.weights
     ).as_played(way, RESULT_SEED)
     episodes = arguments.final_episodes
-    found = task.by_goal(task.advised(policy, policy.card.advice), episodes, RESULT_SEED)
+    found = task.by_goal(task.trained(policy), episodes, RESULT_SEED)
     scripted = task.scripted(episodes, RESULT_SEED)
     evaluation = {
         "episodes_per_goal": episodes,

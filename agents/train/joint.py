@@ -215,6 +215,6 @@ class Team(Trainee):
             evaluation=reached(self.arguments, evaluation),
             background=self._background,
             sampled=evaluation is not None and evaluation.sampled and role not in self.team.fixed,
-            notes=manager and self.team.noting,
+            notes=manager and self.team.notes is not None,
         )
         return PretrainedPolicy(card, self.team.weights(role))

@@ -546,6 +546,7 @@ class PPOTeam:
     Attributes:
         turns: by role, how many turns there have been.
         fixed: roles that have learned and do not go on.
+        notes: of the manager, if it learns and takes any.
         scores: of the episodes that ended since they were taken.
     """
 
@@ -558,11 +559,12 @@ class PPOTeam:
         full, world = Laboratories(scenario, 1), scenario.world
         self._hides = bool(world.draws) and not world.told_to(MANAGER_ROLE)
         self._shown = settings.shown_readings if world.draws else 0.0
-        self.noting, self._notes = self._hides if settings.notes is None else settings.notes, None
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
         self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, infos=False, split=settings.split)
         self.labs = labs = self.batch.laboratories
         self.agents = self.batch.possible_agents
+        noting = self._hides if settings.notes is None else settings.notes
+        self.notes = Notes(labs) if noting and MANAGER_ROLE in roles else None
         self.learners: dict[str, _Learner] = {}
         self._background: dict[str, Policy] = {}
         self._tracks: dict[str, _Track] = {}
@@ -581,15 +583,11 @@ class PPOTeam:
                 size = count or int(space.shape[0])  # type: ignore[index]
                 ties = self._hides if settings.tied is None else settings.tied
                 tied = labs if role == MANAGER_ROLE and ties else None
-                units = []
-                if role == MANAGER_ROLE and self.noting:
-                    self._notes = Notes(labs)
-                    columns, whole = (
-                        np.concatenate([columns, whole + np.arange(self._notes.size)]),
-                        whole + self._notes.size,
-                    )
-                if tied:
-                    units = [*observed_units(labs), *(notes_units(labs) if self.noting else ())]
+                units = observed_units(labs) if tied else []
+                if role == MANAGER_ROLE and self.notes is not None:
+                    columns = np.concatenate([columns, whole + np.arange(self.notes.size)])
+                    whole += self.notes.size
+                    units += notes_units(labs) if tied else []
                 network = _Network(len(columns), state, size, bool(count), settings.net_arch, tied, units)
                 gamma = settings.manager_gamma if role == MANAGER_ROLE else settings.gamma
                 groups = np.arange(len(columns) + state)
@@ -605,9 +603,6 @@ class PPOTeam:
             for role, learner in self.learners.items()
             if role != MANAGER_ROLE and settings.practice
         }
-        import os
-
-        self._potential = float(os.environ.get("POT", "1"))
         self.fixed: set[str] = set()
         self._teachers: dict[str, Advisor] = {}
         self._tried = False
@@ -625,7 +620,7 @@ class PPOTeam:
         self._rewarded, self._refunded = np.zeros(self.settings.envs), np.zeros(self.settings.envs)
         self._unread, everywhere = np.zeros(self.labs.state.age.shape, np.bool_), np.ones(self.settings.envs, np.bool_)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
-        self._earned = self._potential * self.labs.unfinished_worth(self.labs.members)
+        self._earned = self.labs.unfinished_worth(self.labs.members)
         self._read(0.0, everywhere)
 
     def learn(self, done: float, rounds: int) -> int:
@@ -733,7 +728,7 @@ class PPOTeam:
         spent = share * labs.charges(everywhere).sum(axis=1)
         earned = np.where(over, self._rewarded + partial, paid - spent) + self._refunded
         earned += refund * np.maximum(0.5 * paid - earned, 0.0)
-        unfinished = self._potential * labs.unfinished_worth(everywhere)
+        unfinished = labs.unfinished_worth(everywhere)
         credit = earned + np.where(over, 0.0, unfinished) - self._earned
         self._earned = np.where(over, 0.0, earned) + unfinished
         self._rewarded[over] = self._refunded[over] = 0.0
@@ -742,9 +737,9 @@ class PPOTeam:
     def _noted(self, agent: str, rows: IntArray) -> Arrays:
         """Return [B, observed] what a learner observes in the laboratories ``rows``: with notes, if it takes any."""
         seen = self._observed[agent][rows]
-        if self._notes is None or role_of(agent) != MANAGER_ROLE:
+        if self.notes is None or role_of(agent) != MANAGER_ROLE:
             return seen
-        return self._notes.shown(seen, None, self.labs.turns_had(self.labs.manager.index)[rows], rows)
+        return self.notes.shown(seen, None, self.labs.turns_had(self.labs.manager.index)[rows], rows)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Actions [N] of an agent in round ``t``; None if it has the turn nowhere."""
@@ -777,8 +772,8 @@ class PPOTeam:
                 played = chosen
             if agent in self._teachers:
                 self._teachers[agent].played(played, rows)
-            if self._notes is not None and role_of(agent) == MANAGER_ROLE:
-                self._notes.played(played, rows)
+            if self.notes is not None and role_of(agent) == MANAGER_ROLE:
+                self.notes.played(played, rows)
             track.acted[t, rows], track.tick[t, rows] = True, self.labs.state.ticks[rows]
             track.observed[t, rows], track.action[t, rows] = observed, played if chosen is None else chosen
             track.log_probability[t, rows] = log_probability

@@ -23,7 +23,7 @@ from chemlab.roles.bench import Bench
 from ..advice import AdvisedPolicy, Advisor
 from ..background import background_policies, role_vector_env
 from ..episodes import play_bench, play_laboratory
-from ..policies import agent_policy, bench_policy, is_scripted
+from ..policies import agent_policy, as_trained, bench_policy, is_scripted
 from ..pretrained import Card, fingerprint, given_as
 from ..roles import MANAGER_ROLE
 from .arguments import PPO, Arguments, Single
@@ -84,6 +84,10 @@ class Task(ABC):
     def advised(self, policy: Policy, advice: str | None) -> Policy:
         """Wrap a policy with its own advisor by name, if it has one; errors as for :meth:`advisor`."""
         return policy if advice is None else AdvisedPolicy(policy, self.advisor(advice))
+
+    def trained(self, policy: Policy) -> Policy:
+        """Return a trained policy with the notes or the advisor of its training, if it had any."""
+        return policy
 
     def warning(self) -> str | None:
         """Return a warning to the user before training, if there is one."""
@@ -241,6 +245,10 @@ class LaboratoryTask(Task):
     def policy(self, name: str) -> Policy:
         """See :class:`Task`."""
         return agent_policy(name, Laboratories(self.scenario), self._number)
+
+    def trained(self, policy: Policy) -> Policy:
+        """See :class:`Task`."""
+        return as_trained(policy, Laboratories(self.scenario), self._number)
 
 
 def task_of(card: Card) -> Task:

@@ -574,7 +574,7 @@ class Laboratories:
             best = value.argmax(axis=1)
             found += 0.5 * open_ * value[each, best]
             left[each[open_], best[open_]] = 0.0
-        return found / goals.shape[1]
+        return np.asarray(found / goals.shape[1])
 
     def _near(
         self, members: IntArray, amount: FloatArray, purity: FloatArray, order: int | None = None

@@ -23,10 +23,11 @@ from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _Track
-from chemlab.agents.train.tied import TiedLinear, Unit, action_units, observed_units
+from chemlab.agents.train.tied import TiedLinear, Unit, action_units, notes_units, observed_units
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
+from chemlab.physics.chemistry import AMOUNTS
 from chemlab.record import Recorder, read_record, verify_record
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_actions import DISCARD, MEASURE, START, SUBMIT
@@ -220,7 +221,7 @@ def test_observations_of_the_manager_are_normalized() -> None:
     for rounds in range(3):
         made.learn(0.1 * rounds, rounds)
     assert (learner.network.scale > 1.5).any()
-    weights, seen = made.weights("manager"), made._observed["manager_0"]
+    weights, seen = made.weights("manager"), made._noted("manager_0", np.arange(made.settings.envs))
     whole = np.zeros((len(seen), learner.size), dtype=np.float32)
     whole[:, learner.columns] = seen
     for layer in range(3):
@@ -254,15 +255,52 @@ def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> N
     mask[:, measures[0]] = 1
     made.collect(remaining)
     price = load_scenario("rush").instruments["gas_chromatograph"].price
-    # The laboratory charges it at the end of the episode.
-    assert made._tracks["manager_0"].reward[1] == pytest.approx((1.0 - kept) * price, abs=1e-6)
+    assert made._tracks["manager_0"].reward[1] == pytest.approx(-kept * price, abs=1e-6)
+
+
+@pytest.mark.parametrize("scenario", ["failing", "crude", "rush"])
+def test_credit_comes_at_once_and_adds_up_to_the_score(scenario: str) -> None:
+    """Without help, the rewards of an episode are its score, less what its vessels were nearly worth at first."""
+    none = dict.fromkeys(("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0)
+    made = managers(scenario, **{**none, "rollout": 600, "envs": 2, "self_imitation": 0.0})
+    before = made._earned.copy()
+    made.collect(1.0)
+    track, earlier = made._tracks["manager_0"], 0
+    ends = np.argwhere(track.ended)
+    assert len(ends)
+    firsts = {int(member): int(t) for t, member in ends[::-1]}
+    scores = {
+        member: made.scores[int(np.flatnonzero((ends == (t, member)).all(axis=1))[0])] for member, t in firsts.items()
+    }
+    for member, t in firsts.items():
+        rewards = track.reward[: t + 1, member]
+        assert rewards.sum() == pytest.approx(scores[member] - before[member], abs=1e-5)
+        earlier += int((np.abs(rewards[:-1]) > 1e-7).sum())
+    assert earlier > len(firsts), "costs and progress are credited before the end"
+
+
+def test_unfinished_work_is_nearly_worth_something() -> None:
+    """Half of the order's worth, by the share of amount and purity of the best vessels; each vessel for one order."""
+    labs = managers("failing").labs
+    members, rules = labs.members, labs.rules.arrays
+    assert not labs.unfinished_worth(members).any(), "the vessels hold feed only"
+    goal = int(rules.parts[labs.state.goal[0, 0], 0])
+    vessels = labs.shelf.vessels[:, :, AMOUNTS : AMOUNTS + rules.counts.shape[1]]
+    vessels[:, 0], vessels[:, 1] = 0.0, 0.0
+    vessels[:, 0, goal] = 3.0
+    one = labs.unfinished_worth(members)
+    assert one == pytest.approx(0.5 * 3.0 / rules.maximum[labs.state.goal[0, 0]] / labs.scenario.orders)
+    vessels[:, 1, goal] = 3.0
+    assert labs.unfinished_worth(members) == pytest.approx(2.0 * one)
+    labs.state.filled[:, 1:] = True
+    assert labs.unfinished_worth(members) == pytest.approx(one)
 
 
 def test_slots_and_orders_share_weights() -> None:
     """Where two slots and two orders change places, so do their actions; the matrix is exported."""
     made = managers("rush", tied=True)
     labs, learner = made.labs, made.learners["manager"]
-    observed, acted = observed_units(labs), action_units(labs)
+    observed, acted = [*observed_units(labs), *notes_units(labs)], action_units(labs)
     assert len(observed) == len(learner.columns)
 
     def exchanged(units: list[Unit]) -> list[int]:
