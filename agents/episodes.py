@@ -188,7 +188,7 @@ class PlayedTurn:
 
 @dataclass
 class EpisodeResult:
-    """Results of an episode; ``chemlab run --json`` prints :meth:`as_dict`.
+    """Results of an episode; ``chemlab run --json`` prints its fields.
 
     ``score`` is the manager's result: product by amount and purity, minus costs. ``status`` says how the episode ended
     (:data:`~chemlab.roles.manager_state.STATUS_WORDS`).
@@ -207,10 +207,6 @@ class EpisodeResult:
     costs: dict[str, float]
     safety_events: dict[str, float]
     status: str
-
-    def as_dict(self) -> dict[str, Any]:
-        """The fields as plain Python values."""
-        return dict(vars(self))
 
     def words(self) -> str:
         """The outcome, the costs and the score as a line."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -175,7 +176,7 @@ def difficulty(
     spec = load_scenario(scenario)
     rows = measure(spec, episodes, plans, seed, explored)
     if as_json:
-        typer.echo(json.dumps([row.as_dict() for row in rows]))
+        typer.echo(json.dumps([asdict(row) for row in rows]))
         return
     shown = []
     for row in rows:

@@ -499,9 +499,9 @@ def new(
             write_text(draft, text)
             at_hand |= load_pairs([draft])
         beside = places(own, lambda other: designs.beside(other, path.parent))
-        made_for = designs.design(name, goal, solvent, family, known, at_hand, mol, beside)
-        spec = load_scenario({**made_for.tables, **places(draft, lambda other: str(other.resolve()))})
-    texts = {path: designs.scenario_text(made_for.tables, command)}
+        tables = designs.design(name, goal, solvent, family, known, at_hand, mol, beside)
+        spec = load_scenario({**tables, **places(draft, lambda other: str(other.resolve()))})
+    texts = {path: designs.scenario_text(tables, command)}
     if missing:
         texts[own] = text
     write_texts(texts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -77,7 +78,7 @@ def demos(
     from ..agents.demonstrations import write_datasets
 
     written = write_datasets(files, name, agent, force, trust, lambda note: err.print(plain(note)))
-    rows = [dataset.as_dict() for dataset in written]
+    rows = list(map(asdict, written))
     if as_json:
         typer.echo(json.dumps(rows))
         return

@@ -205,7 +205,7 @@ def run(
         check_apart_from(recorder.path, scenario, policy)
     if as_json:
         for result in _play(env, policy, seeds, recorders=recorders):
-            typer.echo(json.dumps(result.as_dict()))
+            typer.echo(json.dumps(vars(result)))
         return
     account = _Account(env)
     results = []

@@ -64,7 +64,7 @@ def verify(
         result = verify_record(path, scenario, trust, split=split)
         results.append(result.status)
         if as_json:
-            typer.echo(json.dumps(result.as_dict()))
+            typer.echo(json.dumps(vars(result)))
             continue
         color = _COLORS[result.status]
         out.print(f"[{color}]{result.status}[/{color}] {plain(result.path)}: {plain(result.message)}")

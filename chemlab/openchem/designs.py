@@ -57,18 +57,6 @@ of the first is washed out.
 
 
 @dataclass(frozen=True)
-class Design:
-    """Inputs of a scenario."""
-
-    goal: str
-    solvent: str
-    feed_mol: dict[str, float]
-    washing: bool
-    crystallizing: bool
-    tables: dict[str, Any]
-
-
-@dataclass(frozen=True)
 class _Charge:
     """Composition of one preparation."""
 
@@ -311,8 +299,8 @@ def design(
     mol: float,
     files: Mapping[str, Any],
     wash: bool = True,
-) -> Design:
-    """Design a scenario: benches, stock, time limits and costs.
+) -> dict[str, Any]:
+    """Return the tables of a designed scenario: benches, stock, time limits and costs.
 
     Args:
         name: name of the scenario.
@@ -354,7 +342,7 @@ def design(
     prices = {key: 5e-5 if key == WATER else 1e-3 if key not in put_in else 5e-3 for key in stock}
     safety: dict[str, float] = dict.fromkeys(SAFETY_EVENTS, 1.0) | {"boiled_dry": 0.1, "dry_heating": 0.1}
     vessel = {"capacity_l": _CRYSTALS_L if crystallizing else _CAPACITY_L, "contents": {solvent: in_solvent}}
-    tables = {
+    return {
         "name": name,
         "title": f"{materials[goal].name.capitalize()} from {' and '.join(materials[key].name for key in fed)}",
         "summary": family.summary,
@@ -373,7 +361,6 @@ def design(
         "costs": {"waste_per_l": 0.002, "tick": 0.0002, "illegal_action": 0.005, "stock_per_mol": prices},
         "safety": {"weights": safety},
     }
-    return Design(goal, solvent, fed, washing, crystallizing, tables)
 
 
 INSTRUMENTS: dict[str, dict[str, Any]] = {

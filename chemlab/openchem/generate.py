@@ -341,5 +341,5 @@ def _real(
     name, mol = str(head["name"]), _mol(network.feeds, materials)
     checked: ReactionFamily = validated(ReactionFamily, family, name)
     made = design(name, goals[-1], solvent, checked, materials, {}, mol, {}, wash=False)
-    most = dict.fromkeys(goals, made.tables["theoretical_maximum_mol"][goals[-1]])
-    return {**made.tables, **head, "goals": goals, "lab_goals": goals, "theoretical_maximum_mol": most}
+    most = dict.fromkeys(goals, made["theoretical_maximum_mol"][goals[-1]])
+    return {**made, **head, "goals": goals, "lab_goals": goals, "theoretical_maximum_mol": most}

@@ -71,10 +71,6 @@ class Verification:
         """Exit code of ``chemlab verify``."""
         return EXIT_CODES[self.status]
 
-    def as_dict(self) -> dict[str, Any]:
-        """Return the fields as plain Python values."""
-        return dict(vars(self))
-
 
 class _Absent:
     """Represents a missing key."""

@@ -189,7 +189,7 @@ class BottlePicture:
     full_mol: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Scene:
     """A laboratory, a single bench or a single vessel (``kind``) at one time; see the module's documentation."""
 
@@ -201,25 +201,25 @@ class Scene:
     title: str
     status: str
     """``running``, ``submitted`` or ``limit reached``; for a bench ``running`` or ``ended``"""
-    turn: str
+    turn: str = ""
     """agent that has the turn; empty after the episode"""
-    manager_actions: int
-    manager_action_limit: int
-    ticks: int
-    tick_limit: int
-    orders: tuple[OrderPicture, ...]
-    result: float
+    manager_actions: int = 0
+    manager_action_limit: int = 0
+    ticks: int = 0
+    tick_limit: int = 0
+    orders: tuple[OrderPicture, ...] = ()
+    result: float = 0.0
     """raw score if the episode ended now: orders filled so far, minus costs"""
-    costs: tuple[tuple[str, float], ...]
+    costs: tuple[tuple[str, float], ...] = ()
     """(item, cost in units of the raw score)"""
-    budget: float
+    budget: float = 0.0
     """remaining budget of the manager for measurements"""
-    safety: tuple[tuple[str, float], ...]
+    safety: tuple[tuple[str, float], ...] = ()
     """(kind, total) of the safety events so far"""
-    stock: tuple[BottlePicture, ...]
+    stock: tuple[BottlePicture, ...] = ()
     waste_l: float
-    shelf: tuple[SlotPicture, ...]
-    benches: tuple[BenchPicture, ...]
+    shelf: tuple[SlotPicture, ...] = ()
+    benches: tuple[BenchPicture, ...] = ()
     materials: tuple[MaterialPicture, ...]
     """all materials of the scenario except gases"""
     largest_capacity_l: float
@@ -632,18 +632,12 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
         title=scenario.title,
         status="running" if picture.busy else "ended",
         turn=experiments.agent if picture.busy else "",
-        manager_actions=0,
-        manager_action_limit=0,
         ticks=int(experiments.steps[member]),
         tick_limit=batch.bench.spec.step_limit,
         orders=(OrderPicture(batch.bench.goals.names[experiments.goal[member]], False, 0.0, 0.0),),
-        result=0.0,
-        costs=(),
-        budget=0.0,
         safety=picture.events,
         stock=_stock(scenario, shelf, member),
         waste_l=_waste_l(shelf, member),
-        shelf=(),
         benches=(picture,),
         materials=material_pictures(scenario),
         largest_capacity_l=largest,
@@ -665,20 +659,8 @@ def vessel_scene(scenario: Scenario, shelf: Shelf) -> Scene:
         scenario=scenario.name,
         title=scenario.title,
         status="running",
-        turn="",
-        manager_actions=0,
-        manager_action_limit=0,
-        ticks=0,
-        tick_limit=0,
-        orders=(),
-        result=0.0,
-        costs=(),
-        budget=0.0,
-        safety=(),
-        stock=(),
         waste_l=_waste_l(shelf, 0),
         shelf=(SlotPicture(0, vessel, None, "", ()),),
-        benches=(),
         materials=material_pictures(scenario),
         largest_capacity_l=shelf.vessel(0, 0).capacity_l,
         temperature_range_k=temperatures,

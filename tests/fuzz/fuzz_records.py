@@ -257,7 +257,7 @@ def try_file(path: Path, source: bytes, rng: np.random.Generator, report: Report
         for text in (result.message, result.key, *result.notes):
             if _unreadable(text):
                 problems.append(f"verify: unreadable: {text[:200]!r}")
-        json.dumps(result.as_dict(), allow_nan=False)
+        json.dumps(vars(result), allow_nan=False)
         if result.status in ("ok", "torn") and not says_the_same(path.read_bytes(), source):
             problems.append(f"verify: found right, and is not: {result.message}")
     except Exception:
@@ -324,7 +324,7 @@ def main() -> int:
     folder = Path(tempfile.mkdtemp(prefix="chemlab-fuzz-"))
     print(f"files that fail stay in {folder}", file=sys.stderr)
     report = fuzz(args.files, args.seed, folder, args.limit, args.only)
-    values = report.as_dict()
+    values = vars(report)
     print(json.dumps(values) if args.json else "\n".join(f"{key}: {value}" for key, value in values.items()))
     return 1 if report.failures else 0
 

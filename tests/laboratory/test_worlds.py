@@ -111,7 +111,7 @@ def test_a_world_disturbs_no_other_stream() -> None:
     for spec in (one, more):
         env = raw_env(spec)
         policies = make_policies("random", env.laboratories, 5)
-        results.append([play_episode(env, policies, seed).as_dict() for seed in range(3)])
+        results.append([play_episode(env, policies, seed) for seed in range(3)])
     assert results[0] == results[1]
 
 
