@@ -60,7 +60,7 @@ from .physics.events import SPILL
 from .physics.shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
 from .physics.stratification import profile
 from .physics.surroundings import Surroundings
-from .roles.instruments.table import InstrumentTable
+from .roles.instrument_table import InstrumentTable
 
 if TYPE_CHECKING:
     from .render.scene import Scene

@@ -16,7 +16,7 @@ from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationA
 from chemlab.lab.sampling import quantiles
 from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.shelf import Shelf
-from chemlab.roles.instruments.table import InstrumentTable
+from chemlab.roles.instrument_table import InstrumentTable
 
 from .belief import noiseless
 from .router import SynthesisManager

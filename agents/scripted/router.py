@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from chemlab.kernels.arrays import MaskArray, ObservationArray
-from chemlab.roles.instruments.balance import RANGE_KG
+from chemlab.roles.instruments import BALANCE_KG
 
 from ..roles import role_of
 from .script import ScriptedManager, Setting, cheapest
@@ -270,6 +270,6 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
         if self._balance is None:
             grams = 1000.0 * self._value(observation, f"slot_{slot}_fill")
         else:
-            grams = 1000.0 * RANGE_KG * self._value(observation, f"slot_{slot}_{self._balance}")
+            grams = 1000.0 * BALANCE_KG * self._value(observation, f"slot_{slot}_{self._balance}")
         purity = float(fractions[self._analytes.index(goal)] if goal in self._analytes else fractions[-1])
         return (grams / gram_per_mol * purity if gram_per_mol > 0.0 else 0.0), purity

@@ -14,7 +14,7 @@ from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.kernels.jit import inner, kernel
 from chemlab.roles.bench import CAMERA_PIXELS, Channel, channel_slices
-from chemlab.roles.instruments.table import InstrumentTable
+from chemlab.roles.instrument_table import InstrumentTable
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_view import order_channels
 

@@ -26,7 +26,7 @@ from ..physics.shelf import Shelf
 from ..roles.base import Role
 from ..roles.bench import Bench, Channel, Experiments, Goals
 from ..roles.bench_role import BenchRole
-from ..roles.instruments.table import InstrumentTable
+from ..roles.instrument_table import InstrumentTable
 from ..roles.kinds import build_bench
 from ..roles.maintenance import begin_drift, equip, maintenance_rules
 from ..roles.manager import (

@@ -19,7 +19,7 @@ from ..kernels.rng import normal
 from ..kernels.tables import Table
 from . import wear
 from .bench import HEAT, STIR, Bench, Experiments
-from .instruments.table import InstrumentTable
+from .instrument_table import InstrumentTable
 from .manager_state import INSTRUMENTS, TIME, ManagerState, Rules
 
 if TYPE_CHECKING:

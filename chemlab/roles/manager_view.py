@@ -15,7 +15,7 @@ from ..physics.shelf import ShelfArrays
 from ..physics.transfer import volume
 from .base import VESSEL_TEMPERATURES_K
 from .bench import Channel
-from .instruments.table import InstrumentTable
+from .instrument_table import InstrumentTable
 from .manager_actions import ManagerActions
 from .manager_state import ARRIVES, INSTRUMENTS, LEAST_AMOUNT, LEAST_PURITY, PRICE, WITHIN, ManagerState, Rules
 

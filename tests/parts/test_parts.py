@@ -214,12 +214,12 @@ def scalar(bench, shelf, experiments, members):
         (
             "my_parts.py:REFRACTOMETER",
             "my_parts.py:EVAPORATE",
-            "must be a chemlab.roles.instruments.instrument.Instrument",
+            "must be a chemlab.roles.instruments.Instrument",
         ),
         (
             "my_parts.py:EVAPORATE",
             "my_parts.py:REFRACTOMETER",
-            "must be a chemlab.roles.operations.operation.Operation",
+            "must be a chemlab.roles.operations.Operation",
         ),
         ("my_parts.py:EVAPORATE", "evaporate", "process.0: kind: must be one of drain"),
         ("my_parts.py:HYDROMETER", "my_parts.py:float_hydrometer", "must be a chemlab.roles.bench.Observation"),

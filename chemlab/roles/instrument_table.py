@@ -9,20 +9,19 @@ import numba
 import numpy as np
 from numba.extending import overload
 
-from ...config.datafile import DataError
-from ...config.parts import PartError, blamed, checked_numbers, load_part
-from ...config.scenario import Scenario
-from ...kernels import jit
-from ...kernels.arrays import Field, FloatArray, Handle, IntArray, StreamArray
-from ...kernels.jit import COMPILED, helper, kernel, opened
-from ...kernels.rng import normal
-from ...kernels.tables import Table
-from ...physics.chemistry import ChemistryTable
-from ...physics.shelf import Shelf, ShelfArrays
-from ...physics.transfer import remove_fraction
-from ..bench import CAMERA_PIXELS, Channel
-from . import INSTRUMENTS
-from .instrument import Instrument, Reading
+from ..config.datafile import DataError
+from ..config.parts import PartError, blamed, checked_numbers, load_part
+from ..config.scenario import Scenario
+from ..kernels import jit
+from ..kernels.arrays import Field, FloatArray, Handle, IntArray, StreamArray
+from ..kernels.jit import COMPILED, helper, kernel, opened
+from ..kernels.rng import normal
+from ..kernels.tables import Table
+from ..physics.chemistry import ChemistryTable
+from ..physics.shelf import Shelf, ShelfArrays
+from ..physics.transfer import remove_fraction
+from .bench import CAMERA_PIXELS, Channel
+from .instruments import INSTRUMENTS, Instrument, Reading
 
 _TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_position"})
 
