@@ -14,7 +14,7 @@ from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
-from chemlab.roles.crystallization_bench import CrystallizationBench
+from chemlab.roles.separation_benches import CrystallizationBench
 
 from .script import Remembering
 

@@ -17,7 +17,7 @@ from chemlab.kernels.arrays import BoolArray, Field, FloatArray, Handle, IntArra
 from chemlab.kernels.jit import inner, kernel, opened
 from chemlab.kernels.tables import Table
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
-from chemlab.roles.distillation_bench import DistillationBench
+from chemlab.roles.separation_benches import DistillationBench
 
 from .script import SAME_SHADE, shows
 

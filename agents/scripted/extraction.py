@@ -10,7 +10,7 @@ import numpy.typing as npt
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
-from chemlab.roles.extraction_bench import ExtractionBench
+from chemlab.roles.separation_benches import ExtractionBench
 
 from .script import Remembering, count_pixels
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.roles.distillation_bench import DistillationBench
+from chemlab.roles.separation_benches import DistillationBench
 
 from .real import ScriptedRealDistillation
 from .script import Remembering

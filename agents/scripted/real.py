@@ -9,9 +9,8 @@ import numpy.typing as npt
 
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
-from chemlab.roles.distillation_bench import DistillationBench
-from chemlab.roles.extraction_bench import ExtractionBench
 from chemlab.roles.reaction_bench import ReactionBench
+from chemlab.roles.separation_benches import DistillationBench, ExtractionBench
 
 from .extraction import ScriptedExtraction
 

@@ -10,7 +10,7 @@ from chemlab.config.pairs import log_activity_coefficients, pair_table
 from chemlab.config.reactions import HYDROXIDE, PROTON, WATER
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import MaskArray, ObservationArray
-from chemlab.roles.extraction_bench import ExtractionBench
+from chemlab.roles.separation_benches import ExtractionBench
 
 from .real import ScriptedRealExtraction
 

@@ -10,9 +10,9 @@ from .discrete import Discretised, discretised
 
 BENCH_KINDS: dict[str, str] = {
     "reaction": "chemlab.roles.reaction_bench:ReactionBench",
-    "extraction": "chemlab.roles.extraction_bench:ExtractionBench",
-    "distillation": "chemlab.roles.distillation_bench:DistillationBench",
-    "crystallization": "chemlab.roles.crystallization_bench:CrystallizationBench",
+    "extraction": "chemlab.roles.separation_benches:ExtractionBench",
+    "distillation": "chemlab.roles.separation_benches:DistillationBench",
+    "crystallization": "chemlab.roles.separation_benches:CrystallizationBench",
 }
 """Built-in kinds of benches by short name."""
 

@@ -311,6 +311,8 @@ class OperationBench(Bench):
     camera = True
     process_kinds: ClassVar[tuple[str, ...]] = tuple(OPERATIONS)
     """Processes that this bench supports."""
+    gauge_count: ClassVar[int] = 0
+    """Number of gauges: the first ones of temperature, volume, pressure and solids."""
 
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         super().__init__(key, scenario, chemistry)
@@ -322,7 +324,9 @@ class OperationBench(Bench):
         self._own_actions: list[tuple[int, int]] = []
         """first and last + 1 of the actions of every user-defined process"""
         self.table, self._meanings = self._build_table(options.process)
-        self.gauges = self._gauges()
+        ranges = [[options.coolest_k, options.hottest_k], [0.0, self.auxiliary_capacity_l]]
+        ranges += [[0.0, scenario.ambient_pressure_kpa], [0.0, 1.0]]
+        self.gauges = np.array(ranges[: self.gauge_count]).reshape(-1, 2)
         shown = tuple(
             Channel(f"layers_{name}", CAMERA_PIXELS, "grey", 0.0, 1.0, f"layers of {name}, bottom first")
             for name in self.positions
@@ -348,10 +352,6 @@ class OperationBench(Bench):
             ),
             "settle_per_step": options.settle_per_step,
         }
-
-    def _gauges(self) -> FloatArray:
-        """Return [g, 2] ranges of the first g gauges: temperature, volume, pressure and solids."""
-        return np.zeros((0, 2))
 
     def _operation(self, process: Process, where: str) -> tuple[int, Operation]:
         """Return the number and the operation of a process."""

@@ -10,10 +10,8 @@ import pytest
 
 from chemlab.envs import role_env
 from chemlab.lab.experiments import ExperimentBatch
-from chemlab.roles import crystallization_bench as crystallization
-from chemlab.roles import distillation_bench as distillation
-from chemlab.roles import extraction_bench as extraction
 from chemlab.roles import reaction_bench as reaction
+from chemlab.roles import separation_benches
 
 ROW = re.compile(r"^\| `(chemlab/[\w-]+)` \| (\w+) of `(\w+)` \| Box\((\d+)\) \| (Box|Discrete)\((\d+)\) \|", re.M)
 ROWS = ROW.findall(role_env.__doc__ or "")
@@ -47,6 +45,6 @@ def test_bench_modules_tell_the_parts() -> None:
     assert names["ext"] == ["layers_EV", "layers_B1", "layers_B2", "goal"]
     assert names["dit"] == ["layers_DV", "layers_B1", "layers_B2", "temperature", "volume", "pressure", "goal"]
     assert "spectrum 200, temperature, volume, pressure, n reagents left, goal" in (reaction.__doc__ or "")
-    assert "Discrete(41): 8 processes x 5 magnitudes, end" in (extraction.__doc__ or "")
-    assert "Discrete(35): 11 processes, end" in (crystallization.__doc__ or "")
-    assert "Discrete(31): 3 processes x 10 magnitudes, end" in (distillation.__doc__ or "")
+    assert "Discrete(41): 8 processes x 5 magnitudes, end" in (separation_benches.__doc__ or "")
+    assert "Discrete(35): 11 processes, end" in (separation_benches.__doc__ or "")
+    assert "Discrete(31): 3 processes x 10 magnitudes, end" in (separation_benches.__doc__ or "")
