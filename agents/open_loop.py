@@ -229,7 +229,7 @@ def load_plans(path: Path) -> PlanFile:
         ValueError: the file does not exist or is not a plan file.
     """
     try:
-        found: PlanFile = validated(PlanFile, read_json(path), str(path))
+        found = validated(PlanFile, read_json(path), str(path))
     except DataError as error:
         what = "cannot be read: not a file of plans of this version; see `chemlab audit plan --out`"
         raise DataError(f"{path}: {what}\n{error}") from error

@@ -416,8 +416,7 @@ def _read_card(path: Path) -> Card:
         raise DataError(
             f"{path}: no such card; policies that come with chemlab: {', '.join(pretrained_names()) or 'none'}"
         )
-    card: Card = validated(Card, read_json(path), f"{path}: not a card of this version")
-    return card
+    return validated(Card, read_json(path), f"{path}: not a card of this version")
 
 
 def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:

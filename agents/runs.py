@@ -158,7 +158,7 @@ def checked_result(values: Any, where: str) -> RunResult:
     Raises:
         DataError: it is malformed; the message begins with ``where``.
     """
-    found: RunResult = validated(RunResult, bounded(values, where), where)
+    found = validated(RunResult, bounded(values, where), where)
     if set(found.by_goal) != set(found.last_by_goal) or not found.by_goal:
         raise DataError(f"{where}: by_goal and last_by_goal must have the same goals")
     return found

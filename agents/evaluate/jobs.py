@@ -445,7 +445,7 @@ class Crew:
         if path is None or not path.is_file():
             return None
         try:
-            part: _Part = validated(_Part, read_json(path, _PART_BYTES), str(path))
+            part = validated(_Part, read_json(path, _PART_BYTES), str(path))
         except DataError:
             return None
         fits = part.stamp == self._stamp(job) and part.result.is_of(job, self._budget, self._scenario)

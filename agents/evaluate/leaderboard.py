@@ -107,7 +107,7 @@ def leaderboard_lines(path: Path) -> list[Line]:
     if not path.exists():
         return []
     try:
-        found: _Leaderboard = validated(_Leaderboard, read_json(path, _FILE_BYTES), str(path))
+        found = validated(_Leaderboard, read_json(path, _FILE_BYTES), str(path))
     except DataError as error:
         raise DataError(f"{error}; this is no leaderboard: move it away, or name another folder with --out") from error
     return [line.model_dump(mode="json", exclude_unset=True) for line in found.lines]

@@ -554,8 +554,7 @@ def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> A
         if name not in kind.model_fields:
             users = ", ".join(own for own, model in ALGORITHMS.items() if name in model.model_fields)
             raise DataError(f"{where}: {name}: is for {users}, not for {algo}")
-    made: Arguments = validated(kind, {**given, "algo": algo}, where)
-    return made
+    return validated(kind, {**given, "algo": algo}, where)
 
 
 def _renamed(values: Mapping[str, Any], where: str) -> dict[str, Any]:

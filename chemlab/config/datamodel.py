@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import functools
 import re
-from collections.abc import Mapping, Set
-from typing import Any
+from collections.abc import Callable, Mapping, Set
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from .datafile import DataError, shown
 
 _LINES = 20
+T = TypeVar("T")
 
 
 class DataModel(BaseModel):
@@ -39,19 +40,18 @@ def _described(error: ValidationError, where: str) -> str:
     return "\n".join(lines)
 
 
-@functools.cache
-def _reader(kind: type) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
+_reader: Callable[[Any], TypeAdapter[Any]] = functools.cache(TypeAdapter)
 
 
-def validated(kind: type, values: Any, where: str) -> Any:
+def validated(kind: type[T], values: Any, where: str) -> T:
     """Build ``kind``, a model or a dataclass, from ``values``.
 
     Raises:
         DataError: a value is invalid; the message names ``where`` and the key.
     """
     try:
-        return _reader(kind).validate_python(dict(values) if isinstance(values, Mapping) else values)
+        found: T = _reader(kind).validate_python(dict(values) if isinstance(values, Mapping) else values)
+        return found
     except ValidationError as error:
         raise DataError(_described(error, where)) from error
 

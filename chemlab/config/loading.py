@@ -132,7 +132,7 @@ def _load_file(path: Path, level: int | None) -> Scenario:
 def _resolve(values: Mapping[str, Any], where: str, folder: Path, level: int | None = None) -> Scenario:
     if "@" in str(values.get("name")):
         raise DataError(f"{where}: name: {values['name']!r:.200} must not have a level; declare it under levels")
-    spec: Scenario = validated(Scenario, completed(values, where, folder, level), where)
+    spec = validated(Scenario, completed(values, where, folder, level), where)
     known = dict(shipped_materials())
     for name, material in load_materials([folder / file for file in spec.material_files]).items():
         if name in known:
@@ -244,7 +244,7 @@ def restore_scenario(data: Mapping[str, Any], where: str) -> Scenario:
             raise DataError(f"{where}: {key}: must be a table")
         tables.append(bounded(data[key], f"{where}: {key}"))
     values, materials, reactions = tables
-    spec: Scenario = validated(Scenario, values, where)
+    spec = validated(Scenario, values, where)
     known = {name: validated(Material, table, f"{where}: materials.{name}") for name, table in materials.items()}
     family = validated(ReactionFamily, reactions, f"{where}: reactions")
     check_reactions(family, known, f"{where}: reactions")

@@ -100,7 +100,7 @@ def load_pairs(paths: Iterable[Path]) -> dict[frozenset[str], Pair]:
     """
     pairs: dict[frozenset[str], Pair] = {}
     for path in paths:
-        file: PairFile = validated(PairFile, read_toml(path), str(path))
+        file = validated(PairFile, read_toml(path), str(path))
         found = {frozenset(pair.of): pair for pair in file.pairs}
         if len(found) < len(file.pairs):
             ((names, _),) = Counter(frozenset(pair.of) for pair in file.pairs).most_common(1)

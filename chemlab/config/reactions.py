@@ -352,8 +352,7 @@ def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction:
         "inhibitors": inhibitors,
         "source": f"{step.source}; its salts as ions",
     }
-    made: Reaction = validated(Reaction, values, f"reaction {step.words}, of ions")
-    return made
+    return validated(Reaction, values, f"reaction {step.words}, of ions")
 
 
 def shipped_reactions_folder() -> Path:
@@ -385,7 +384,7 @@ def load_reactions(
         raise DataError(
             f"{asked}: unknown family {name!r}; choose from {', '.join(shipped)}, or give a path to a .toml file"
         )
-    family: ReactionFamily = validated(ReactionFamily, read_toml(path), str(path))
+    family = validated(ReactionFamily, read_toml(path), str(path))
     check_reactions(family, materials, str(path))
     return family
 

@@ -73,8 +73,7 @@ class _Recorded(DataModel):
 
 
 def _read(path: Path) -> _Recorded:
-    recorded: _Recorded = validated(_Recorded, read_json(path, _FILE_BYTES), str(path))
-    return recorded
+    return validated(_Recorded, read_json(path, _FILE_BYTES), str(path))
 
 
 class StartPool(NamedTuple):

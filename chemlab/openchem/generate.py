@@ -339,7 +339,7 @@ def _real(
 ) -> dict[str, Any]:
     """Return a scenario with the backend ``real``, as ``chemlab new`` designs it."""
     name, mol = str(head["name"]), _mol(network.feeds, materials)
-    checked: ReactionFamily = validated(ReactionFamily, family, name)
+    checked = validated(ReactionFamily, family, name)
     made = design(name, goals[-1], solvent, checked, materials, {}, mol, {}, wash=False)
     most = dict.fromkeys(goals, made["theoretical_maximum_mol"][goals[-1]])
     return {**made, **head, "goals": goals, "lab_goals": goals, "theoretical_maximum_mol": most}

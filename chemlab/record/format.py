@@ -197,7 +197,7 @@ class Record:
                 f"{FORMAT['version']}: read it with the version that made it, or record the episode again"
             )
         try:
-            header: Header = validated(Header, self.header, f"{self.path}: header")
+            header = validated(Header, self.header, f"{self.path}: header")
         except DataError as error:
             raise HeaderError(short(str(error), 500)) from error
         return header

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from typing import Any
+from typing import Any, TypeVar
 
 import numba
 import numpy as np
@@ -24,6 +24,8 @@ from ...kernels.arrays import FloatArray, Handle, IntArray
 from ...kernels.jit import COMPILED, helper, opened
 from ..chemistry import Chemistry, ChemistryTable
 from ..surroundings import Surroundings
+
+R = TypeVar("R")
 
 LAWS = (
     "vapor_pressure",
@@ -87,9 +89,10 @@ def _signature(law: str) -> Any:
     return kinds[signature.return_annotation](*given)
 
 
-def _call(law: str, chem: Handle, arguments: Any) -> Any:
+def _call(law: str, chem: Handle, arguments: Any) -> R:  # type: ignore[type-var]  # as its caller declares it
     """Call a law of the chemistry's backend."""
-    return getattr(_backend(chem.BACKEND), law)(*arguments)
+    found: R = getattr(_backend(chem.BACKEND), law)(*arguments)
+    return found
 
 
 if COMPILED:
@@ -109,15 +112,13 @@ if COMPILED:
 @helper
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Return the vapour pressure of the liquids in a vessel in kPa."""
-    found: float = _call("vapor_pressure", chem, (row, chem))
-    return found
+    return _call("vapor_pressure", chem, (row, chem))
 
 
 @helper
 def headspace_gas(row: FloatArray, chem: Handle) -> float:
     """Return mol of gas above the contents of a sealed vessel, without vapour."""
-    found: float = _call("headspace_gas", chem, (row, chem))
-    return found
+    return _call("headspace_gas", chem, (row, chem))
 
 
 @helper
@@ -155,8 +156,7 @@ def heat(
         (absorbed heat, heat removed by the condenser) in J. Heat in = change of (sum n Cp + air) (T - ambient)
         over both vessels + heat to the condenser, as long as nothing spills.
     """
-    found: tuple[float, float] = _call("heat", chem, (row, receiver, joules, limits, chem, waste, events))
-    return found
+    return _call("heat", chem, (row, receiver, joules, limits, chem, waste, events))
 
 
 @helper
@@ -198,36 +198,31 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
     Returns:
         Number of columns.
     """
-    found: int = _call("find_layers", chem, (row, chem, layers, volumes))
-    return found
+    return _call("find_layers", chem, (row, chem, layers, volumes))
 
 
 @helper
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
     """Return mol of a material in a vessel that is solid."""
-    found: float = _call("solid_mol", chem, (row, material, chem))
-    return found
+    return _call("solid_mol", chem, (row, material, chem))
 
 
 @helper
 def solid_volume(row: FloatArray, chem: Handle) -> float:
     """Return the volume of non-liquid contents in L."""
-    found: float = _call("solid_volume", chem, (row, chem))
-    return found
+    return _call("solid_volume", chem, (row, chem))
 
 
 @helper
 def layer_density(row: FloatArray, layer: int, chem: Handle) -> float:
     """Return the density in kg/L of a layer, given by its code from :func:`find_layers`."""
-    found: float = _call("layer_density", chem, (row, layer, chem))
-    return found
+    return _call("layer_density", chem, (row, layer, chem))
 
 
 @helper
 def layer_shade(row: FloatArray, layer: int, chem: Handle) -> float:
     """Return the grey value of a layer in the camera picture."""
-    found: float = _call("layer_shade", chem, (row, layer, chem))
-    return found
+    return _call("layer_shade", chem, (row, layer, chem))
 
 
 @helper
@@ -235,15 +230,13 @@ def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float
     """Move ``share`` (0 to 1) of a layer, or of the solids, with its contents; return the moved heat capacity in
     J/K.
     """
-    found: float = _call("drain_layer", chem, (source, target, layer, share, chem))
-    return found
+    return _call("drain_layer", chem, (source, target, layer, share, chem))
 
 
 @helper
 def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
     """Return the rate constant of a reaction at ``temperature`` (K), in its own unit."""
-    found: float = _call("rate_constant", chem, (reaction, temperature, chem))
-    return found
+    return _call("rate_constant", chem, (reaction, temperature, chem))
 
 
 @helper
@@ -274,8 +267,7 @@ def react(
         Number of steps, rejected ones included; -1 if it exceeded the limit: then the rest of ``dt``
         has not passed.
     """
-    found: int = _call("react", chem, (row, dt, around, chem, waste, events, work))
-    return found
+    return _call("react", chem, (row, dt, around, chem, waste, events, work))
 
 
 @helper
@@ -305,5 +297,4 @@ def elapse(
     Returns:
         True if the contents have changed.
     """
-    found: bool = _call("elapse", chem, (row, ticks, chem, waste, events, work))
-    return found
+    return _call("elapse", chem, (row, ticks, chem, waste, events, work))
