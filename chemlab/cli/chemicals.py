@@ -98,7 +98,7 @@ def _made_pairs(
 
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
-        rows = make_pairs(two, known, None, lambda _: progress.advance(task), ideal)
+        rows = make_pairs(two, known, lambda _: progress.advance(task), ideal)
     return pair_text(rows, command), rows
 
 

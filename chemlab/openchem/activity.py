@@ -1,10 +1,10 @@
-"""Binary NRTL parameters from UNIFAC and from measured solubilities.
+"""Binary NRTL parameters from UNIFAC.
 
 The Dortmund form of UNIFAC is used if it has all groups and interactions (except for water with hydrocarbons and their
 chlorides), else the original, else the Dortmund form with interactions completed by machine learning. Parameters are
 fitted to ln gamma from 270 to 480 K at all compositions that do not split into two liquids, infinite dilution included.
-Measured pairs are fitted to the measurements instead. Groups come from thermo's list for a CAS number, else from
-ugropy for the structure.
+Groups come from thermo's list for a CAS number, else from ugropy for the structure. ``studies/tools/pairs.py`` fits
+measured pairs to the measurements instead.
 """
 
 from __future__ import annotations
@@ -14,17 +14,15 @@ import itertools
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import least_squares
 
-from ..config.datafile import DataError, read_toml
+from ..config.datafile import DataError
 from ..config.materials import Material
 from ..config.pairs import REFERENCE_K, log_activity_coefficients
-from ..physics.constants import GAS_CONSTANT
 
 try:
     import chemicals
@@ -44,11 +42,6 @@ immiscible mixtures less.
 """
 _DILUTE = 0.03
 _LIGHT = 0.1
-_MEASURED_ALPHAS = (0.2, 0.3, 0.4, 0.47)
-_SHAPE = 0.02
-"""Weight of UNIFAC's ln gamma of the solvent relative to a measured solubility."""
-_SMALL = 0.01
-"""Weight of the parameters' size in that fit."""
 _ENDS = 3.0
 """Weight of infinite dilution relative to one mixture."""
 _PASSES = 6
@@ -250,168 +243,54 @@ def fit(log_gamma: Array) -> Fit:
     return min(scored, key=lambda pair: pair[0])[1]
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Solubilities of one material in another: mole fractions by temperature."""
-
-    solute: str
-    solvent: str
-    temperature_k: Array
-    mole_fraction: Array
-    source: str
-
-
-@dataclass(frozen=True)
-class Mutual:
-    """Mutual solubility of two liquids: mole fractions by temperature."""
-
-    first: str
-    second: str
-    temperature_k: Array
-    first_in_second: Array
-    second_in_first: Array
-    source: str
-
-
-def measured_pairs(path: Path) -> dict[frozenset[str], Measured | Mutual]:
-    """Return measurements by pair.
-
-    They are the tables ``solubility`` and ``mutual`` of a file, with the keys of :class:`Measured` and :class:`Mutual`.
-    """
-    out: dict[frozenset[str], Measured | Mutual] = {}
-    tables = read_toml(path)
-    for row in [*tables["solubility"], *tables["mutual"]]:
-        arrays: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in row.items()}
-        made = Measured(**arrays) if "solute" in row else Mutual(**arrays)
-        out[frozenset((made.solute, made.solvent) if isinstance(made, Measured) else (made.first, made.second))] = made
-    return out
-
-
-def ideal_solubility(material: Material, temperature_k: Array) -> Array:
-    """Return ln of the ideal solubility as a mole fraction: -dHfus / R (1 / T - 1 / Tm)."""
-    assert material.real is not None
-    assert material.real.fusion_enthalpy_j_mol is not None
-    assert material.melting_point_k is not None
-    heat = material.real.fusion_enthalpy_j_mol / GAS_CONSTANT
-    return np.asarray(-heat * (1.0 / temperature_k - 1.0 / material.melting_point_k))
-
-
-def fit_measured(measured: Measured, solute: Material, log_gamma: Array) -> Fit:
-    """Fit NRTL parameters to measured solubilities.
-
-    Parameters are otherwise small and depend mostly on temperature. If the two do not mix, the solvent has UNIFAC's
-    ``log_gamma`` (of solute and solvent) as far as the measurements allow. The error is that of the measured ln gamma.
-    """
-    temperature, x = measured.temperature_k, measured.mole_fraction
-    wanted = ideal_solubility(solute, temperature) - np.log(x)
-    near = (TEMPERATURES_K > 275.0) & (TEMPERATURES_K < 400.0)
-    one_liquid = stable(log_gamma)
-    kept = one_liquid[near]
-    apart = 0.0 if one_liquid.all() else _SHAPE
-    scale = np.array([0.3, 0.3, 300.0, 300.0])
-
-    def off(p: Array, alpha: float) -> Array:
-        return np.array([nrtl(p, alpha, temperature[i : i + 1], x[i : i + 1])[0, 0, 0] for i in range(len(x))]) - wanted
-
-    scored: list[tuple[float, Fit]] = []
-    for alpha in _MEASURED_ALPHAS:
-
-        def residuals(p: Array, alpha: float = alpha) -> Array:
-            full = np.array([*p, 0.0, 0.0])
-            shape = nrtl(full, alpha, TEMPERATURES_K[near], FRACTIONS)[..., 1] - log_gamma[near][..., 1]
-            return np.concatenate([off(full, alpha), apart * np.where(kept, shape, 0.0).ravel(), _SMALL * p / scale])
-
-        found = least_squares(residuals, np.array([0.1, 0.1, 100.0, 100.0]), x_scale=scale, max_nfev=500)
-        parameters = np.array([*found.x, 0.0, 0.0])
-        made_up = np.any(one_liquid & ~stable(nrtl(parameters, alpha, TEMPERATURES_K, FRACTIONS)), axis=1)
-        made = Fit(parameters, alpha, float(np.abs(off(parameters, alpha)).max()))
-        scored.append((float(found.cost) + _MADE_UP * int(np.sum(made_up & np.all(one_liquid, axis=1))), made))
-    return min(scored, key=lambda pair: pair[0])[1]
-
-
-def fit_mutual(mutual: Mutual, alpha: float = 0.2) -> Fit:
-    """Fit NRTL parameters that give both liquids equal activities in the two layers.
-
-    Renon and Prausnitz propose this alpha for immiscible liquids. The error is that of ln of the activities.
-    """
-    temperature = mutual.temperature_k
-    poor, rich = mutual.first_in_second, 1.0 - mutual.second_in_first
-    ideal = np.log(np.stack([poor / rich, (1.0 - poor) / (1.0 - rich)], axis=-1))
-
-    def off(p: Array) -> Array:
-        full, out = np.array([*p, 0.0, 0.0]), np.array(ideal)
-        for i in range(len(poor)):
-            layers = nrtl(full, alpha, temperature[i : i + 1], np.array([poor[i], rich[i]]))[0]
-            out[i] += layers[0] - layers[1]
-        return out.ravel()
-
-    found = least_squares(off, np.array([0.0, 0.0, 300.0, 1000.0]), x_scale=np.array([1.0, 1.0, 300.0, 300.0]))
-    return Fit(np.array([*found.x, 0.0, 0.0]), alpha, float(np.abs(off(found.x)).max()))
-
-
-def _apart(names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]) -> bool:
+def _apart(names: tuple[str, str], materials: Mapping[str, Material], form: Model) -> bool:
     """Return True if one of two materials is water and the other a hydrocarbon or its chloride."""
     others = [name for name in names if name != "water"]
-    found = forms[0].groups(others[0], materials[others[0]]) if len(others) == 1 else None
-    return found is not None and {forms[0].subgroups[number].group for number in found} <= APOLAR
+    found = form.groups(others[0], materials[others[0]]) if len(others) == 1 else None
+    return found is not None and {form.subgroups[number].group for number in found} <= APOLAR
 
 
-def _forms(names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]) -> list[Model]:
+def forms_for(names: tuple[str, str], materials: Mapping[str, Material]) -> list[Model]:
     """Forms of UNIFAC, the best one for two materials first."""
-    return sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms) else forms
+    forms = models()
+    return sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms[0]) else forms
 
 
-def _form(
-    names: tuple[str, str], materials: Mapping[str, Material], forms: list[Model]
-) -> tuple[Model, list[Groups]] | None:
+def best_form(names: tuple[str, str], materials: Mapping[str, Material]) -> tuple[Model, list[Groups]] | None:
     """Return the form of UNIFAC for two materials, and their groups in it; None if no form has all groups."""
-    for form in _forms(names, materials, forms):
+    for form in forms_for(names, materials):
         groups = [found for name in names if (found := form.groups(name, materials[name])) is not None]
         if len(groups) == len(names) and not form.lacks(groups):
             return form, groups
     return None
 
 
-def described(
-    names: tuple[str, str],
-    materials: Mapping[str, Material],
-    forms: list[Model],
-    measured: Mapping[frozenset[str], Measured | Mutual],
-    known: dict[Any, Fit],
-) -> dict[str, Any]:
+def pair_row(names: Sequence[str], found: Fit, low_k: float, high_k: float, source: str) -> dict[str, Any]:
+    """Return a row of the pair file."""
+    p = [float(f"{v:.7g}") for v in found.parameters]
+    return {
+        "of": list(names), "a": p[0:2], "b": p[2:4], "c": p[4:6], "alpha": found.alpha,
+        "low_k": low_k, "high_k": high_k, "error": float(f"{found.error:.2g}"), "source": source,
+    }  # fmt: skip
+
+
+_IDEAL_FIT = Fit(np.zeros(6), 0.3, 0.0)
+
+
+def _described(names: tuple[str, str], materials: Mapping[str, Material], known: dict[Any, Fit]) -> dict[str, Any]:
     """Return a row of the pair file; an ideal mixture if no form of UNIFAC has the groups of both."""
-    low, high = float(TEMPERATURES_K[0]), float(TEMPERATURES_K[-1])
-    chosen = _form(names, materials, forms)
+    span = float(TEMPERATURES_K[0]), float(TEMPERATURES_K[-1])
+    chosen = best_form(names, materials)
     if chosen is None:
-        return {
-            "of": list(names), "a": [0.0, 0.0], "b": [0.0, 0.0], "c": [0.0, 0.0], "alpha": 0.3,
-            "low_k": low, "high_k": high, "error": 0.0, "source": IDEAL,
-        }  # fmt: skip
+        return pair_row(names, _IDEAL_FIT, *span, IDEAL)
     form, both = chosen
-    log_gamma = form.log_gamma(both)
-    given = measured.get(frozenset(names))
     source = form.name
     borrowed = [name for name in names if name in GROUPS]
     if borrowed:
         source += f", {' and '.join(borrowed)} by the groups of an isomer"
-    if isinstance(given, Measured):
-        if given.solute != names[0]:
-            log_gamma = log_gamma[:, ::-1, ::-1]
-        found = fit_measured(given, materials[given.solute], log_gamma)
-        names, source = (given.solute, given.solvent), f"solubility of {given.solute}: {given.source}"
-    elif isinstance(given, Mutual):
-        found = fit_mutual(given)
-        names, source = (given.first, given.second), f"mutual solubilities: {given.source}"
-    else:
-        key = (form.name, *(tuple(sorted(g.items())) for g in both))
-        found = known[key] = known.get(key) or fit(log_gamma)
-    if given is not None:
-        low, high = float(given.temperature_k.min()) - 15.0, float(given.temperature_k.max()) + 15.0
-    p = [float(f"{v:.7g}") for v in found.parameters]
-    return {
-        "of": list(names), "a": p[0:2], "b": p[2:4], "c": p[4:6], "alpha": found.alpha,
-        "low_k": low, "high_k": high, "error": float(f"{found.error:.2g}"), "source": source,
-    }  # fmt: skip
+    key = (form.name, *(tuple(sorted(g.items())) for g in both))
+    found = known[key] = known.get(key) or fit(form.log_gamma(both))
+    return pair_row(names, found, *span, source)
 
 
 def _has_groups(name: str, materials: Mapping[str, Material]) -> bool:
@@ -426,7 +305,6 @@ def is_molecule(material: Material) -> bool:
 def make_pairs(
     pairs: Sequence[tuple[str, str]],
     materials: Mapping[str, Material],
-    measured: Mapping[frozenset[str], Measured | Mutual] | None = None,
     progress: Callable[[str], None] = lambda _: None,
     ideal: bool = False,
 ) -> list[dict[str, Any]]:
@@ -435,7 +313,6 @@ def make_pairs(
     Args:
         pairs: pairs of materials.
         materials: materials by id.
-        measured: measurements that replace UNIFAC.
         progress: called with the name of every finished pair.
         ideal: whether pairs without UNIFAC groups become ideal mixtures, as their source then states.
 
@@ -456,7 +333,7 @@ def make_pairs(
     for one, other in pairs:
         if one == other:
             raise DataError(f"pairs: {one!r} with itself; a pair needs two different materials")
-    if not ideal and (without := [two for two in pairs if _form(two, materials, models()) is None]):
+    if not ideal and (without := [two for two in pairs if best_form(two, materials) is None]):
         listed = "; ".join(f"{one!r} with {other!r}" for one, other in without)
         strange = [name for name in dict.fromkeys(itertools.chain(*without)) if not _has_groups(name, materials)]
         groups = f" (without groups: {', '.join(map(repr, strange))})" if strange else ""
@@ -468,6 +345,6 @@ def make_pairs(
     known: dict[Any, Fit] = {}
     rows = []
     for two in pairs:
-        rows.append(described(two, materials, models(), measured or {}, known))
+        rows.append(_described(two, materials, known))
         progress(f"{two[0]}, {two[1]}")
     return rows

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ..config.catalogue import IDEAL_PAIR, CataloguePair
 from ..config.materials import Material
-from .activity import Array, _forms, models, stable
+from .activity import Array, forms_for, stable
 
 TEMPERATURES_K: Array = np.array([270.0, 300.0, 340.0, 400.0, 480.0])
 _HALF = [1e-10, 1e-3, 0.01, 0.04, 0.12, 0.25]
@@ -204,7 +204,7 @@ def _curve(two: tuple[str, str], materials: Mapping[str, Material], curves: dict
     Returns:
         Its key there, None where no form is sound.
     """
-    for form in _forms(two, materials, models()):
+    for form in forms_for(two, materials):
         groups = [found for name in two if (found := form.groups(name, materials[name])) is not None]
         if len(groups) < 2 or form.lacks(groups):
             continue

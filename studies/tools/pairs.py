@@ -4,7 +4,7 @@
     python studies/tools/pairs.py toluene cumene --materials my_materials.toml --output my_pairs.toml
 
 Needs the extra ``chem``. The method is described in :mod:`chemlab.openchem.activity`; ``chemlab data pairs`` makes
-pairs of your own materials.
+pairs of your own materials. Measured pairs are fitted to the measurements instead.
 """
 
 from __future__ import annotations
@@ -12,16 +12,158 @@ from __future__ import annotations
 import argparse
 import itertools
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from chemlab.config.datafile import DataError
-from chemlab.config.materials import load_materials, shipped_materials
-from chemlab.openchem.activity import is_molecule, make_pairs, measured_pairs
+import numpy as np
+from scipy.optimize import least_squares
+
+from chemlab.config.datafile import DataError, read_toml
+from chemlab.config.materials import Material, load_materials, shipped_materials
+from chemlab.openchem.activity import (
+    FRACTIONS,
+    TEMPERATURES_K,
+    Array,
+    Fit,
+    best_form,
+    is_molecule,
+    make_pairs,
+    nrtl,
+    pair_row,
+    stable,
+)
 from chemlab.openchem.writing import pair_text
+from chemlab.physics.constants import GAS_CONSTANT
 
 HERE = Path(__file__).resolve().parent
 SHIPPED = HERE.parents[1] / "chemlab" / "data" / "pairs" / "unifac.toml"
 SOLUBILITIES = HERE / "solubilities.toml"
+
+_MEASURED_ALPHAS = (0.2, 0.3, 0.4, 0.47)
+_SHAPE = 0.02
+"""Weight of UNIFAC's ln gamma of the solvent relative to a measured solubility."""
+_SMALL = 0.01
+"""Weight of the parameters' size in that fit."""
+_MADE_UP = 0.1
+"""Score of a temperature with a spurious second liquid."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Solubilities of one material in another: mole fractions by temperature."""
+
+    solute: str
+    solvent: str
+    temperature_k: Array
+    mole_fraction: Array
+    source: str
+
+
+@dataclass(frozen=True)
+class Mutual:
+    """Mutual solubility of two liquids: mole fractions by temperature."""
+
+    first: str
+    second: str
+    temperature_k: Array
+    first_in_second: Array
+    second_in_first: Array
+    source: str
+
+
+def measured_pairs(path: Path) -> dict[frozenset[str], Measured | Mutual]:
+    """Return measurements by pair.
+
+    They are the tables ``solubility`` and ``mutual`` of a file, with the keys of :class:`Measured` and :class:`Mutual`.
+    """
+    out: dict[frozenset[str], Measured | Mutual] = {}
+    tables = read_toml(path)
+    for row in [*tables["solubility"], *tables["mutual"]]:
+        arrays: dict[str, Any] = {k: np.array(v) if isinstance(v, list) else v for k, v in row.items()}
+        made = Measured(**arrays) if "solute" in row else Mutual(**arrays)
+        out[frozenset((made.solute, made.solvent) if isinstance(made, Measured) else (made.first, made.second))] = made
+    return out
+
+
+def ideal_solubility(material: Material, temperature_k: Array) -> Array:
+    """Return ln of the ideal solubility as a mole fraction: -dHfus / R (1 / T - 1 / Tm)."""
+    assert material.real is not None
+    assert material.real.fusion_enthalpy_j_mol is not None
+    assert material.melting_point_k is not None
+    heat = material.real.fusion_enthalpy_j_mol / GAS_CONSTANT
+    return np.asarray(-heat * (1.0 / temperature_k - 1.0 / material.melting_point_k))
+
+
+def fit_measured(measured: Measured, solute: Material, log_gamma: Array) -> Fit:
+    """Fit NRTL parameters to measured solubilities.
+
+    Parameters are otherwise small and depend mostly on temperature. If the two do not mix, the solvent has UNIFAC's
+    ``log_gamma`` (of solute and solvent) as far as the measurements allow. The error is that of the measured ln gamma.
+    """
+    temperature, x = measured.temperature_k, measured.mole_fraction
+    wanted = ideal_solubility(solute, temperature) - np.log(x)
+    near = (TEMPERATURES_K > 275.0) & (TEMPERATURES_K < 400.0)
+    one_liquid = stable(log_gamma)
+    kept = one_liquid[near]
+    apart = 0.0 if one_liquid.all() else _SHAPE
+    scale = np.array([0.3, 0.3, 300.0, 300.0])
+
+    def off(p: Array, alpha: float) -> Array:
+        return np.array([nrtl(p, alpha, temperature[i : i + 1], x[i : i + 1])[0, 0, 0] for i in range(len(x))]) - wanted
+
+    scored: list[tuple[float, Fit]] = []
+    for alpha in _MEASURED_ALPHAS:
+
+        def residuals(p: Array, alpha: float = alpha) -> Array:
+            full = np.array([*p, 0.0, 0.0])
+            shape = nrtl(full, alpha, TEMPERATURES_K[near], FRACTIONS)[..., 1] - log_gamma[near][..., 1]
+            return np.concatenate([off(full, alpha), apart * np.where(kept, shape, 0.0).ravel(), _SMALL * p / scale])
+
+        found = least_squares(residuals, np.array([0.1, 0.1, 100.0, 100.0]), x_scale=scale, max_nfev=500)
+        parameters = np.array([*found.x, 0.0, 0.0])
+        made_up = np.any(one_liquid & ~stable(nrtl(parameters, alpha, TEMPERATURES_K, FRACTIONS)), axis=1)
+        made = Fit(parameters, alpha, float(np.abs(off(parameters, alpha)).max()))
+        scored.append((float(found.cost) + _MADE_UP * int(np.sum(made_up & np.all(one_liquid, axis=1))), made))
+    return min(scored, key=lambda pair: pair[0])[1]
+
+
+def fit_mutual(mutual: Mutual, alpha: float = 0.2) -> Fit:
+    """Fit NRTL parameters that give both liquids equal activities in the two layers.
+
+    Renon and Prausnitz propose this alpha for immiscible liquids. The error is that of ln of the activities.
+    """
+    temperature = mutual.temperature_k
+    poor, rich = mutual.first_in_second, 1.0 - mutual.second_in_first
+    ideal = np.log(np.stack([poor / rich, (1.0 - poor) / (1.0 - rich)], axis=-1))
+
+    def off(p: Array) -> Array:
+        full, out = np.array([*p, 0.0, 0.0]), np.array(ideal)
+        for i in range(len(poor)):
+            layers = nrtl(full, alpha, temperature[i : i + 1], np.array([poor[i], rich[i]]))[0]
+            out[i] += layers[0] - layers[1]
+        return out.ravel()
+
+    found = least_squares(off, np.array([0.0, 0.0, 300.0, 1000.0]), x_scale=np.array([1.0, 1.0, 300.0, 300.0]))
+    return Fit(np.array([*found.x, 0.0, 0.0]), alpha, float(np.abs(off(found.x)).max()))
+
+
+def measured_row(row: dict[str, Any], given: Measured | Mutual, materials: Mapping[str, Material]) -> dict[str, Any]:
+    """Return the row of a pair that was measured, given that of UNIFAC."""
+    chosen = best_form((row["of"][0], row["of"][1]), materials)
+    if chosen is None:
+        return row
+    low, high = float(given.temperature_k.min()) - 15.0, float(given.temperature_k.max()) + 15.0
+    if isinstance(given, Mutual):
+        source = f"mutual solubilities: {given.source}"
+        return pair_row((given.first, given.second), fit_mutual(given), low, high, source)
+    form, both = chosen
+    log_gamma = form.log_gamma(both)
+    if given.solute != row["of"][0]:
+        log_gamma = log_gamma[:, ::-1, ::-1]
+    found = fit_measured(given, materials[given.solute], log_gamma)
+    return pair_row((given.solute, given.solvent), found, low, high, f"solubility of {given.solute}: {given.source}")
 
 
 def main() -> None:
@@ -40,7 +182,11 @@ def main() -> None:
     def tell(done: str) -> None:
         print(f"\r{done}{' ' * 30}", end="", file=sys.stderr, flush=True)
 
-    rows = make_pairs(pairs, materials, measured_pairs(SOLUBILITIES), tell)
+    measured = measured_pairs(SOLUBILITIES)
+    rows = [
+        measured_row(row, measured[frozenset(row["of"])], materials) if frozenset(row["of"]) in measured else row
+        for row in make_pairs(pairs, materials, tell)
+    ]
     print(file=sys.stderr)
     output = arguments.output or SHIPPED
     output.parent.mkdir(parents=True, exist_ok=True)
