@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from scipy.optimize import isotonic_regression
 
 from ..config.materials import Material
 from ..config.scenario import Scenario
@@ -51,32 +52,12 @@ _LOST = "#FFFFFF"
 
 def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
     """Return positions near the wanted ones (ascending), at least ``gap`` apart and within [low, high] if possible."""
-    count = len(wanted)
-    if not count:
+    if not wanted:
         return []
-    gap = min(gap, (high - low) / max(count - 1, 1))
-    # Blocks of adjacent labels; each block is placed at the mean of its members' wanted positions.
-    blocks: list[list[float]] = []
-    for place in wanted:
-        blocks.append([place, 1.0])
-        while len(blocks) > 1 and _bottom(blocks[-1], gap) < _top(blocks[-2], gap) + gap:
-            middle, size = blocks.pop()
-            other, more = blocks.pop()
-            blocks.append([(middle * size + other * more) / (size + more), size + more])
-    found = [_bottom(block, gap) + gap * i for block in blocks for i in range(int(block[1]))]
-    for i in range(count):  # move blocks that lie outside the bounds inwards
-        found[i] = max(found[i], low if i == 0 else found[i - 1] + gap)
-    for i in reversed(range(count)):
-        found[i] = min(found[i], high if i == count - 1 else found[i + 1] - gap)
+    steps = min(gap, (high - low) / max(len(wanted) - 1, 1)) * np.arange(len(wanted))
+    nearest = isotonic_regression(np.array(wanted) - steps).x  # least squares
+    found: list[float] = (np.clip(nearest, low, high - steps[-1]) + steps).tolist()
     return found
-
-
-def _bottom(block: Sequence[float], gap: float) -> float:
-    return block[0] - gap * (block[1] - 1.0) / 2.0
-
-
-def _top(block: Sequence[float], gap: float) -> float:
-    return block[0] + gap * (block[1] - 1.0) / 2.0
 
 
 def _plain(axes: Any) -> None:
