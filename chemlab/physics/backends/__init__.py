@@ -21,31 +21,20 @@ from numba.extending import overload
 from ...config.scenario import PHYSICS_TIERS as TIERS
 from ...kernels import jit
 from ...kernels.arrays import FloatArray, Handle, IntArray
-from ...kernels.jit import COMPILED, helper, opened
+from ...kernels.jit import COMPILED, F, helper, opened
 from ..chemistry import Chemistry, ChemistryTable
 from ..surroundings import Surroundings
 
 R = TypeVar("R")
 
-LAWS = (
-    "vapor_pressure",
-    "headspace_gas",
-    "vent",
-    "heat",
-    "settle_phases",
-    "partition",
-    "find_layers",
-    "solid_mol",
-    "solid_volume",
-    "layer_density",
-    "layer_shade",
-    "drain_layer",
-    "rate_constant",
-    "react",
-    "dry",
-    "elapse",
-)
+LAWS: list[str] = []
 """Names of the laws, in the order of their addresses."""
+
+
+def _law(declared: F) -> F:
+    """Declare a law: a helper that calls the one of its name in the chemistry's backend."""
+    LAWS.append(declared.__name__)
+    return helper(declared)
 
 
 def _backend(name: str) -> Any:
@@ -109,19 +98,19 @@ if COMPILED:
         return found
 
 
-@helper
+@_law
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Return the vapour pressure of the liquids in a vessel in kPa."""
     return _call("vapor_pressure", chem, (row, chem))
 
 
-@helper
+@_law
 def headspace_gas(row: FloatArray, chem: Handle) -> float:
     """Return mol of gas above the contents of a sealed vessel, without vapour."""
     return _call("headspace_gas", chem, (row, chem))
 
 
-@helper
+@_law
 def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events: FloatArray) -> None:
     """Open the relief valve: above ``rated`` kPa, gas leaves until the pressure is back at ``rated``.
 
@@ -130,7 +119,7 @@ def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events:
     _call("vent", chem, (row, rated, chem, waste, events))
 
 
-@helper
+@_law
 def heat(
     row: FloatArray,
     receiver: FloatArray,
@@ -159,7 +148,7 @@ def heat(
     return _call("heat", chem, (row, receiver, joules, limits, chem, waste, events))
 
 
-@helper
+@_law
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
     """Apply the processes that follow every operation in any vessel: violent reactions, dissolution, precipitation.
 
@@ -173,7 +162,7 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     _call("settle_phases", chem, (row, chem, waste, events, work))
 
 
-@helper
+@_law
 def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Update the dissolved amounts of a vessel from CLOCK_WAS to CLOCK; none becomes negative and totals are conserved.
 
@@ -185,7 +174,7 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     _call("partition", chem, (row, chem, work))
 
 
-@helper
+@_law
 def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatArray) -> int:
     """Find the solids, fluid layers and air of a vessel, densest fluid first.
 
@@ -201,31 +190,31 @@ def find_layers(row: FloatArray, chem: Handle, layers: IntArray, volumes: FloatA
     return _call("find_layers", chem, (row, chem, layers, volumes))
 
 
-@helper
+@_law
 def solid_mol(row: FloatArray, material: int, chem: Handle) -> float:
     """Return mol of a material in a vessel that is solid."""
     return _call("solid_mol", chem, (row, material, chem))
 
 
-@helper
+@_law
 def solid_volume(row: FloatArray, chem: Handle) -> float:
     """Return the volume of non-liquid contents in L."""
     return _call("solid_volume", chem, (row, chem))
 
 
-@helper
+@_law
 def layer_density(row: FloatArray, layer: int, chem: Handle) -> float:
     """Return the density in kg/L of a layer, given by its code from :func:`find_layers`."""
     return _call("layer_density", chem, (row, layer, chem))
 
 
-@helper
+@_law
 def layer_shade(row: FloatArray, layer: int, chem: Handle) -> float:
     """Return the grey value of a layer in the camera picture."""
     return _call("layer_shade", chem, (row, layer, chem))
 
 
-@helper
+@_law
 def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float, chem: Handle) -> float:
     """Move ``share`` (0 to 1) of a layer, or of the solids, with its contents; return the moved heat capacity in
     J/K.
@@ -233,13 +222,13 @@ def drain_layer(source: FloatArray, target: FloatArray, layer: int, share: float
     return _call("drain_layer", chem, (source, target, layer, share, chem))
 
 
-@helper
+@_law
 def rate_constant(reaction: int, temperature: float, chem: Handle) -> float:
     """Return the rate constant of a reaction at ``temperature`` (K), in its own unit."""
     return _call("rate_constant", chem, (reaction, temperature, chem))
 
 
-@helper
+@_law
 def react(
     row: FloatArray,
     dt: float,
@@ -270,7 +259,7 @@ def react(
     return _call("react", chem, (row, dt, around, chem, waste, events, work))
 
 
-@helper
+@_law
 def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None:
     """Draw air over the contents of an open vessel.
 
@@ -280,7 +269,7 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
     _call("dry", chem, (row, litres, chem, waste))
 
 
-@helper
+@_law
 def elapse(
     row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> bool:
