@@ -1,4 +1,4 @@
-"""Write the table of the committed audits into docs/worlds.md: ``python docs/audits.py``.
+"""Write the tables of the committed audits into docs/worlds.md and README.md: ``python docs/audits.py``.
 
 ``--make`` first makes the audits of the given scenarios, or of all whose audit is missing or older than the scenario:
 ``python docs/audits.py --make runaway --budget small --keep parts``. With ``--keep``, the same command resumes an
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import statistics
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from typing import Any
 from chemlab.config.files import replace_between
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
+from chemlab.lab.describe import hidden_words
 from chemlab.record import scenario_hash
 
 __all__ = ["FOLDER", "PAGE", "audits", "table"]
@@ -24,6 +26,8 @@ __all__ = ["FOLDER", "PAGE", "audits", "table"]
 ROOT = Path(__file__).parent.parent
 FOLDER = ROOT / "docs" / "results" / "audits"
 PAGE = ROOT / "docs" / "worlds.md"
+README = ROOT / "README.md"
+LEARNED = ROOT / "studies" / "baselines" / "results" / "from_nothing.json"
 _NUMBERS = {
     "open_loop": "open-loop",
     "best": "best",
@@ -60,6 +64,35 @@ def table() -> list[str]:
     return [f"| {' | '.join(row)} |" for row in rows]
 
 
+def tasks() -> list[str]:
+    """Return README's table of scenarios with hidden parameters: what is hidden, and normalized scores.
+
+    A manager that learned from nothing is on the scale of the audit: where it scores above the oracle's mean, it has 1.
+    """
+    heads = ["scenario", "benches", "what is hidden", "open-loop", "scripted", "from nothing", "best known"]
+    rows = [f"| {' | '.join(heads)} |", "| --- | --- | --- | --: | --: | --: | --- |"]
+    runs = json.loads(LEARNED.read_text(encoding="utf-8"))["runs"]
+    for audit in audits():
+        scenario = load_scenario(audit["scenario"])
+        if not scenario.world.draws:
+            continue
+        zero, one = (audit[name]["score"] for name in ("random", "oracle"))
+        learned = [run["audited"] for run in runs if run["scenario"] == scenario.name and "audited" in run]
+        value = f"{min((statistics.median(learned) - zero) / (one - zero), 1.0):.2f}" if learned else ""
+        scores = [f"{audit[name]['value']:.2f}" for name in ("open_loop", "reference")]
+        best = f"{audit['best']['value']:.2f}, {audit['best']['way']}"
+        cells = [
+            f"`{scenario.name}`",
+            ", ".join(scenario.benches),
+            "; ".join(hidden_words(scenario)),
+            *scores,
+            value,
+            best,
+        ]
+        rows.append(f"| {' | '.join(cells)} |")
+    return rows
+
+
 def stale() -> list[str]:
     """Return bundled scenarios without a current audit."""
     hashes = {audit["scenario"]: audit["scenario_hash"] for audit in audits()}
@@ -82,3 +115,4 @@ if __name__ == "__main__":
         subprocess.run([sys.executable, "-m", *command], check=True)
         replace_between(PAGE, "audits", table())
     replace_between(PAGE, "audits", table())
+    replace_between(README, "tasks", tasks())

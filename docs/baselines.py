@@ -1,4 +1,4 @@
-"""Write the tables of the committed baselines into docs/protocol.md and README.md: ``python docs/baselines.py``.
+"""Write the tables of the committed baselines into docs/protocol.md: ``python docs/baselines.py``.
 
 ``--play RESULTS [SCENARIO ...]`` first runs ``chemlab benchmark`` on the trained policies in RESULTS
 (``studies/baselines/worlds.toml``, ``worlds_benches.sh``, ``worlds_joint.sh``). Each finished run of each learner and
@@ -33,14 +33,12 @@ from chemlab.agents.evaluate.leaderboard import leaderboard_lines, write_leaderb
 from chemlab.agents.evaluate.statistics import interquartile_mean, interval_text, mean, paired_improvement
 from chemlab.agents.runs import find_runs
 from chemlab.config.files import replace_between, write_text
-from chemlab.lab.describe import hidden_words
 from chemlab.record import read_record
 
 __all__ = [
     "LEADERBOARD",
     "LEARNERS",
     "PAGE",
-    "README",
     "REPLAYED",
     "ROOT",
     "add_scores",
@@ -51,13 +49,11 @@ __all__ = [
     "shipped",
     "standings",
     "table",
-    "tasks",
 ]
 
 ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
 PAGE = ROOT / "docs" / "protocol.md"
-README = ROOT / "README.md"
 _ENDS = ("random", "oracle")
 _SCRIPTED = {"plan": "best plan", "scripted": "scripted"}
 LEARNERS = {
@@ -144,23 +140,6 @@ def table() -> list[str]:
         low, high = (f"{lines[scenario, name]['value']:.0f} ({lines[scenario, name]['score']:.3f})" for name in _ENDS)
         rows.append([f"`{scenario}`", low, *(_cell(lines.get((scenario, name))) for name in names), high])
     return markdown(rows)
-
-
-def tasks() -> list[str]:
-    """Return README's table of scenarios: hidden parameters, and the best policy of each kind."""
-    lines = _lines()
-    learners = {**_EVERYWHERE, **{name: name for name in _SHIPPED}}
-    rows = []
-    for name in scored():
-        scenario = load_scenario(name)
-        hidden = "; ".join(hidden_words(scenario))
-        found = {words: lines[name, row] for row, words in learners.items() if (name, row) in lines}
-        best = max(found, key=lambda words: found[words]["value"])
-        scores = [f"{line['value']:.2f}" for line in (lines[name, "plan"], lines[name, "scripted"], found[best])]
-        rows.append([f"`{name}`", ", ".join(scenario.benches), hidden, *scores, best])
-    heads = ["scenario", "benches", "what is hidden", "open-loop", "scripted", "best learned", "which"]
-    words = ["---", "---", "---", "--:", "--:", "--:", "---"]
-    return [f"| {' | '.join(row)} |" for row in (heads, words, *rows)]
 
 
 def standings() -> dict[str, list[tuple[str, float, str]]]:
@@ -361,4 +340,3 @@ if __name__ == "__main__":
     replace_between(PAGE, "overall", overall())
     replace_between(PAGE, "effort", effort())
     replace_between(PAGE, "shipped", shipped())
-    replace_between(README, "tasks", tasks())

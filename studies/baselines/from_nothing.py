@@ -2,9 +2,9 @@
 
 ``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
 (``studies/baselines/from_nothing.toml``), also where no measurement can be paid, and, on the same episodes, the
-scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. It adds the scores to
-``results/from_nothing.json``. Without RESULTS nothing is played: the table of docs/training.md is written from that
-file.
+scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. Of scenarios with hidden
+parameters it also plays the 40 test episodes of the small audit. It adds the scores to ``results/from_nothing.json``.
+Without RESULTS nothing is played: the table of docs/training.md is written from that file.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.evaluate.jobs import without_instruments
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of, without_instruments
 from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
@@ -67,6 +67,9 @@ def learned(run: Run) -> dict[str, Any]:
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*has changed since it was trained")  # the budget has
         score, unpaid = (statistics.mean(means(one, str(run.path))) for one in (spec, without_instruments(spec)))
+    if spec.world.draws and not spec.level:
+        job = Job("audit", "play", {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": 40, "split": "test"})
+        own["audited"] = statistics.mean(Crew(spec, budget_of("small")).run([job])["audit"]["scores"])
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled}
 
