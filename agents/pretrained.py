@@ -389,6 +389,7 @@ def _difference(card: Card, workplace: Workplace) -> str:
     if mine.kind != other.kind:
         return f"it is for {mine.kind}, this is {other.kind}"
     size = int(workplace.observation_space.shape[0]) + (card.action_size if card.advice is not None else 0)
+    size += notes_size(workplace) if card.notes else 0
     for ours, theirs in zip(mine.channels, other.channels, strict=False):
         if ours != theirs:
             return f"observation {ours[0]!r}: it knows {ours[1:]}, here {theirs[0]!r} is {theirs[1:]}"

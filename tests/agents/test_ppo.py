@@ -12,12 +12,13 @@ pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 import torch
 
-from chemlab.agents.episodes import play_episode
+from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.evaluate.jobs import without_instruments
 from chemlab.agents.evaluate.play import find_target, notes
+from chemlab.agents.notes import notes_size
 from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
-from chemlab.agents.runs import Run
+from chemlab.agents.runs import RESULT_SEED, Run
 from chemlab.agents.saved import find_saved
 from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
@@ -459,3 +460,20 @@ def test_a_policy_to_begin_from_has_no_shared_weights() -> None:
     assert IPPO(scenario="rush", roles=("manager",), begin_from="runs/first").tied is False
     with pytest.raises(ValueError, match="tied: the policy of begin_from has weights of its own for each slot"):
         IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
+
+
+def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
+    """By the score of its run, whoever plays it; without notes it observes less."""
+    made = IPPO(scenario="failing", roles=("manager",), steps=200, play="greedy", **QUICK)
+    result = train(made, tmp_path / "run")
+    card = export_run(tmp_path / "run", tmp_path / "own")
+    assert card.notes
+    assert card.evaluation["mean"] == pytest.approx(result.mean)
+    labs = Laboratories(load_scenario("failing"), 4, split=made.evaluation_split)
+    for policy in (tmp_path / "run", tmp_path / "own"):
+        policies = make_policies(f"scripted,manager={policy}", labs, RESULT_SEED)
+        played = play_laboratory(labs, policies, labs.scenario.lab_goals[0], RESULT_SEED)
+        assert played.returns.mean() == pytest.approx(result.mean)
+    train(made.model_copy(update={"notes": False}), tmp_path / "without")
+    other = export_run(tmp_path / "without", tmp_path / "other")
+    assert other.observation_size == card.observation_size - notes_size(labs.manager.workplace)
