@@ -218,12 +218,11 @@ class InstrumentTable:
 
     def _code(self) -> IntArray:
         """Return :attr:`InstrumentRules.read`. Instruments that the scenario lacks are not compiled."""
-        builtin, found = list(INSTRUMENTS.values()), np.full(len(self.kinds), -1, dtype=np.int64)
+        reads, found = [kind.read for kind in INSTRUMENTS.values()], np.full(len(self.kinds), -1, dtype=np.int64)
         for i, kind in enumerate(self.kinds):
-            if kind in builtin:
+            if not self._own[i]:
                 code: Any = kind.read
-                at = builtin.index(kind)
-                found[i] = jit.code_address(code, _signature(), code.__module__) if COMPILED else at
+                found[i] = jit.code_address(code, _signature(), code.__module__) if COMPILED else reads.index(code)
         return found
 
     @property
