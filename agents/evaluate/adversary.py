@@ -139,5 +139,5 @@ def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan], lea
         learner, batch = team.learners[role], joined(own)
         observed = batch["observed"]
         assert observed is not None
-        batch["observed"] = batch["seen"] = learner.seen(observed)
+        batch["observed"], batch["seen"] = learner.seen(observed), None
         learner.clone(batch, team.rng, least_std)

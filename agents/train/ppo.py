@@ -41,7 +41,7 @@ try:
     import torch
     from torch import nn
 
-    from .tied import TiedLinear, Unit, action_units, notes_units, numbered, observed_units, tied_layers
+    from .tied import Tanh, TiedLinear, Unit, action_units, notes_units, numbered, observed_units, tied_layers
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
@@ -55,6 +55,8 @@ _PRACTICE = 20
 """Steps in each environment before each update while benches learn on their own."""
 _REMEMBERED = 1 << 16
 """Turns of the manager that self-imitation chooses from."""
+_PART = 4096
+"""Most of these turns that are valued at once."""
 _CRITIC_FIRST = 5
 """Updates in which the critic of a policy from elsewhere learns alone."""
 _CLONE = {"epochs": 10, "updates": 1100, "batch": 256, "learning_rate": 1e-3, "entropy": 0.03}
@@ -97,17 +99,26 @@ class _Network(nn.Module):
             self.log_std = nn.Parameter(torch.full((actions,), -1.0))
             nn.init.constant_(self.actor[-1].bias, 0.5)  # type: ignore[arg-type]
 
-    def distribution(self, observed: torch.Tensor, mask: torch.Tensor | None) -> torch.distributions.Distribution:
-        """Distribution of actions [B] (discrete) or [B, n]."""
-        if self.discrete:
-            return torch.distributions.Categorical(logits=self.logits(observed, mask), validate_args=False)
-        out = self.actor(self._normalized(observed))
-        return torch.distributions.Normal(out, self.log_std.exp().expand_as(out), validate_args=False)
-
     def logits(self, observed: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
-        """Logits [B, actions] of discrete actions."""
+        """Logits [B, actions] of discrete actions, or means [B, n] of continuous ones."""
         out: torch.Tensor = self.actor(self._normalized(observed))
         return out if mask is None else out.masked_fill(~mask, _FORBIDDEN)
+
+    def normal(self, mean: torch.Tensor) -> torch.distributions.Normal:
+        """Distribution of continuous actions."""
+        return torch.distributions.Normal(mean, self.log_std.exp().expand_as(mean), validate_args=False)
+
+    def judge(
+        self, observed: torch.Tensor, mask: torch.Tensor | None, action: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Log-probabilities [B] of actions, and the mean entropy, to which forbidden actions contribute nothing."""
+        logits = self.logits(observed, mask)
+        if not self.discrete:
+            normal = self.normal(logits)
+            return normal.log_prob(action).sum(1), normal.entropy().sum(1).mean()
+        log = logits.log_softmax(1)
+        entropy = -(logits.softmax(1) * log.clamp(min=-50.0)).sum(1).mean()
+        return log.gather(1, action[:, None])[:, 0], entropy
 
     def value(self, seen: torch.Tensor) -> torch.Tensor:
         """Values [B] of what the critic sees."""
@@ -127,7 +138,7 @@ def _layers(size: int, hidden: Sequence[int], out: int, gain: float) -> nn.Seque
         nn.init.zeros_(layer.bias)
     modules: list[nn.Module] = []
     for layer in linear:
-        modules += [layer, nn.Tanh()]
+        modules += [layer, Tanh()]
     return nn.Sequential(*modules[:-1])
 
 
@@ -159,7 +170,7 @@ class _Learner:
         self.columns, self.size, self.network, self.gamma, self._groups = columns, size, network, gamma, groups
         self.settings, self.critic_first = settings, 0
         self._count, self._moments, self._normalizes = 0, np.zeros((2, len(groups))), True
-        self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, eps=1e-5)
+        self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, eps=1e-5, fused=True)
 
     def seen(self, whole: Arrays) -> Arrays:
         """Return its part [B, columns] of observations [B, size] of the whole scenario."""
@@ -168,18 +179,14 @@ class _Learner:
     def act(self, observed: Arrays, mask: BoolArray | None, greedy: bool = False) -> tuple[Arrays, Arrays]:
         """Draw actions, or take the most probable ones; return them with their log-probabilities."""
         with torch.inference_mode():
-            seen, allowed = torch.from_numpy(observed), None if mask is None else torch.from_numpy(mask)
-            if self.network.discrete and not greedy:  # what the distribution would do, without its overhead
-                logits = self.network.logits(seen, allowed)
-                logits = logits - logits.logsumexp(1, keepdim=True)
-                drawn = torch.multinomial(logits.softmax(1), 1, True)
-                return drawn[:, 0].numpy(), logits.gather(1, drawn)[:, 0].numpy()
-            distribution = self.network.distribution(seen, allowed)
-            action = distribution.mode if greedy else distribution.sample()
-            log_probability = distribution.log_prob(action)
-        if not self.network.discrete:
-            log_probability = log_probability.sum(1)
-        return action.numpy(), log_probability.numpy()
+            logits = self.network.logits(torch.from_numpy(observed), None if mask is None else torch.from_numpy(mask))
+            if self.network.discrete:
+                probability = logits.softmax(1)
+                drawn = probability.argmax(1, True) if greedy else torch.multinomial(probability, 1, True)
+                return drawn[:, 0].numpy(), probability.gather(1, drawn)[:, 0].log().numpy()
+            normal = self.network.normal(logits)
+            action = logits if greedy else normal.sample()
+            return action.numpy(), normal.log_prob(action).sum(1).numpy()
 
     def value(self, observed: Arrays) -> Arrays:
         """Values [B] of what the critic sees."""
@@ -190,8 +197,8 @@ class _Learner:
         """Learn from a batch of turns.
 
         Args:
-            batch: ``observed`` [B, size], ``seen`` [B, size] (by the critic), ``mask`` [B, A] or None, ``action``,
-                ``log_probability``, ``advantage`` and ``target`` [B].
+            batch: ``observed`` [B, size], ``seen`` [B, size] (by the critic; None: the same), ``mask`` [B, A] or None,
+                ``action``, ``log_probability``, ``advantage`` and ``target`` [B].
             remaining: share of training that is left.
             rng: draws the minibatches.
         """
@@ -206,7 +213,7 @@ class _Learner:
             for rows in torch.from_numpy(rng.permutation(count)).split(s.batch_size):  # type: ignore[no-untyped-call]
                 if len(rows) < 2:  # advantages are normalized
                     continue
-                policy, value, entropy = self._losses({n: None if t is None else t[rows] for n, t in tensors.items()})
+                policy, value, entropy = self._losses(_rows(tensors, rows))
                 bonus = s.ent_coef * max(remaining, 0.1) * entropy
                 loss = policy_weight * (policy - bonus) + 0.5 * value
                 self.optimizer.zero_grad()
@@ -233,10 +240,7 @@ class _Learner:
 
     def _losses(self, batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Clipped policy loss, value loss and entropy of a minibatch."""
-        distribution = self.network.distribution(batch["observed"], batch["mask"])
-        log_probability, entropy = distribution.log_prob(batch["action"]), _entropy(distribution)
-        if not self.network.discrete:
-            log_probability = log_probability.sum(1)
+        log_probability, entropy = self.network.judge(batch["observed"], batch["mask"], batch["action"])
         advantage = batch["advantage"]
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         ratio = (log_probability - batch["log_probability"]).exp()
@@ -280,25 +284,23 @@ class _Learner:
         parts = max(1, count // int(_CLONE["batch"]))
         epochs = max(int(_CLONE["epochs"]), -(-int(_CLONE["updates"]) // parts))
         network.train()
-        optimizer = torch.optim.Adam(network.parameters(), lr=_CLONE["learning_rate"])
+        optimizer = torch.optim.Adam(network.parameters(), lr=_CLONE["learning_rate"], fused=True)
         falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * parts)
         for _ in range(epochs):
             for rows in np.array_split(rng.permutation(count), parts):
-                own: dict[str, Any] = {n: None if tensor is None else tensor[rows] for n, tensor in tensors.items()}
-                distribution = network.distribution(own["observed"], own["mask"])
-                log_probability = distribution.log_prob(own["action"])
+                own = _rows(tensors, torch.from_numpy(rows))
+                log_probability, entropy = network.judge(own["observed"], own["mask"], own["action"])
                 value = (network.value(own["seen"]) - own["target"]).square().mean()
-                shown = log_probability.reshape(len(rows), -1).sum(1).mean()
-                loss = -shown - _CLONE["entropy"] * _entropy(distribution) + 0.5 * value
+                loss = -log_probability.mean() - _CLONE["entropy"] * entropy + 0.5 * value
                 optimizer.zero_grad()
                 loss.backward()
                 nn.utils.clip_grad_norm_(network.parameters(), 0.5)
                 optimizer.step()
                 falling.step()
         with torch.no_grad():
-            chosen: torch.Tensor = network.distribution(tensors["observed"], tensors["mask"]).mode
+            chosen = network.logits(tensors["observed"], tensors["mask"])
             if network.discrete:
-                return float(torch.eq(chosen, tensors["action"]).float().mean())
+                return float(torch.eq(chosen.argmax(1), tensors["action"]).float().mean())
             # The maximum likelihood: the optimizer would not reach it in so few updates.
             missing = (chosen - tensors["action"]).square().mean(dim=0).sqrt()
             network.log_std.copy_(missing.clamp(min=least_std).log())
@@ -310,12 +312,10 @@ def _fading(share: float, remaining: float) -> float:
     return max(1.0 - (1.0 - remaining) / share, 0.0) if share else 0.0
 
 
-def _entropy(distribution: torch.distributions.Distribution) -> torch.Tensor:
-    """Mean entropy; forbidden actions contribute nothing."""
-    if isinstance(distribution, torch.distributions.Categorical):
-        logits = distribution.logits.clamp(min=-50.0)
-        return -(distribution.probs * logits).sum(1).mean()
-    return distribution.entropy().sum(1).mean()
+def _rows(tensors: Mapping[str, torch.Tensor | None], rows: torch.Tensor) -> dict[str, Any]:
+    """Some turns of a batch."""
+    own = {name: None if tensor is None else tensor.index_select(0, rows) for name, tensor in tensors.items()}
+    return {**own, "seen": own["observed"] if own["seen"] is None else own["seen"]}
 
 
 class _Track:
@@ -401,11 +401,10 @@ class _Track:
         return batch
 
     def turns(self, chosen: BoolArray) -> dict[str, Arrays | None]:
-        """Return what some turns [rows, N] had: ``observed``, ``seen``, ``mask`` and ``action``."""
-        observed = self.observed[chosen]
+        """Return what some turns [rows, N] had: ``observed``, ``seen`` (None: as observed), ``mask`` and ``action``."""
         return {
-            "observed": observed,
-            "seen": observed if self.shared else self.seen[chosen],
+            "observed": self.observed[chosen],
+            "seen": None if self.shared else self.seen[chosen],
             "mask": None if self.mask is None else self.mask[chosen],
             "action": self.action[chosen],
         }
@@ -464,9 +463,11 @@ class _Best:
         known = np.flatnonzero(self._ended)
         if not len(known):
             return
-        returns = self._following[known]
-        seen = self._turns.get("seen", self._turns["observed"])[known]
-        better = (returns - learner.value(seen)) / (returns.std() + 1e-8)
+        returns, seen = self._following[known], self._turns.get("seen", self._turns["observed"])
+        learner.network.eval()
+        # In parts, because all of them would not fit into the processor's cache.
+        value = np.concatenate([learner.value(seen[part]) for part in np.array_split(known, len(known) // _PART + 1)])
+        better = (returns - value) / (returns.std() + 1e-8)
         chosen, weight = known[better > 0.0], better[better > 0.0]
         learner.network.train()
         # The loss is a mean over all turns: the fewer are better, the less they count.
@@ -474,7 +475,7 @@ class _Best:
         parts = max(1, len(chosen) // learner.settings.batch_size)
         for rows in np.array_split(rng.permutation(len(chosen)), parts) if len(chosen) else ():
             own = {name: torch.from_numpy(values[chosen[rows]]) for name, values in self._turns.items()}
-            log_probability = learner.network.distribution(own["observed"], own["mask"]).log_prob(own["action"])
+            log_probability, _ = learner.network.judge(own["observed"], own["mask"], own["action"])
             loss = -scale * (torch.from_numpy(weight[rows]) * log_probability).mean()
             learner.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
@@ -842,7 +843,8 @@ class PPOTeam:
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
                 if role == MANAGER_ROLE:
-                    self.learners[role].normalize(np.asarray(batch["seen"]))
+                    seen = batch["observed"] if batch["seen"] is None else batch["seen"]
+                    self.learners[role].normalize(np.asarray(seen))
             if self._best is not None and role == MANAGER_ROLE:
                 self._best.learn(self.learners[role], self.rng)
             learned += count

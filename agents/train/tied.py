@@ -11,6 +11,7 @@ Needs PyTorch: ``pip install ".[train]"``.
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,30 @@ Unit = tuple[Hashable, int, int]
 
 _SLOT = {START: SECOND, MEASURE: FIRST, DISCARD: FIRST, SUBMIT: FIRST}
 """Column of the table of actions that holds the slot."""
+
+
+class _Tanh(torch.autograd.Function):
+    """Hyperbolic tangent by the logistic function, which PyTorch computes several times faster."""
+
+    @staticmethod
+    def forward(ctx: Any, x: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
+        out = (x + x).sigmoid_().mul_(2.0).sub_(1.0)
+        ctx.save_for_backward(out)
+        return out
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: torch.Tensor) -> torch.Tensor:
+        (out,) = ctx.saved_tensors
+        return torch.ops.aten.tanh_backward(gradients[0], out)
+
+
+class Tanh(nn.Module):
+    """Hyperbolic tangent."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Values of the same shape."""
+        found: torch.Tensor = _Tanh.apply(x)
+        return found
 
 
 class TiedLinear(nn.Module):
@@ -172,5 +197,5 @@ def tied_layers(
     layers.append(list(outs))
     modules: list[nn.Module] = []
     for i in range(len(layers) - 1):
-        modules += [TiedLinear(layers[i], layers[i + 1], gain if i == len(hidden) else 2.0**0.5), nn.Tanh()]
+        modules += [TiedLinear(layers[i], layers[i + 1], gain if i == len(hidden) else 2.0**0.5), Tanh()]
     return nn.Sequential(*modules[:-1])

@@ -149,8 +149,7 @@ def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
     def probability() -> float:
         """Of the better action."""
         with torch.no_grad():
-            drawn = learner.network.distribution(torch.from_numpy(observed[1:]), None)
-            return float(drawn.log_prob(torch.tensor([0])).exp())
+            return float(learner.network.judge(torch.from_numpy(observed[1:]), None, torch.tensor([0]))[0].exp())
 
     before = probability()
     for _ in range(20):
