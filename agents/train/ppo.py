@@ -193,6 +193,11 @@ class _Learner:
         with torch.inference_mode():
             return np.asarray(self.network.value(torch.from_numpy(observed)).numpy())
 
+    def value_turns(self, track: _Track) -> None:
+        """Value all turns of a rollout at once."""
+        acted = track.acted[1:]
+        track.value[1:][acted] = self.value(track.seen[1:][acted])
+
     def update(self, batch: Mapping[str, Arrays | None], remaining: float, rng: np.random.Generator) -> None:
         """Learn from a batch of turns.
 
@@ -518,7 +523,6 @@ class _Practice:
                 track.seen[t, :, : learner.size] = self._observed
             played, track.log_probability[t] = learner.act(track.observed[t], mask)
             track.action[t], track.acted[t] = played, True
-            track.value[t] = learner.value(track.seen[t])
             if track.mask is not None:
                 track.mask[t] = mask
             self._observed, track.reward[t], over, _, infos = self.batch.step(
@@ -526,6 +530,7 @@ class _Practice:
             )
             track.ended[t] = over
             self.scores += infos["score"][over].tolist()
+        learner.value_turns(track)
         seen = np.zeros_like(track.seen[0])
         seen[:, : learner.size] = self._observed
         everywhere = np.ones(self.settings.envs, dtype=np.bool_)
@@ -782,7 +787,6 @@ class PPOTeam:
                 track.mask[t, rows] = allowed
             if not track.shared:
                 track.seen[t, rows] = np.concatenate([observed, self.batch.state(rows)], axis=1)
-            track.value[t, rows] = learner.value(track.seen[t, rows])
             if self._best is not None and role_of(agent) == MANAGER_ROLE:
                 self._best.add(track, t, rows)
         space = self.batch.action_space(agent)
@@ -833,6 +837,7 @@ class PPOTeam:
                     seen = np.concatenate([seen, self.batch.state(rows)], axis=1)
                 value[rows] = learner.value(seen)
             ticks = self.labs.state.ticks if self.settings.by_ticks else None
+            learner.value_turns(track)
             found = track.finished(value, turn.astype(np.bool_), learner.gamma, self.settings.gae_lambda, ticks)
             batches[role_of(agent)].append(found)
         learned = 0

@@ -36,12 +36,15 @@ _SLOT = {START: SECOND, MEASURE: FIRST, DISCARD: FIRST, SUBMIT: FIRST}
 """Column of the table of actions that holds the slot."""
 
 
-class _Tanh(torch.autograd.Function):
-    """Hyperbolic tangent by the logistic function, which PyTorch computes several times faster."""
+def _tanh(x: torch.Tensor) -> torch.Tensor:
+    """Return the hyperbolic tangent, by the logistic function, which PyTorch computes several times faster."""
+    return (x + x).sigmoid_().mul_(2.0).sub_(1.0)
 
+
+class _Tanh(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
-        out = (x + x).sigmoid_().mul_(2.0).sub_(1.0)
+        out = _tanh(x)
         ctx.save_for_backward(out)
         return out
 
@@ -56,7 +59,7 @@ class Tanh(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Values of the same shape."""
-        found: torch.Tensor = _Tanh.apply(x)
+        found: torch.Tensor = _Tanh.apply(x) if torch.is_grad_enabled() else _tanh(x)
         return found
 
 
