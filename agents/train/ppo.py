@@ -104,7 +104,7 @@ class _Network(nn.Module):
         out: torch.Tensor = self.actor(self._normalized(observed))
         return out if mask is None else out.masked_fill(~mask, _FORBIDDEN)
 
-    def normal(self, mean: torch.Tensor) -> torch.distributions.Normal:
+    def normal(self, mean: torch.Tensor) -> torch.distributions.Distribution:
         """Distribution of continuous actions."""
         return torch.distributions.Normal(mean, self.log_std.exp().expand_as(mean), validate_args=False)
 
@@ -848,8 +848,7 @@ class PPOTeam:
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
                 if role == MANAGER_ROLE:
-                    seen = batch["observed"] if batch["seen"] is None else batch["seen"]
-                    self.learners[role].normalize(np.asarray(seen))
+                    self.learners[role].normalize(np.asarray(batch["observed" if batch["seen"] is None else "seen"]))
             if self._best is not None and role == MANAGER_ROLE:
                 self._best.learn(self.learners[role], self.rng)
             learned += count

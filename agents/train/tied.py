@@ -43,7 +43,7 @@ def _tanh(x: torch.Tensor) -> torch.Tensor:
 
 class _Tanh(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, x: torch.Tensor) -> torch.Tensor:  # type: ignore[override]
+    def forward(ctx: Any, x: torch.Tensor) -> torch.Tensor:
         out = _tanh(x)
         ctx.save_for_backward(out)
         return out
@@ -51,7 +51,8 @@ class _Tanh(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: torch.Tensor) -> torch.Tensor:
         (out,) = ctx.saved_tensors
-        return torch.ops.aten.tanh_backward(gradients[0], out)
+        found: torch.Tensor = torch.ops.aten.tanh_backward(gradients[0], out)
+        return found
 
 
 class Tanh(nn.Module):
@@ -59,7 +60,7 @@ class Tanh(nn.Module):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         """Values of the same shape."""
-        found: torch.Tensor = _Tanh.apply(x) if torch.is_grad_enabled() else _tanh(x)
+        found: torch.Tensor = _Tanh.apply(x) if torch.is_grad_enabled() else _tanh(x)  # type: ignore[no-untyped-call]
         return found
 
 

@@ -8,6 +8,7 @@ is comparable between machines. Machines are noisy, so compare ratios of one run
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import os
 import statistics
@@ -254,6 +255,56 @@ def collection(seconds: float, scenario: str = "rush@1", every_role: bool = Fals
     return (sum(team.turns.values()) - before) / (time.process_time() - begun)
 
 
+def shares(scenario: str, every_role: bool, updates: int) -> dict[str, float]:
+    """Return the share of processor time of each part of the built-in PPO's training, and its turns per second.
+
+    As many updates as are measured come before, because self-imitation takes longer the more turns it remembers.
+    """
+    from chemlab.agents.train.arguments import IPPO
+    from chemlab.agents.train.ppo import PPOTeam
+
+    spec, spent, inside = load_scenario(scenario), dict[str, float](), [0.0]
+    roles = ("manager", *spec.benches) if every_role else ("manager",)
+    team = PPOTeam(spec, roles, IPPO(scenario=scenario, practice=0.0), "scripted")
+
+    def time_part(owner: Any, names: str, part: str) -> None:
+        """Count the time of methods to a part, without what they call of other parts."""
+        for name in names.split():
+
+            def call(method: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
+                inside.append(0.0)
+                begun = time.process_time()
+                found = method(*args, **kwargs)
+                taken = time.process_time() - begun
+                spent[part] = spent.get(part, 0.0) + taken - inside.pop()
+                inside[-1] += taken
+                return found
+
+            setattr(owner, name, functools.partial(call, getattr(owner, name)))
+
+    time_part(team, "update", "the rest")
+    time_part(team, "collect", "the rest")
+    for learner in team.learners.values():
+        time_part(learner, "act value", "forward passes, also of self-imitation")
+        time_part(learner, "update", "updates")
+    time_part(team._best, "learn", "the rest of self-imitation")
+    time_part(team._best, "add rewarded", "other training help")
+    time_part(team, "_helped _read", "other training help")
+    for policy in team._background.values():
+        time_part(policy, "act", "scripted benches")
+    time_part(team.batch, "step", "laboratories")
+    time_part(team.batch, "_look", "observations and masks")
+    time_part(team.batch, "_told _infos", "infos")
+    for number in range(2 * updates):
+        if number == updates:
+            spent.clear()
+            turns, begun = sum(team.turns.values()), time.process_time()
+        team.learn(number / 100.0, number)
+    whole = time.process_time() - begun
+    rate = (sum(team.turns.values()) - turns) / whole
+    return {"turns a second": rate} | {part: value / whole for part, value in spent.items()}
+
+
 def in_a_process(code: str, **environment: str) -> float:
     """Return the output of a new Python process that runs ``code``."""
     run = [sys.executable, "-c", code]
@@ -350,6 +401,15 @@ def collections(seconds: float) -> list[str]:
         found = [[collection(seconds, scenario, every) for every in (False, True)] for _ in range(ROUNDS)]
         rates = " | ".join(f"{statistics.median(column):,.0f}" for column in zip(*found, strict=True))
         lines.append(f"| `{scenario}` | {rates} |")
+    found = {
+        "`rush`, manager": shares("rush", False, 30),
+        "`wurtz_dodecane`, every role": shares("wurtz_dodecane", True, 6),
+    }
+    lines += ["", f"| share of training | {' | '.join(found)} |", "|---|--:|--:|"]
+    first, *parts = dict.fromkeys(part for each in found.values() for part in each)
+    for part in sorted(parts, key=lambda part: -sum(each.get(part, 0.0) for each in found.values())):
+        lines.append(f"| {part} | " + " | ".join(f"{each.get(part, 0.0):.1%}" for each in found.values()) + " |")
+    lines.append(f"| {first} | " + " | ".join(f"{each[first]:,.0f}" for each in found.values()) + " |")
     return [*lines, "", f"Load average {os.getloadavg()[0]:.1f}."]
 
 
