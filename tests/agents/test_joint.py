@@ -13,6 +13,7 @@ pytest.importorskip("sb3_contrib", reason='needs the extra: pip install ".[train
 
 import torch
 
+from chemlab.agents.notes import notes_size
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import Evaluation, Run
@@ -242,7 +243,8 @@ def test_a_critic_sees_the_state_and_the_actor_does_not(tmp_path: Path) -> None:
     train(arguments, tmp_path / "run")
     assert (Run(tmp_path / "run").config() or {})["algo"] == "mappo"
     card = export_run(tmp_path / "run", tmp_path / "mine", "manager")
-    assert card.observation_size == Laboratories("rush", 1).observation_sizes[0]
+    labs = Laboratories("rush", 1)
+    assert card.observation_size == labs.observation_sizes[0] + notes_size(labs.manager.workplace)
     assert arguments.folder() != IPPO(**SMALL, scenario="rush").folder()
 
 
