@@ -60,7 +60,7 @@ class Notes:
 
     def __init__(self, laboratories: Laboratories) -> None:
         workplace, scenario = laboratories.manager.workplace, laboratories.scenario
-        self._slots, self._of_slot, self._kinds, self._of_kind = notes_shape(workplace)
+        self._slots, self._of_slot, self._kinds, _ = notes_shape(workplace)
         slices, names = channel_slices(workplace.channels), list(scenario.benches)
         suffixes = [channel.name.removeprefix("slot_0") for channel in remembered_instruments(workplace)]
         columns = {name: np.arange(part.start, part.stop) for name, part in slices.items()}

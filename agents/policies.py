@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy as Policy
+from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench

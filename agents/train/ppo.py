@@ -20,11 +20,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.config.scenario import Scenario
+from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import PRESENT
 from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import DISCARD, FIRST, MEASURE, SECOND, START, SUBMIT
@@ -32,7 +33,7 @@ from chemlab.roles.manager_state import INSTRUMENTS
 
 from ..advice import Advisor
 from ..notes import WIDE, Notes
-from ..policies import Policy, agent_policy
+from ..policies import agent_policy
 from ..pretrained import LOG_STD, PretrainedPolicy
 from ..roles import MANAGER_ROLE, role_of
 from .arguments import IPPO, MAPPO
@@ -270,6 +271,8 @@ class _Learner:
         with torch.no_grad():
             for i, layer in enumerate(linear):
                 weight = policy.weights[f"{i}.weight"]
+                if i == 0 and weight.shape[1] > self.size:
+                    raise ValueError(f"{policy.card.name} observes its notes, which are off here; add --notes")
                 if i == 0:  # a policy may have been trained without notes
                     weight = self.seen(np.pad(weight, ((0, 0), (0, self.size - weight.shape[1]))))
                 layer.weight.copy_(torch.from_numpy(weight))
@@ -718,7 +721,7 @@ class PPOTeam:
         """Return [N] the manager's rewards with the help that is given, as soon as what they are for has happened.
 
         Costs, and in some scenarios payments, are otherwise settled at the end of an episode. What unfinished work is
-        nearly worth is a potential, which changes no episode's return (`Ng et al., 1999
+        nearly worth is a potential, which shifts a return by a constant (`Ng et al., 1999
         <https://people.eecs.berkeley.edu/~russell/papers/icml99-shaping.pdf>`_).
 
         Args:

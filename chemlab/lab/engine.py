@@ -14,8 +14,7 @@ from typing_extensions import Unpack
 
 from ..config.datafile import DataError
 from ..config.loading import load_scenario
-from ..config.scenario import MANAGER_AGENT as MANAGER_AGENT
-from ..config.scenario import OrderSpec, Scenario, Settings
+from ..config.scenario import MANAGER_AGENT, OrderSpec, Scenario, Settings
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform

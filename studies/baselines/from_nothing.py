@@ -68,8 +68,9 @@ def learned(run: Run) -> dict[str, Any]:
         warnings.filterwarnings("ignore", message=".*has changed since it was trained")  # the budget has
         score, unpaid = (statistics.mean(means(one, str(run.path))) for one in (spec, without_instruments(spec)))
     if spec.world.draws and not spec.level:
-        job = Job("audit", "play", {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": 40, "split": "test"})
-        own["audited"] = statistics.mean(Crew(spec, budget_of("small")).run([job])["audit"]["scores"])
+        budget = budget_of("small")
+        asked = {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": budget.episodes, "split": "test"}
+        own["audited"] = statistics.mean(Crew(spec, budget).run([Job("audit", "play", asked)])["audit"]["scores"])
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled}
 

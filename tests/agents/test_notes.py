@@ -11,9 +11,10 @@ from chemlab import load_scenario
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.notes import Notes, notes_shape, remembered_instruments
 from chemlab.agents.policies import make_policies
+from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
-from chemlab.lab.engine import MANAGER_AGENT, Laboratories
+from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_actions import DISCARD, FIRST, KIND, SECOND, START, SUBMIT
 

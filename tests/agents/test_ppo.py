@@ -476,3 +476,8 @@ def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
     train(made.model_copy(update={"notes": False}), tmp_path / "without")
     other = export_run(tmp_path / "without", tmp_path / "other")
     assert other.observation_size == card.observation_size - notes_size(labs.manager.workplace)
+    hidden = tuple(len(load_pretrained(tmp_path / "own").weights[f"{layer}.bias"]) for layer in range(2))
+    blind = managers("failing", tied=False, notes=False, net_arch=hidden).learners["manager"]
+    with pytest.raises(ValueError, match="observes its notes, which are off here; add --notes"):
+        blind.take(load_pretrained(tmp_path / "own"))
+    managers("failing", tied=False, net_arch=hidden).learners["manager"].take(load_pretrained(tmp_path / "own"))
