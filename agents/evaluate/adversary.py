@@ -39,7 +39,7 @@ def learned_scores(
     seed: int,
     begin: Mapping[Context, TeamPlan] | None = None,
 ) -> list[float]:
-    """Train a team as ``chemlab train SCENARIO --roles all`` does, with its defaults, and score it.
+    """Train a team as ``chemlab train SCENARIO --roles all --no-notes`` does, and score it.
 
     Every agent's reward is the team's result. The best evaluation in ``validation``, greedy or sampled, is scored; that
     of the clone counts, too.
@@ -57,8 +57,8 @@ def learned_scores(
     from ..train.ppo import PPOTeam
 
     spec = scenario.configured(rewards="cooperative")
-    # A team that begins from a policy has no help.
-    settings = IPPO(begin_from=None if begin is None else "open loop")
+    # Without notes, which are memory. A team that begins from a policy has no help.
+    settings = IPPO(notes=False, begin_from=None if begin is None else "open loop")
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
     if begin is not None:
         _clone(team, spec, begin, settings.bc_std)
