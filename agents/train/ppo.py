@@ -56,6 +56,8 @@ _PRACTICE = 20
 """Steps in each environment before each update while benches learn on their own."""
 _REMEMBERED = 1 << 16
 """Turns of the manager that self-imitation chooses from."""
+_BY_TURN = ("_env", "_following", "_ended")
+"""Arrays of these turns beside observations and actions."""
 _PART = 4096
 """Most of these turns that are valued at once."""
 _CRITIC_FIRST = 5
@@ -447,6 +449,22 @@ class _Best:
         }
         self._env, self._following = np.full(_REMEMBERED, -1), np.zeros(_REMEMBERED, dtype=np.float32)
         self._ended, self._earned, self._at = np.zeros(_REMEMBERED, dtype=np.bool_), np.zeros(envs), 0
+
+    def __getstate__(self) -> dict[str, Any]:
+        # Rows that no turn has taken yet are empty: they would make a gigabyte of a checkpoint.
+        taken = int((self._env >= 0).sum())
+        turns = {name: kept[:taken] for name, kept in self._turns.items()}
+        return {**vars(self), "_turns": turns, **{name: getattr(self, name)[:taken] for name in _BY_TURN}}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        taken = len(state["_env"])
+        for arrays, names in ((state["_turns"], list(state["_turns"])), (state, _BY_TURN)):
+            for name in names:
+                whole = np.zeros((_REMEMBERED, *arrays[name].shape[1:]), dtype=arrays[name].dtype)
+                whole[:taken] = arrays[name]
+                arrays[name] = whole
+        state["_env"][taken:] = -1
+        self.__dict__.update(state)
 
     def add(self, track: _Track, t: int, rows: IntArray) -> None:
         """Take turns of the laboratories ``rows`` in round ``t``."""
