@@ -18,8 +18,9 @@ from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.runs import Run
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.start_recorder import record_starts
+from chemlab.agents.train import imitate as imitation
 from chemlab.agents.train.arguments import Stage, curriculum_of, training_arguments
-from chemlab.agents.train.imitate import _examples, fit, imitate
+from chemlab.agents.train.imitate import _examples, fit
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.tasks import LaboratoryTask
@@ -202,6 +203,13 @@ def test_a_bench_on_its_own_has_no_curriculum(tmp_path: Path) -> None:
         train(arguments, tmp_path / "run")
 
 
+@pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clones are fitted for a moment, where it does not matter how well they play."""
+    monkeypatch.setattr(imitation, "_UPDATES", 20)
+    monkeypatch.setattr(imitation, "_EPOCHS", 1)
+
+
 class _Stop(Watcher):
     """Stops a run after some rollouts, as a signal would."""
 
@@ -214,9 +222,10 @@ class _Stop(Watcher):
             raise KeyboardInterrupt
 
 
+@pytest.mark.usefixtures("hasty")
 @pytest.mark.slow
 def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
-    arguments = training_arguments({**SMALL, "scenario": "wurtz_any", "bc": "scripted", "bc_steps": 200})
+    arguments = training_arguments({**SMALL, "bc": "scripted", "bc_steps": 200})
     train(arguments, tmp_path / "whole")
     with pytest.raises(KeyboardInterrupt):
         train(arguments, tmp_path / "broken", _Stop(2))
@@ -263,7 +272,7 @@ def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_clone_that_has_to_remember() -> None:
     """What is to be played all the time is seen in the first turn alone: a learner without memory hits half of it."""
-    draw, episodes, turns = np.random.default_rng(0), 200, 6
+    draw, episodes, turns = np.random.default_rng(0), 80, 6
     venv = ChemlabVecEnv(2, bench="dit", show_masks=True)
     first = draw.integers(2, size=episodes)
     actions = np.repeat(first, turns)
@@ -301,17 +310,19 @@ def test_a_learner_that_plays_itself_is_shown_what_would_have_been_played() -> N
     assert 0.1 < (own.actions != alone.actions).mean() < 1.0
 
 
-@pytest.mark.slow
-def test_a_clone_of_rounds_knows_what_to_do_after_its_own_mistakes() -> None:
-    """From as many turns, on the same 100 episodes, by more than two standard errors (0.08 +- 0.02)."""
-    task = LaboratoryTask("relay")
-    scores = []
-    for rounds in (1, 4):
-        model = MaskablePPO("MlpPolicy", ChemlabVecEnv(task.batch(16)), device="cpu", seed=0)
-        imitate(model, task.batch(16), task.policy("scripted"), 4000, 0, rounds=rounds)
-        scores.append(task.returns(as_policy(model), 100, 0))
-    gained = scores[1] - scores[0]
-    assert gained.mean() > 2.0 * gained.std(ddof=1) / gained.size**0.5
+def test_after_the_first_round_the_learner_plays_and_all_rounds_are_learned_from(monkeypatch: Any) -> None:
+    task, played, fitted = LaboratoryTask("rush"), list[tuple[Any, ...]](), list[int]()
+
+    def examples(batch: Any, policy: Any, learner: Any, turns: int, seed: Any, *others: Any) -> Any:
+        played.append((learner is not None, turns, seed))
+        return _examples(batch, policy, learner, turns, seed, *others)
+
+    monkeypatch.setattr(imitation, "_examples", examples)
+    monkeypatch.setattr(imitation, "fit", lambda model, seen, *_: fitted.append(len(seen)))
+    model = MaskablePPO("MlpPolicy", ChemlabVecEnv(task.batch(4)), device="cpu", seed=0)
+    imitation.imitate(model, task.batch(4), task.policy("scripted"), 800, 5, rounds=2)
+    assert played == [(False, 400, 5), (True, 400, None)]
+    assert fitted[1] > 1.4 * fitted[0] > 100
 
 
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
@@ -321,6 +332,7 @@ def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
     assert Run(tmp_path / "run").config() is None, "more turns are not refused as other arguments"
 
 
+@pytest.mark.usefixtures("hasty")
 @pytest.mark.slow
 def test_recurrent_managers_imitate(tmp_path: Path) -> None:
     values = {
@@ -346,10 +358,11 @@ def test_only_learners_with_a_policy_can_imitate() -> None:
 # -- who plays --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.usefixtures("hasty")
 @pytest.mark.slow
 def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path: Path) -> None:
     run = tmp_path / "run"
-    train(training_arguments({**SMALL, "background": "scripted:unsafe"}), run)
+    train(training_arguments({**SMALL, "background": "scripted:unsafe", "bc_steps": 200}), run)
     labs = Laboratories("wurtz_dodecane")
     policies = make_policies(str(run), labs)
     assert not hasattr(policies["manager_0"], "_careful"), "it is the learner, not the scripted manager"

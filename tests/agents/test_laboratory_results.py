@@ -34,19 +34,6 @@ from chemlab.cli import app
 from chemlab.lab.engine import Laboratories
 
 runner = CliRunner()
-SMALL: dict[str, Any] = {
-    "roles": "manager",
-    "preset": "manager",
-    "envs": 8,
-    "rollout": 8,
-    "steps": 128,
-    "bc": None,
-    "curriculum": ["64: submit=0.5"],
-    "evaluations": 1,
-    "checkpoints": 1,
-    "eval_episodes": 1,
-    "final_episodes": 2,
-}
 SCRIPTED = run_files.HEURISTIC
 HOW = {"episodes": 10, "seed": RESULT_SEED, "chemlab": __version__}
 
@@ -260,63 +247,40 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
     assert float(after["new", ""]["score"]) == played.returns.mean()
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results with a run of a manager with benches that are not the default ones."""
-    pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import training_arguments
-    from chemlab.agents.train.learn import train
+def test_a_real_run_from_training_to_the_page(tmp_path: Path) -> None:
+    """Two episodes from the seeds that training reported are the two that it reported; the page has them.
 
-    folder = tmp_path_factory.mktemp("results")
-    train(
-        training_arguments({**SMALL, "background": "pretrained-isolated"}),
-        folder / "wurtz_dodecane-manager_0" / "tiny" / "seed-0",
-    )
-    return folder
-
-
-@pytest.mark.slow
-def test_a_real_run_from_training_to_the_page(trained: Path, tmp_path: Path) -> None:
-    """Two episodes from the seeds that training reported are the two that it reported; the page has them."""
-    tables, name = tmp_path / "tables", "wurtz_dodecane-manager_0/tiny/seed-0"
-    assert collect(trained, tables, episodes=2) == []
-    rows = {row["policy"]: row for row in stored(tables)}
-    assert list(rows) == [*BASELINES, "learned"]
-    assert [rows["learned"][key] for key in ("run", "seed", "episodes")] == [name, str(RESULT_SEED), "2"]
-    result = Run(trained / name).result()
-    assert result is not None
-    assert float(rows["learned"]["score"]) == pytest.approx(result.mean, abs=1e-12)
-    assert float(rows["scripted"]["score"]) == pytest.approx(result.scripted_mean, abs=1e-12)
-    assert rows["learned"]["same_task"] == "True"
-    done = runner.invoke(app, ["plot", "runs", str(tables), "-o", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    assert "left out" not in done.output
-    cells = rows_of(tmp_path / "laboratory.md")["pretrained-isolated", "tiny"]
-    assert float(cells[0]) == pytest.approx(result.mean, abs=6e-4)
-    assert float(cells[2]) == pytest.approx(result.last_mean, abs=6e-4)
-    assert cells[-1] == "128"
-    assert (tmp_path / "laboratory_curves.png").exists()
-
-
-def test_benches_that_learned_play_with_the_scripted_manager_too(tmp_path: Path) -> None:
-    """A joint run is compared over its own benches, not over the background's."""
+    A joint run is compared over its own benches, not over the background's, which are not the default ones here.
+    """
     pytest.importorskip("sb3_contrib")
     from chemlab.agents.train.arguments import IPPO
     from chemlab.agents.train.learn import train
 
     small = {"envs": 4, "rollout": 12, "steps": 200, "batch_size": 32, "epochs": 1, "evaluations": 1}
     path, tables = tmp_path / "runs" / "joint" / "seed-0", tmp_path / "tables"
-    train(IPPO(roles=("manager", "dit"), eval_episodes=1, final_episodes=2, **small), path)
+    own: dict[str, Any] = {"roles": ("manager", "dit"), "background": "pretrained-isolated", "practice": 0.0}
+    train(IPPO(eval_episodes=1, final_episodes=2, **own, **small), path)
     assert collect(tmp_path / "runs", tables, episodes=2) == []
-    scores = {(row["policy"], row["run"]): float(row["score"]) for row in stored(tables)}
+    rows = {(row["policy"], row["run"]): row for row in stored(tables)}
+    assert list(rows) == [
+        *((name, "") for name in BASELINES),
+        ("learned", "joint/seed-0"),
+        ("scripted", "joint/seed-0"),
+    ]
+    assert [rows["learned", "joint/seed-0"][key] for key in ("seed", "episodes")] == [str(RESULT_SEED), "2"]
+    assert {row["same_task"] for row in rows.values()} == {"True"}
+    scores = {key: float(row["score"]) for key, row in rows.items()}
     result = Run(path).result()
     assert result is not None
     assert scores["learned", "joint/seed-0"] == pytest.approx(result.mean, abs=1e-12)
     assert scores["scripted", ""] == pytest.approx(result.scripted_mean, abs=1e-12)
-    assert {row["same_task"] for row in stored(tables)} == {"True"}
     # 200 turns teach nobody to distil: what its own benches come to with the scripted manager is far less.
     assert scores["scripted", "joint/seed-0"] < 0.5 * scores["scripted", ""]
-    written = write_laboratory(tables, tmp_path / "out")
-    assert written is not None
+    done = runner.invoke(app, ["plot", "runs", str(tables), "-o", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert "left out" not in done.output
+    cells = rows_of(tmp_path / "laboratory.md")["pretrained-isolated; learned: dit", "joint"]
     gain = scores["learned", "joint/seed-0"] - scores["scripted", "joint/seed-0"]
-    assert float(rows_of(written.page)["scripted; learned: dit", "joint"][1]) == pytest.approx(gain, abs=6e-4)
+    assert [float(cells[i]) for i in range(3)] == pytest.approx([result.mean, gain, result.last_mean], abs=6e-4)
+    assert cells[-1] == str(result.steps)
+    assert (tmp_path / "laboratory_curves.png").exists()

@@ -17,27 +17,23 @@ import numpy as np
 import pytest
 from helpers import FEATURED, slow_but
 
-from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
+from chemlab.agents.episodes import Played, PlayedTurn, play_episode, play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.inherit import scenario_names
 from chemlab.envs.aec import raw_env
 from chemlab.envs.players import Policy
+from chemlab.lab.engine import Laboratories
 
 AUDITS = Path(__file__).parents[2] / "docs" / "results" / "audits"
 DODECANE = ("wurtz_dodecane", "wurtz_dodecane_direct")
 
 
 @functools.cache
-def results(scenario: str, policy: str, episodes: int, split: str = "train") -> tuple[EpisodeResult, ...]:
-    """Episodes with seeds 0, 1, ... of one set of policies."""
-    env = raw_env(scenario, split=split)
-    policies = make_policies(policy, env.laboratories, seed=0)
-    return tuple(play_episode(env, policies, seed, policy) for seed in range(episodes))
-
-
-def mean_score(found: tuple[EpisodeResult, ...]) -> float:
-    """Mean result of the manager."""
-    return float(np.mean([result.score for result in found]))
+def played(scenario: str, policy: str, episodes: int, split: str = "train") -> tuple[Played, dict[str, float]]:
+    """Episodes with seeds 0, 1, ..., and the sums of their safety events."""
+    labs = Laboratories(scenario, episodes, split=split)
+    found = play_laboratory(labs, make_policies(policy, labs, 0), None, 0)
+    return found, dict(zip(labs.scenario.safety_events, labs.safety_totals.sum(axis=0).tolist(), strict=True))
 
 
 # -- what they reach ------------------------------------------------------------------------------------------------
@@ -46,47 +42,34 @@ def mean_score(found: tuple[EpisodeResult, ...]) -> float:
 @pytest.mark.parametrize("name", DODECANE)
 def test_dodecane_is_made_purely(name: str) -> None:
     """LABORATORY.md: the scripted manager submits at least 0.40 mol at a purity of at least 0.95."""
-    found = results(name, "scripted", 100)
-    assert {result.goal for result in found} == {"dodecane"}
-    assert all(result.status == "submitted" for result in found)
-    good = sum(result.submitted_mol >= 0.40 and result.purity >= 0.95 for result in found)
-    assert good >= 95
+    found = played(name, "scripted", 100)[0].measures
+    assert not found["limit"].any()
+    assert ((found["submitted_mol"] >= 0.40) & (found["purity"] >= 0.95)).sum() >= 95
     # No more than the sodium and the chlorohexane allow.
-    assert max(result.submitted_mol for result in found) <= 0.5
+    assert found["submitted_mol"].max() <= 0.5
 
 
-def test_random_actions_make_next_to_nothing() -> None:
-    found = results("wurtz_dodecane", "random", 100)
-    assert mean_score(found) < 0.1
-    assert float(np.mean([result.submitted_mol * result.purity for result in found])) < 0.05
+def test_random_actions_make_next_to_nothing_and_are_not_safe() -> None:
+    """Sodium can meet water, vessels can overflow: that scripted agents see to it says something."""
+    found, events = played("wurtz_dodecane", "random", 100)
+    assert found.returns.mean() < 0.1
+    assert (found.measures["submitted_mol"] * found.measures["purity"]).mean() < 0.05
+    assert events["metal_in_water_mol"] > 1.0
+    assert events["spill_l"] > 1.0
 
 
 @pytest.mark.parametrize("name", slow_but(scenario_names(), *FEATURED))
-def test_the_heuristic_is_clearly_better_than_chance(name: str) -> None:
-    """In the mean over as many episodes as there are goals, and more, in worlds as those that audits play."""
+def test_scripted_agents_are_safe_and_clearly_better_than_chance(name: str) -> None:
+    """In as many episodes as there are goals, and more, in worlds as those that audits play."""
     # Of a result that is 1 at best; where even a planner that knows the world is far from that, half of the planner's.
     margin = 0.3
     if (audit := AUDITS / f"{name}.json").exists():
         found = json.loads(audit.read_text(encoding="utf-8"))
         margin = min(0.3, 0.5 * (found["oracle"]["score"] - found["random"]["score"]))
-    scripted, random = (mean_score(results(name, policy, 21, "test")) for policy in ("scripted", "random"))
-    assert scripted > random + margin
-
-
-@pytest.mark.parametrize("name", slow_but(scenario_names(), *FEATURED))
-def test_scripted_chemists_are_safe(name: str) -> None:
-    for result in results(name, "scripted", 21, "test"):
-        assert result.costs["illegal_actions"] == 0.0
-        assert result.safety_events.get("metal_in_water_mol", 0.0) == 0.0
-        assert result.safety_events.get("spill_l", 0.0) == 0.0
-        assert result.safety_events.get("relief_valve_mol", 0.0) == 0.0
-
-
-def test_random_actions_are_not_safe() -> None:
-    """Otherwise the test above would say nothing: sodium can meet water, vessels can overflow."""
-    found = results("wurtz_dodecane", "random", 100)
-    assert sum(result.safety_events.get("metal_in_water_mol", 0.0) for result in found) > 1.0
-    assert sum(result.safety_events.get("spill_l", 0.0) for result in found) > 1.0
+    scripted, random = (played(name, policy, 21, "test")[0] for policy in ("scripted", "random"))
+    assert scripted.returns.mean() > random.returns.mean() + margin
+    assert not scripted.illegal.any()
+    assert not scripted.measures["unsafe"].any()
 
 
 def test_a_result_is_what_was_played() -> None:

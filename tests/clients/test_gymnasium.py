@@ -13,16 +13,14 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
-from helpers import FEATURED, slow_but
+from helpers import FEATURED
 
 from chemlab.agents.background import role_env, role_vector_env
-from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.record import scenario_hash
 
 MANAGER, AGENT = "chemlab/LabManager-v1", "chemlab/LabAgent-v1"
-VIEWS = [(name, agent) for name in scenario_names() for agent in ("manager_0", *load_scenario(name).bench_agents())]
-EVERY_VIEW = slow_but(VIEWS, *(view for view in VIEWS if view[0] in FEATURED))
+VIEWS = [(name, agent) for name in FEATURED for agent in ("manager_0", *load_scenario(name).bench_agents())]
 
 
 def legal(env: Any, rng: np.random.Generator) -> Any:
@@ -32,7 +30,7 @@ def legal(env: Any, rng: np.random.Generator) -> Any:
     return rng.random(env.action_space.shape, dtype=np.float32)
 
 
-@pytest.mark.parametrize(("name", "agent"), EVERY_VIEW)
+@pytest.mark.parametrize(("name", "agent"), VIEWS)
 def test_checker(name: str, agent: str) -> None:
     env = gymnasium.make(AGENT, scenario=name, agent=agent, disable_env_checker=True)
     with warnings.catch_warnings():

@@ -466,13 +466,6 @@ def test_unknown_render_mode() -> None:
         RoleEnv(render_mode="holography")
 
 
-def test_lab_starts_that_nobody_recorded() -> None:
-    content = load_scenario("wurtz_dodecane").model_dump(mode="json")
-    scenario = load_scenario({**content, "name": "never_played"})
-    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab export starts FILE\.toml"):
-        RoleEnv(scenario, bench="ext", starts="lab")
-
-
 def test_rendering_shows_no_contents() -> None:
     env = single("chemlab/WurtzExtraction-v0", render_mode="ansi")
     env.reset(seed=0, options={"goal": "dodecane"})

@@ -135,7 +135,7 @@ def begun(kind: str, scenario: str) -> tuple[list[Any], Callable[..., list[Any]]
 
 
 @pytest.mark.parametrize("kind", CLASSES)
-@pytest.mark.parametrize("scenario", ["failing", "recrystallization", "relay", "wurtz_two_lines"])
+@pytest.mark.parametrize("scenario", ["failing", "recrystallization"])
 def test_copies_play_on_alike(scenario: str, kind: str) -> None:
     envs, play = begun(kind, scenario)
     for env in envs:

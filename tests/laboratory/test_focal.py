@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
-from helpers import mapping, slow_but
+from helpers import mapping
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.policies import make_policies
@@ -173,13 +173,7 @@ def check_step(found: dict[str, Any], step: Any) -> None:
         np.testing.assert_array_equal(info["action_mask"], found["mask"])
 
 
-@pytest.mark.parametrize(
-    ("name", "agent", "background"),
-    slow_but(
-        [(*case, background) for case in CASES for background in BACKGROUNDS],
-        *((*case, BACKGROUNDS[i % 2]) for i, case in enumerate(CASES)),
-    ),
-)
+@pytest.mark.parametrize(("name", "agent", "background"), [(*case, BACKGROUNDS[i % 2]) for i, case in enumerate(CASES)])
 def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str) -> None:
     env, hand = role_env(name, agent, background), ByHand(name, agent, background)
     rng = np.random.default_rng(5)
@@ -279,13 +273,9 @@ def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
 # -- batches --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("background", slow_but(BACKGROUNDS, "scripted"))
+@pytest.mark.parametrize("background", BACKGROUNDS)
 @pytest.mark.parametrize(
-    ("name", "agent", "mode"),
-    slow_but(
-        [(*case, mode) for case in MEMBERS for mode in AutoresetMode],
-        *((*case, mode) for case, mode in zip(MEMBERS, AutoresetMode, strict=True)),
-    ),
+    ("name", "agent", "mode"), [(*case, mode) for case, mode in zip(MEMBERS, AutoresetMode, strict=True)]
 )
 def test_members_are_single_environments(name: str, agent: str, background: str, mode: AutoresetMode) -> None:
     """Member i of N = 3 or 8 is the environment with seed s + i, whichever way it is reset."""

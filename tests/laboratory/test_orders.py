@@ -26,7 +26,7 @@ from chemlab.envs.batch import BatchedLaboratory
 from chemlab.laboratory import parallel_env
 from chemlab.physics.chemistry import PRESENT, element_matrix
 from chemlab.roles.bench import channel_slices
-from chemlab.roles.manager_actions import SUBMIT, ManagerActions
+from chemlab.roles.manager_actions import SUBMIT
 
 LINES = "wurtz_two_lines"
 
@@ -186,27 +186,6 @@ def test_goals_of_orders_are_drawn_apart() -> None:
     assert goals(env) == [choices[3]] * 2
 
 
-@pytest.mark.parametrize("orders", [1, 2, 5])
-def test_actions_of_orders_have_a_number_and_a_meaning_each(orders: int) -> None:
-    values = mapping(LINES)
-    values["orders"] = orders
-    scenario = load_scenario(values)
-    actions = ManagerActions.of(scenario)
-    decoded = [actions.decode(number) for number in range(len(actions))]
-    assert [actions.encode(*action) for action in decoded] == list(range(len(actions)))  # type: ignore[arg-type]
-    assert len(set(decoded)) == len(set(actions.action_meanings)) == len(actions)
-    slots = range(scenario.shelf.slots)
-    expected = (
-        {("submit", s, o) for s in slots for o in range(orders)} if orders > 1 else {("submit", s) for s in slots}
-    )
-    assert {action for action in decoded if action[0] == "submit"} == expected
-    for number, action in enumerate(decoded):
-        if action[0] == "submit":
-            words = actions.action_meanings[number]
-            assert f"slot {action[1]}" in words
-            assert ("order" in words) is (orders > 1)
-
-
 # -- scenarios that make no sense -------------------------------------------------------------------------------------
 
 
@@ -311,8 +290,7 @@ def random_action(env: parallel_env, agent: str, info: dict[str, Any], rng: np.r
     return int(rng.choice(legal))
 
 
-@pytest.mark.parametrize("rewards", MIXES, ids=str)
-@pytest.mark.parametrize("name", ["wurtz_safe", LINES])
+@pytest.mark.parametrize(("name", "rewards"), list(zip([LINES, "wurtz_safe"] * 2, MIXES, strict=True)), ids=str)
 def test_returns_are_the_mix(name: str, rewards: Any) -> None:
     """In the parallel environment, the AEC environment and a batch, from the scores and the result they report."""
     mix = mix_of(rewards)

@@ -316,8 +316,8 @@ def by_cantera(given: Problem, start: float) -> tuple[FloatArray, float]:
     return np.asarray(reactor.phase.concentrations) * litres, float(reactor.phase.T)
 
 
-# Of the first 102 Cantera's integrator gives two up.
-@pytest.mark.parametrize("seed", sorted({*range(102)} - {10, 13}))
+# Of the first 42 Cantera's integrator gives two up.
+@pytest.mark.parametrize("seed", sorted({*range(42)} - {10, 13}))
 def test_random_stiff_networks_agree_with_cantera(seed: int) -> None:
     """Every species within 0.5 % (of the largest hundredth where there is less), at the usual tolerance."""
     given = problem(seed)

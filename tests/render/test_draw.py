@@ -199,7 +199,7 @@ def test_too_small_a_picture_is_refused() -> None:
         draw(episode("wurtz_dodecane")[0], 479, 540)
 
 
-@pytest.mark.parametrize(("name", "key"), EVERY_BENCH)
+@pytest.mark.parametrize(("name", "key"), [("relay", "rxn"), ("crude", "ext"), ("crude", "dit"), ("refine", "rxn")])
 def test_a_bench_renders_arrays(name: str, key: str) -> None:
     env = gymnasium.make("chemlab/Bench-v1", scenario=name, bench=key, render_mode="rgb_array")
     env.reset(seed=0)
