@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 import warnings
 from pathlib import Path
 from typing import Any
@@ -120,6 +121,19 @@ def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -
     for name, array in first.items():
         np.testing.assert_array_equal(array, second[name], err_msg=name)
     assert train(arguments, tmp_path / "whole") == whole, "what is finished is not run again"
+
+
+def test_a_checkpoint_has_what_self_imitation_remembers_and_no_empty_rows() -> None:
+    team = team_of(IPPO(**SMALL, scenario="rush", roles=("manager",)))
+    for _ in range(4):
+        team.collect(1.0)
+    best: Any = team._best
+    pickled = pickle.dumps(best)
+    again, taken = pickle.loads(pickled), int((best._env >= 0).sum())
+    row = sum(array[0].nbytes for array in (*best._turns.values(), best._env, best._following, best._ended))
+    assert 0 < taken * row < len(pickled) < taken * row + 10_000
+    for name, value in vars(best).items():
+        np.testing.assert_equal(vars(again)[name], value, err_msg=name)
 
 
 def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> None:
