@@ -30,16 +30,6 @@ def test_python_runs_when_pasted(block: str, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_two_commands() -> None:
-    """One block installs and runs, one installs and tests; CI runs these very lines."""
-    blocks = re.findall(r"```bash\n# (\w+)\n(.*?)```", TEXT, re.S)
-    commands = dict(blocks)
-    assert "pip install" in commands["run"]
-    assert "chemlab run" in commands["run"]
-    assert "pip install" in commands["test"]
-    assert "pytest" in commands["test"]
-
-
 def test_results_table_is_complete() -> None:
     """Every shipped scenario has its scripted and its random row."""
     page = (README.parent / "docs" / "results" / "scripted.md").read_text(encoding="utf-8")

@@ -119,13 +119,6 @@ def test_boiling_points_are_where_the_vapor_pressure_is_one_atmosphere(name: str
     assert curve(name).pascal(MATERIALS[name].boiling_point_k) == pytest.approx(ATMOSPHERE_PA, rel=0.025)
 
 
-@pytest.mark.parametrize("name", VOLATILE)
-def test_vapor_pressures_rise_everywhere(name: str) -> None:
-    log = np.log(curve(name).pascal(np.linspace(200.0, 700.0, 500)))
-    assert np.isfinite(log).all()
-    assert (np.diff(log) > 0.0).all()
-
-
 def test_beyond_its_range_a_vapor_pressure_is_a_straight_line() -> None:
     # By Clausius and Clapeyron, with the heat of vaporization it has at that end.
     made = VaporPressure(form="antoine", coefficients=(10.0, 1500.0, -40.0), low_k=300.0, high_k=400.0)

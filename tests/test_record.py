@@ -723,6 +723,12 @@ def test_a_world_is_its_numbers(split: str, tmp_path: Path) -> None:
     path, seed = tmp_path / "a.jsonl", None if split == "train" else 3
     other = in_a_world(path, None, 4, split)[0]["hidden"]["world"]
     lines = in_a_world(path, None, 3, split)
+    assert lines[0]["split"] == split.partition(":")[0]
+    assert "5" * 32 not in path.read_text(), "the salt of a private split"
+    assert verify_record(path, split=split if split.startswith("private") else None).status == "ok"
+    forged = json.loads(json.dumps(lines))
+    forged[0]["split"] = "validation"
+    assert verify_record(store(path, forged)).status == "tampered"
     lines[0]["seed"] = seed
     result = verify_record(store(path, lines))
     assert result.status == "ok"

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +18,6 @@ from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env
 from chemlab.physics.chemistry import element_matrix
-from chemlab.record import Recorder, verify_record
 
 HALIDES = ("1-chlorohexane", "2-chlorohexane", "3-chlorohexane")
 COUPLING = "2 1-chlorohexane + 2 Na -> dodecane + 2 NaCl"
@@ -308,42 +305,6 @@ def test_two_worlds_look_equal_until_something_physical_differs() -> None:
     # A measurement does.
     labs.act(0, labs.members, np.full(40, labs.actions.encode("measure", 0, "gas_chromatograph")))
     assert len(set(seen())) == 40
-
-
-# -- records ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("split", ["train", "test", "private:7175657474616c007175657474616c00"])
-@pytest.mark.parametrize("world", [None, 3])
-def test_records_hide_and_prove_the_world(tmp_path: Path, split: str, world: int | None) -> None:
-    spec, path = scenario(), tmp_path / "record.jsonl"
-    env = raw_env(spec, split=split)
-    options = None if world is None else {"world": world}
-    with Recorder(path, env.laboratories) as recorder:
-        play_episode(env, make_policies("scripted", env.laboratories), 6, options=options, recorder=recorder)
-    number, values = worlds(env)
-    header = json.loads(path.read_text().splitlines()[0])
-    assert header["hidden"]["world"] == {"number": number, "values": values}
-    assert header["split"] == split.partition(":")[0]
-    assert "quetzal" not in path.read_text()
-    assert verify_record(path, spec).status == ("ok" if world is None else "chosen")
-    proof = split if split.startswith("private") else None
-    assert verify_record(path, spec, split=proof).status == ("ok" if world is None else "chosen")
-    # Another world is found, whether the number, a value or the split has been changed.
-    for change in ("number", "values", "split"):
-        forged = json.loads(json.dumps(header))
-        if change == "number":
-            forged["hidden"]["world"]["number"] += 4
-        elif change == "values":
-            forged["hidden"]["world"]["values"]["rate"][COUPLING] *= 1.5
-        else:
-            forged["split"] = "validation"
-        lines = path.read_text().splitlines()
-        other = tmp_path / f"{change}.jsonl"
-        text = json.dumps(forged, separators=(",", ":"), ensure_ascii=False)
-        other.write_text("\n".join([text, *lines[1:]]) + "\n")
-        found = verify_record(other, spec, split=proof)
-        assert found.status == "tampered", (change, found.message)
 
 
 # -- numbers of either sign -------------------------------------------------------------------------------------------
