@@ -96,27 +96,28 @@ def test_kernels_take_few_arguments() -> None:
     assert [kernel for kernel, count in kernels if count > MOST_PARAMETERS] == []
 
 
-PUBLIC = {
-    *("numba", "numba.types", "numba.extending"),
-    *("numba.core.cgutils", "numba.core.event", "numba.core.typing.templates"),
-}
-"""Modules of numba that may be imported: its public interface with its events, code generation for intrinsics, and the
-base class of attributes, which ``numba.extending.infer_getattr`` requires."""
+COMPILERS = ("numba", "llvmlite")
+PUBLIC = {"numba", "numba.types", "numba.extending", "numba.core.cgutils", "numba.core.typing.templates"}
+"""Modules of numba that may be imported: its public interface, code generation for intrinsics, and the base class of
+attributes, which ``numba.extending.infer_getattr`` requires."""
 
 
 def test_nothing_else_of_numbas_insides_is_used() -> None:
-    found, private = set(), set()
+    found, private, bases, numbas = set(), set(), set(), {path.split(".")[-1] for path in PUBLIC}
     for name, (code, _) in modules().items():
         for node in ast.walk(code):
             if isinstance(node, ast.Import):
-                found |= {(name, alias.name) for alias in node.names if alias.name.partition(".")[0] == "numba"}
-            elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "numba":
+                found |= {(name, alias.name) for alias in node.names if alias.name.partition(".")[0] in COMPILERS}
+            elif isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] in COMPILERS:
                 paths = {f"{node.module}.{alias.name}" for alias in node.names}
                 found |= {(name, path if path in PUBLIC else str(node.module)) for path in paths}
             elif name == "chemlab.kernels.jit" and isinstance(node, (ast.Attribute, ast.keyword, ast.Constant)):
                 word = str(getattr(node, "attr", getattr(node, "arg", getattr(node, "value", None))))
                 private |= {word} if word.startswith("_") and word.isidentifier() and not word.endswith("_") else set()
-    assert {path for _, path in found} - PUBLIC == set()
+            elif isinstance(node, ast.ClassDef):
+                bases |= {base.split(".")[-1] for base in map(ast.unparse, node.bases) if base.split(".")[0] in numbas}
+    assert {(name, path) for name, path in found if path not in PUBLIC} == {("chemlab.record.recorder", "llvmlite")}
     assert {path for _, path in found} >= {"numba", "numba.extending"}
+    assert bases == {"AttributeTemplate"}
     # The value of a structure that code is generated for, as in numba's own guide to extensions, and an option.
     assert private == {"_getvalue", "_nrt"}

@@ -34,7 +34,7 @@ def _read_by(read: int, reading: Reading, chem: Handle) -> None:
 
 def _signature() -> Any:
     """Return the numba signature of :attr:`Instrument.read`."""
-    types: Any = numba.types
+    types = numba.types
     number, whole, bits = types.float64, types.int64, types.uint64
     kinds = [(number, 1), (whole, 1), (bits, 1), (whole, 1), (number, 2), (number, 2), (number, 1), (number, 1)]
     return number(types.NamedTuple([types.Array(kind, axes, "C") for kind, axes in kinds], Reading), whole)

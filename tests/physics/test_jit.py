@@ -155,7 +155,7 @@ def test_kernels_are_kept_outside_the_package(tmp_path: Path) -> None:
 
 def test_the_first_start_says_that_it_compiles_and_later_ones_do_not(tmp_path: Path) -> None:
     """Also of a backend's laws, which are compiled with the first chemistry."""
-    code = "from chemlab.kernels.jit import told\nwith told('laws'):\n    pass\n"
+    code = "from chemlab.kernels.cache import told\nwith told('laws'):\n    pass\n"
     assert play(tmp_path, code)[1].count("compiling kernels") == 1
     assert play(tmp_path, code)[1] == ""
 

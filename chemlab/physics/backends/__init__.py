@@ -21,6 +21,7 @@ from numba.extending import overload
 from ...config.scenario import PHYSICS_TIERS as TIERS
 from ...kernels import jit
 from ...kernels.arrays import FloatArray, Handle, IntArray
+from ...kernels.cache import told
 from ...kernels.jit import COMPILED, F, helper, opened
 from ..chemistry import Chemistry, ChemistryTable
 from ..surroundings import Surroundings
@@ -51,7 +52,7 @@ def law_addresses(name: str) -> IntArray:
     """Return the addresses [laws] of a backend's laws. Compiles them if necessary."""
     if not COMPILED:
         return np.zeros(0, dtype=np.int64)
-    with jit.told(name):
+    with told(name):
         module = _backend(name)
         found = [jit.code_address(getattr(module, law), _signature(law), TIERS[name]) for law in LAWS]
         return np.array(found, dtype=np.int64)
@@ -59,7 +60,7 @@ def law_addresses(name: str) -> IntArray:
 
 def _signature(law: str) -> Any:
     """Return the numba signature of a law from its annotations."""
-    types: Any = numba.types
+    types = numba.types
     number, vector = types.float64, types.Array(types.float64, 1, "C")
     kinds = {
         "FloatArray": vector,
