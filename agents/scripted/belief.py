@@ -6,14 +6,15 @@ an adaptor, a subclass that states what a reading means and decides.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 import numpy as np
 
 from chemlab.config.scenario import Scenario
-from chemlab.kernels.arrays import FloatArray, ObservationArray
+from chemlab.envs.players import Players, Policy
+from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 
 from .script import ScriptedManager, Setting, cheapest
@@ -128,12 +129,38 @@ class BeliefManager(ScriptedManager[B]):
                 self._submitted(belief, more[0])
         return action
 
+    def _submit_for(self, mask: MaskArray, belief: B, slot: int, order: int) -> int:
+        """Submit a vessel for an order; the first legal action if that is illegal."""
+        submit = self._update(belief, self._encode_submit(slot, order))
+        return submit if mask[submit] else int(mask.argmax())
+
     def _goal(self, observation: ObservationArray, order: int) -> str:
         """Return the goal of an order."""
         return self._scenario.goals[int(observation[self._slices[self._orders[order]]].argmax())]
 
 
 # -- simulation -------------------------------------------------------------------------------------------------------
+
+Step = tuple[str, ...]
+"""An experiment: the bench's agent, the goal, and its quality requirement if the scenario has any."""
+
+
+def run_experiment(
+    laboratories: Laboratories, policies: Sequence[Policy | None], step: Step, members: IntArray, slot: int = 0
+) -> None:
+    """Run one experiment on a slot of every laboratory, up to the manager's next turn.
+
+    Args:
+        laboratories: the laboratories.
+        policies: policies of all agents in order; None for the manager.
+        step: the experiment.
+        members: [B] environment indices in which the experiment may be started.
+        slot: the vessel's slot.
+    """
+    actions = laboratories.actions
+    for action in (actions.encode("start", step[0], slot, *step[1:]), actions.encode("wait")):
+        laboratories.act(laboratories.manager.index, members, np.full(len(members), action))
+    Players(laboratories, policies).play_on(members)
 
 
 def noiseless(scenario: Scenario) -> Scenario:

@@ -15,7 +15,7 @@ from chemlab.lab.engine import Laboratories
 from chemlab.lab.sampling import quantiles
 from chemlab.roles.reaction_bench import ReactionBench
 
-from .belief import Belief, BeliefManager, first_reading, first_worth, noiseless
+from .belief import Belief, BeliefManager, first_reading, first_worth, noiseless, run_experiment
 from .reaction import ScriptedReaction
 from .script import Setting, likelihood
 
@@ -127,8 +127,7 @@ class CampaignManager(BeliefManager[_Rates]):
             start = self._actions.encode("start", self._rxn, slot, self._goal(observation, order))
             if mask[start]:
                 return self._update(belief, start)
-        submit = self._update(belief, self._encode_submit(slot, order))
-        return submit if mask[submit] else int(mask.argmax())
+        return self._submit_for(mask, belief, slot, order)
 
     def _prior(self) -> FloatArray:
         return np.full(_GRID, 1.0 / _GRID)
@@ -193,25 +192,13 @@ def foreseen(
     for member, world in zip(members, worlds, strict=True):
         labs.reset(members[member : member + 1], world=world)
     goal = int(labs.state.goal[0, 0])
+    step = (str(agent), scenario.goals[goal], *list(scenario.grades)[-1:])
+    policies = [None, *(ScriptedReaction(bench) for bench in labs.benches if isinstance(bench, ReactionBench))]
     readings, worth, ticks = [], [], np.zeros(runs + 1, dtype=np.int64)
     for run in range(runs + 1):
-        if run:
-            ticks[run] = ticks[run - 1] + (0 if agent is None else run_once(labs, agent, scenario.goals[goal]))
+        if run and agent is not None:
+            run_experiment(labs, policies, step, members)
+        ticks[run] = labs.state.ticks[0]
         worth.append(first_worth(labs, goal))
         readings.append(first_reading(labs, instrument))
     return np.stack(readings, axis=1), np.stack(worth, axis=1), ticks
-
-
-def run_once(labs: Laboratories, agent: str, goal: str, slot: int = 0) -> int:
-    """Run one experiment of the scripted bench on a slot's vessel in every laboratory; return its ticks."""
-    number, members, ticks = labs.agents.index(agent), labs.members, 0
-    bench = labs.roles[number].workplace
-    assert isinstance(bench, ReactionBench), "the manager starts reactions only"
-    policy, grades = ScriptedReaction(bench), list(labs.scenario.grades)[-1:]
-    for action in (labs.actions.encode("start", agent, slot, goal, *grades), labs.actions.encode("wait")):
-        labs.act(labs.manager.index, members, np.full(len(members), action))
-    while labs.busy[labs.bench_agents.index(agent), 0]:
-        seen, step = labs.observe(number, members), labs.turns_had(number)[members]
-        labs.act(number, members, policy.act(seen, None, step, members))
-        ticks += 1
-    return ticks

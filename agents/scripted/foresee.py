@@ -20,12 +20,12 @@ import numpy.typing as npt
 
 from chemlab.config.draws import VESSEL_QUANTITIES
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Players, Policy
+from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench, channel_slices
 
-from .belief import Belief, BeliefManager, first_reading, first_worth, noiseless
+from .belief import Belief, BeliefManager, Step, first_reading, first_worth, noiseless, run_experiment
 from .script import Setting, cheapest, likelihood
 
 _COMMON, _OWN = 12, 512
@@ -46,27 +46,6 @@ _UNWORKED = -1.0
 """Value of a vessel that was at no bench, which cannot be submitted: below that of any experiment."""
 _SEED = 7_000_000
 """Seed of the simulated worlds."""
-
-Step = tuple[str, ...]
-"""An experiment: the bench's agent, the goal, and its quality requirement if the scenario has any."""
-
-
-def run_experiment(
-    laboratories: Laboratories, policies: Sequence[Policy | None], step: Step, members: IntArray, slot: int = 0
-) -> None:
-    """Run one experiment on a slot of every laboratory, up to the manager's next turn.
-
-    Args:
-        laboratories: the laboratories.
-        policies: policies of all agents in order; None for the manager.
-        step: the experiment.
-        members: [B] environment indices in which the experiment may be started.
-        slot: the vessel's slot.
-    """
-    actions = laboratories.actions
-    for action in (actions.encode("start", step[0], slot, *step[1:]), actions.encode("wait")):
-        laboratories.act(laboratories.manager.index, members, np.full(len(members), action))
-    Players(laboratories, policies).play_on(members)
 
 
 def foresees(scenario: Scenario) -> bool:
@@ -205,7 +184,7 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         stage = int(promises[v].argmax())
         if stage != belief.stage[v]:
             return self._go_on(observation, mask, belief, v, goal, stage)
-        return self._submit(mask, belief, v)
+        return self._submit_for(mask, belief, belief.slots[v], self._next_order(belief))
 
     def _begin(self, observation: ObservationArray) -> _Vessels:
         slots = self._occupied(observation)
@@ -235,14 +214,10 @@ class ForeseeingManager(BeliefManager[_Vessels]):
                 discard = self._actions.encode("discard", slot)
                 if slot not in belief.slots and mask[discard]:
                     return discard
-            return self._submit(mask, belief, v)
+            return self._submit_for(mask, belief, belief.slots[v], self._next_order(belief))
         belief.stage[v] = self._foresight[goal].stages.index(wanted[: len(done) + 1])
         belief.looks[v], belief.running = 0, {step[0]: belief.slots[v]}
         return start
-
-    def _submit(self, mask: MaskArray, belief: _Vessels, v: int) -> int:
-        submit = self._update(belief, self._encode_submit(belief.slots[v], self._next_order(belief)))
-        return submit if mask[submit] else int(mask.argmax())
 
     # -- belief -----------------------------------------------------------------------------------------------
 

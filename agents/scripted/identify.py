@@ -18,9 +18,9 @@ from chemlab.physics.chemistry import AMOUNTS
 from chemlab.physics.shelf import Shelf
 from chemlab.roles.instrument_table import InstrumentTable
 
-from .belief import noiseless
+from .belief import Belief, BeliefManager, noiseless
 from .router import SynthesisManager
-from .script import Setting, cheapest
+from .script import Setting
 
 _GRID = 24
 """Number of titre candidates."""
@@ -55,24 +55,22 @@ def _arranged(options: Sequence[int], count: int) -> Iterator[tuple[int, ...]]:
 
 
 @dataclass
-class _Belief:
-    """The manager's belief about the vessels of one episode.
+class Contents(Belief):
+    """The manager's belief about the V unlabelled vessels of one episode.
 
     Attributes:
         likelihood: [V, O, T] likelihood of the readings of each vessel, by option and titre.
         looked: vessels that have been measured.
-        asked: vessel that is being measured, or None.
         chosen: chosen slots by order; empty before the decision.
     """
 
-    likelihood: FloatArray
+    likelihood: FloatArray = field(default_factory=lambda: np.zeros(0))
     looked: set[int] = field(default_factory=set)
-    asked: int | None = None
     chosen: list[int] = field(default_factory=list)
 
 
-class IdentifyingManager(SynthesisManager):
-    """Identifies the vessel that an order needs among unlabelled ones, then follows the scripted manager.
+class IdentifyingManager(BeliefManager[Contents]):
+    """Identifies the vessel that an order needs among unlabelled ones, then plays as :class:`.router.SynthesisManager`.
 
     The prior is the scenario's declaration of each vessel's possible contents; it is updated with each reading (Bayes).
     The vessel with the highest value of information is measured as long as this value, the expected gain of choosing
@@ -83,8 +81,10 @@ class IdentifyingManager(SynthesisManager):
     """
 
     def __init__(self, setting: Setting) -> None:
-        super().__init__(setting)
-        scenario, careful = setting.scenario, setting.careful
+        super().__init__(setting, ("uv_vis", "gas_chromatograph"), _MODEL_ERROR)
+        self._router = SynthesisManager(setting)
+        self._memories += self._router._memories
+        scenario = setting.scenario
         (identity, *_) = _identities(scenario)
         self._vessels = [int(name[5:]) for name in identity.of if name.startswith("slot_")]
         self._options = list(dict.fromkeys(str(option) for option in getattr(identity.distribution, "options", ())))
@@ -98,10 +98,7 @@ class IdentifyingManager(SynthesisManager):
         shares = (np.arange(_GRID) + 0.5) / _GRID
         self._titres = quantiles(self._titre, shares) if self._titre is not None else np.ones(1)
         self._arrangements, self._prior = self._possible(identity)
-        self._instrument = cheapest(scenario, ("uv_vis", "gas_chromatograph")) if careful else None
         self._expected = self._readings(identity) if self._instrument else np.zeros(0)
-        self._beliefs: dict[int, _Belief] = {}
-        self._memories.append(self._beliefs)
 
     def _possible(self, identity: Draw) -> tuple[IntArray, FloatArray]:
         """Return [P, V] all arrangements of the options in the vessels, and the probability of each."""
@@ -147,51 +144,45 @@ class IdentifyingManager(SynthesisManager):
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        if step == 0:
-            shape = (len(self._vessels), len(self._options), len(self._titres))
-            self._beliefs[member] = _Belief(np.ones(shape))
-        if self._beliefs[member].asked is not None:
-            self._learn(self._beliefs[member], observation)
+    def _begin(self, observation: ObservationArray) -> Contents:
+        likelihood = np.ones((len(self._vessels), len(self._options), len(self._titres)))
+        return Contents(self._vessels, list(range(len(self._orders))), likelihood=likelihood)
 
     def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
-        belief = self._beliefs[member]
-        kind, slot, more = self._taken_apart(action)
+        belief = self._kept[member]
+        kind, slot, _ = self._taken_apart(action)
         if not belief.chosen:
-            if kind == "measure" and slot in self._vessels and more[0] == self._instrument:
-                belief.asked = self._vessels.index(slot)
+            if kind == "measure" and slot in self._vessels:
+                self._update(belief, action)
             if kind != "start":
                 return
             belief.chosen.append(slot)
             self._choose(belief, observation, member)
-        super()._take_note(observation, action, member)
+        self._router._take_note(observation, action, member)
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        belief = self._beliefs[member]
-        if belief.chosen:
-            return super()._decide(observation, mask, step, member)
-        worth = self._ordered(observation)
-        look = self._next_look(belief, worth[0], mask)
-        if look is not None:
-            belief.asked = look
-            return self._actions.encode("measure", self._vessels[look], str(self._instrument))
-        self._choose(belief, observation, member)
-        return super()._decide(observation, mask, 1, member)
+        belief = self._kept[member]
+        if not belief.chosen:
+            look = self._next_look(belief, self._ordered(observation)[0], mask)
+            if look is not None:
+                measure = self._actions.encode("measure", self._vessels[look], str(self._instrument))
+                return self._update(belief, measure)
+            self._choose(belief, observation, member)
+        return self._router._decide(observation, mask, step, member)
 
     def _ordered(self, observation: ObservationArray) -> FloatArray:
         """Return [orders, O, T] score of a vessel for each order, by content."""
-        goals = [self._scenario.goals[int(observation[self._slices[name]].argmax())] for name in self._orders]
-        return np.array([self._worth(goal) for goal in goals])
+        return np.array([self._worth(self._goal(observation, order)) for order in range(len(self._orders))])
 
-    def _choose(self, belief: _Belief, observation: ObservationArray, member: int) -> None:
+    def _choose(self, belief: Contents, observation: ObservationArray, member: int) -> None:
         """Choose a vessel for every order without one, and start these lines."""
         for own in self._ordered(observation)[len(belief.chosen) :]:
             expected = (self._posterior(belief) * own).sum(axis=(1, 2))
             free = [v for v, slot in enumerate(self._vessels) if slot not in belief.chosen]
             best = max(free or range(len(self._vessels)), key=lambda v: expected[v])
             belief.chosen.append(self._vessels[best])
-        self._kept[member] = self._begin(observation)
-        for line, slot in zip(self._kept[member], belief.chosen, strict=True):
+        lines = self._router._kept[member] = self._router._begin(observation)
+        for line, slot in zip(lines, belief.chosen, strict=True):
             line.slot = slot
 
     def _worth(self, goal: str) -> FloatArray:
@@ -206,18 +197,14 @@ class IdentifyingManager(SynthesisManager):
         made += [1.0 * (option == goal) for option in self._options]
         return np.asarray(_YIELD * made[:, None] * self._titres / most)
 
-    def _learn(self, belief: _Belief, observation: ObservationArray) -> None:
-        """Update the belief with the requested reading."""
-        v, belief.asked = belief.asked, None
-        assert v is not None, "a measurement has been requested"
+    def _learn(self, belief: Contents, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
+        v = self._vessels.index(slot)
         belief.looked.add(v)
-        name = f"slot_{self._vessels[v]}_{self._instrument}"
-        noise = np.hypot(self._scenario.instruments[str(self._instrument)].noise, _MODEL_ERROR)
         # Not `base.likelihood`, which sums in another order: among identical bottles the last digit decides.
-        apart = ((observation[self._slices[name]] - self._expected[v]) ** 2).sum(axis=-1) / noise**2
+        apart = ((reading - self._expected[v]) ** 2).sum(axis=-1) / self._noise**2
         belief.likelihood[v] = np.exp(-0.5 * (apart - apart.min())) + _SURPRISE
 
-    def _posterior(self, belief: _Belief) -> FloatArray:
+    def _posterior(self, belief: Contents) -> FloatArray:
         """Return [V, O, T] posterior probability of each vessel's content."""
         evidence = belief.likelihood.mean(axis=2)
         vessels = np.arange(len(self._vessels))
@@ -229,7 +216,7 @@ class IdentifyingManager(SynthesisManager):
         titre = belief.likelihood / belief.likelihood.sum(axis=2, keepdims=True)
         return np.asarray(held[:, :, None] * titre)
 
-    def _next_look(self, belief: _Belief, worth: FloatArray, mask: MaskArray) -> int | None:
+    def _next_look(self, belief: Contents, worth: FloatArray, mask: MaskArray) -> int | None:
         """Return the vessel with the highest value of a measurement net of its price, or None if no value is
         positive.
         """
@@ -237,13 +224,12 @@ class IdentifyingManager(SynthesisManager):
             return None
         posterior = self._posterior(belief)
         now = float((posterior * worth).sum(axis=(1, 2)).max())
-        price = self._scenario.instruments[self._instrument].price
         best, gain = None, 0.0
         for v, slot in enumerate(self._vessels):
             legal = mask[self._actions.encode("measure", slot, self._instrument)]
             if v in belief.looked or not legal:
                 continue
-            own = float((posterior[v] * np.maximum(worth, now)).sum()) - now - price
+            own = float((posterior[v] * np.maximum(worth, now)).sum()) - now - self._price
             if own > gain:
                 best, gain = v, own
         return best

@@ -21,8 +21,7 @@ from chemlab.roles.grades import REPORT
 from chemlab.roles.manager_actions import MEASURE
 from chemlab.roles.manager_view import terms_channels
 
-from .belief import Belief, BeliefManager
-from .foresee import run_experiment
+from .belief import Belief, BeliefManager, run_experiment
 from .script import Setting
 
 _GRID = 33

@@ -111,7 +111,7 @@ def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
     labs.reset(labs.members)
     seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
     manager.act(seen, mask, np.zeros(1, dtype=np.int64), labs.members)
-    belief = manager._beliefs[0]
+    belief = manager._kept[0]
     prior = manager._posterior(belief).sum(axis=2)
     assert prior == pytest.approx(np.full((8, 4), 0.25))
     belief.likelihood[0] = 1e-12
