@@ -22,7 +22,8 @@ from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
 
 from chemlab import load_scenario
 from chemlab.agents.evaluate.play import Target
-from chemlab.agents.scripted.exploration import run_once
+from chemlab.agents.policies import scripted_bench
+from chemlab.agents.scripted.belief import run_experiment
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 
@@ -56,6 +57,7 @@ def campaign(seed: int, first: int) -> float:
     labs = Laboratories(TARGET.scenario, 1, split=TARGET.split)
     labs.seed(0, np.random.SeedSequence(seed))
     labs.reset(labs.members, GOAL)
+    policies = [None, *(scripted_bench(bench) for bench in labs.benches)]
     process = GaussianProcessRegressor(KERNEL, optimizer=None)
     tried: list[int] = []
     read: list[float] = []
@@ -66,7 +68,7 @@ def campaign(seed: int, first: int) -> float:
             worth = process.predict(np.log(RUNS)[:, None]) if last else improvement(process, max(read))
             first = int(RUNS[worth.argmax()])
         for _ in range(first):
-            run_once(labs, "rxn_0", GOAL, batch)
+            run_experiment(labs, policies, ("rxn_0", GOAL), labs.members, batch)
         if not last:
             tried.append(first)
             read.append(purity(labs, batch))
