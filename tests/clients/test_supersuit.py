@@ -68,8 +68,9 @@ def seeded(env: Any) -> Any:
     return env
 
 
-@pytest.mark.parametrize("wrapper", [*WRAPPERS, *PADDED])
-@pytest.mark.parametrize("name", [WURTZ, DISCRETE])
+@pytest.mark.parametrize(
+    ("name", "wrapper"), [*((WURTZ, name) for name in (*WRAPPERS, *PADDED)), *((DISCRETE, name) for name in PADDED)]
+)
 def test_wrapped_laboratories_keep_to_pettingzoos_interface(name: str, wrapper: str) -> None:
     wrap = {**WRAPPERS, **PADDED}[wrapper]
     api_test(seeded(wrap(laboratory_env(name))), num_cycles=50)
