@@ -7,7 +7,8 @@
 | `evaluations.jsonl` | one :class:`Evaluation` per line: learned and scripted policy on paired seeds |
 | `result.json` | :class:`RunResult`: best and last checkpoint on held-out seeds; written when the run is finished |
 | `failed.json` | written by a sweep: exit code and log of the last attempt, if that failed |
-| `checkpoints/` | `last-STEP/` and `best-STEP/`, replay memory; large, not for version control |
+| `checkpoints/` | `last-STEP/`, `best-STEP/`, and `first-0/` of clones before training; replay memory; \
+large, not for version control |
 | `checkpoints/*-STEP/` | `ROLE.safetensors` and `ROLE.json` are the policies (:mod:`~chemlab.agents.pretrained`); \
 `model.zip` or `ROLE.zip` (Stable-Baselines3's learner) and `state.pkl` are signed pickles for resuming \
 (:mod:`~chemlab.agents.seals`) |
@@ -249,7 +250,7 @@ class Run:
             write_text(file, "".join(json.dumps(asdict(line)) + "\n" for line in lines))
 
     def checkpoint(self, kind: str) -> Path | None:
-        """Return the folder of the newest complete ``last`` or ``best`` checkpoint, or None."""
+        """Return the folder of the newest complete ``last``, ``best`` or ``first`` checkpoint, or None."""
         found = {p.name.rpartition("-")[2]: p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()}
         steps = [step for step in found if step.isdecimal() and len(step) < 20]
         return found[max(steps, key=int)] if steps else None

@@ -532,9 +532,8 @@ def _leaderboard() -> str:
         "# Leaderboard",
         "",
         "Normalized scores in the split `test`, with 95 % intervals: 0 is random legal play, 1 the oracle",
-        "([what a score means](../glossary.md#what-a-score-means)). In parentheses: training runs. The",
-        "[protocol](../protocol.md#baselines) has effort and generalization, and says how to add a row. The scores are",
-        "for version 1 of the scenarios.",
+        "([what a score means](../glossary.md#what-a-score-means)). The",
+        "[protocol](../protocol.md#baselines) says what the policies are, and how to add a row.",
         "",
     ]
     for name, rows in standings().items():

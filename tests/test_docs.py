@@ -296,7 +296,7 @@ def test_pictures_are_small() -> None:
 WIDE = {
     "how-to/language-agent.md": 1,
     "performance.md": 2,
-    "protocol.md": 4,
+    "protocol.md": 1,
     "results.md": 3,
     "results/laboratory.md": 9,
     "results/scripted.md": 1,

@@ -49,77 +49,46 @@ def test_tables_of_audits_are_those_of_the_stored_ones(monkeypatch: pytest.Monke
 
 
 @pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
-def test_runs_of_other_sittings_are_one_cell_together(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Each seed's line may come from another machine; an interval is over them. A line of as many runs stands."""
+def test_runs_that_differ_in_their_seeds_are_one_row(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Its interval is over runs; a single run keeps its own, over episodes."""
     monkeypatch.syspath_prepend(str(README.parent / "docs"))
     import baselines
 
-    common = {"scenario": "runaway", "split": "test", "steps": 10, "hours": 0.5, "over_baseline": None}
-    own = [
-        {"policy": f"runaway-manager_0/recurrent/seed-{seed} (best)", "runs": 1, "value": value}
-        for seed, value in enumerate((0.2, 0.4, 0.9))
-    ]
-    for run, runs in (("", 2), ("/seed-7", 1)):
-        own.append({"policy": f"runaway-joint/benches{run} (best)", "runs": runs, "value": runs})
-    for run, runs in (("", 2), ("/seed-0", 1), ("/seed-1", 1), ("/seed-2", 1)):
-        own.append({"policy": f"runaway-joint/together{run} (best)", "runs": runs, "value": runs / 4})
-    own.append({"policy": "scripted", "runs": 0, "value": 0.3, "steps": None})
-    told = {"low": 0.0, "high": 1.0}
-    lines = [{**common, **told, **line, "generalization": {"value": line["value"] / 2}} for line in own]
+    told = {"scenario": "runaway", "split": "test", "low": 0.0, "high": 1.0, "runs": 1, "score": 0.5}
+    names = {f"runaway-manager/from-nothing/seed-{seed} (best)": value for seed, value in enumerate((0.2, 0.4, 0.9))}
+    names |= {"runaway-rxn/benches/seed-0 (best)": 0.7, "random": 0.0, "scripted": 0.3, "oracle": 1.0}
+    lines = [{**told, "policy": policy, "value": value} for policy, value in names.items()]
     (tmp_path / "leaderboard.json").write_text(json.dumps({"lines": lines}), encoding="utf-8")
     monkeypatch.setattr(baselines, "LEADERBOARD", tmp_path / "leaderboard.json")
-    found = baselines._lines()
-    managers, benches = (found["runaway", name] for name in ("manager_0/recurrent (best)", "joint/benches (best)"))
-    assert (managers["runs"], managers["hours"], managers["over_baseline"]) == (3, 1.5, None)
-    assert managers["value"] == pytest.approx(0.5)
-    assert managers["generalization"]["value"] == pytest.approx(0.25)
     ends = stats.ttest_1samp([0.2, 0.4, 0.9], 0.0).confidence_interval(0.95)
-    assert (managers["low"], managers["high"]) == pytest.approx((ends.low, ends.high))
-    assert (benches["runs"], benches["value"]) == (2, 2)
-    team = found["runaway", "joint/together (best)"]
-    assert (team["runs"], team["hours"], team["value"]) == (3, 1.5, 0.25)
-    # All scenarios together, the best first: two of the three managers' runs are above the scripted agents.
-    monkeypatch.setattr(baselines, "world_scenarios", lambda: ["runaway"])
-    assert [row.split(" | ")[0] for row in baselines.overall()[2:]] == [
-        "| benches",
-        "| recurrent PPO",
-        "| scripted",
-        "| IPPO",
+    own = f"0.50 [{ends.low:.2f}, {ends.high:.2f}] (3)"
+    cells = ["`runaway`", "0 (0.500)", "", "0.30 [0.00, 1.00]", own, "", "1 (0.500)"]
+    assert baselines.table()[2] == f"| {' | '.join(cells)} |"
+    assert baselines.clones()[2] == "| `runaway` |  |  |  | 0.70 [0.00, 1.00] |"
+    assert [row[0] for row in baselines.standings()["runaway"]] == [
+        "oracle",
+        "benches: clones, then PPO",
+        "from nothing",
+        "scripted",
+        "random legal play",
     ]
-    _, runs, average, middle, above = baselines.overall()[3].strip("| ").split(" | ")
-    assert (runs, average[:4], middle[:4], above[:4]) == ("3", "0.50", "0.50", "0.67")
 
 
-def says_version_1(page: Path) -> bool:
-    """Whether a page says that its results are of scenarios as they were; else they have to be of those that are."""
-    return "All results on this page are for version 1 of the scenarios." in page.read_text(encoding="utf-8")
-
-
+@pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
 def test_tables_of_baselines_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And of the scenarios as they are; nobody knows more than who knows the world."""
+    """And of the scenarios as they are; no score is above the oracle's."""
     monkeypatch.syspath_prepend(str(README.parent / "docs"))
-    from baselines import LEADERBOARD, PAGE, effort, overall, shipped, table
+    from baselines import LEADERBOARD, PAGE, clones, crossplays, matrices, table
 
-    for rows in (table(), overall(), effort(), shipped()):
+    for rows in (table(), clones(), matrices()):
         assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/baselines.py"
     # Lines follow from their scores, as far as these are stored, and records come to what the lines say.
     checks = check_leaderboard(LEADERBOARD)
     assert {(check.scenario, check.policy): check.faults for check in checks if check.faults} == {}
-    lines = leaderboard_lines(LEADERBOARD)
-    for line in lines:
-        assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"])) or says_version_1(PAGE)
+    for line in leaderboard_lines(LEADERBOARD):
+        assert line["scenario_hash"] == scenario_hash(load_scenario(line["scenario"]))
         assert line["value"] is None or line["value"] <= 1.0
-
-
-@pytest.mark.skipif(not (README.parent / "docs").is_dir(), reason="not a checkout")
-def test_tables_of_crossplay_are_those_of_the_stored_ones(monkeypatch: pytest.MonkeyPatch) -> None:
-    """And of the scenarios as they are; every manager with all the benches."""
-    monkeypatch.syspath_prepend(str(README.parent / "docs"))
-    from crossplay import PAGE, drops, found, matrices
-
-    for rows in (matrices(), drops()):
-        assert "\n".join(rows) in PAGE.read_text(encoding="utf-8"), "run: python docs/crossplay.py"
-    for one in found():
-        assert one["scenario_hash"] == scenario_hash(load_scenario(one["scenario"])) or says_version_1(PAGE)
+    for one in crossplays():
+        assert one["scenario_hash"] == scenario_hash(load_scenario(one["scenario"]))
         assert len(one["cells"]) == len(one["managers"]) * len(one["benches"])
         assert all(cell["value"] <= 1.0 for cell in one["cells"])

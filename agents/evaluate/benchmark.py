@@ -14,9 +14,9 @@ several runs have dealt them out among themselves, it is over runs.
 | ``plan`` | the best constant plan of the manager that a search finds in training worlds, over scripted benches |
 | ``scripted`` | the scripted agents |
 | ``pretrained``, ``trained`` | policies that come with chemlab, where one fits |
-| a path | a training run, or a folder of runs of which only the seed differs: best by validation, and the last \
-checkpoint; or records of these episodes that people (``chemlab play``) or language agents (``chemlab mcp`` and the \
-like) have played, a file or a folder of them |
+| a path | a training run, or a folder of runs of which only the seed differs: the best checkpoint by validation, the \
+last, and the first, before training, of runs that began as clones; or records of these episodes that people \
+(``chemlab play``) or language agents (``chemlab mcp`` and the like) have played, a file or a folder of them |
 | ``oracle`` | the planner that knows the world: 1 |
 
 | file | what |
@@ -126,8 +126,9 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
     """The rows that policies by name or path stand for.
 
     Args:
-        policies: names or paths, see :func:`~chemlab.agents.policies.make_policies`; a folder of runs is one row for
-            their best checkpoints and one for their last ones, a record or a folder of records one row.
+        policies: names or paths, see :func:`~chemlab.agents.policies.make_policies`. A folder of runs is one row for
+            their best checkpoints, one for their last ones, and one for clones before training; a record, or a folder
+            of records, is one row.
 
     Raises:
         RecordError: a file is no record.
@@ -191,13 +192,15 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
     seconds = [curve[-1].seconds if (curve := run.curve()) else 0.0 for run in runs]
     curves = tuple(tuple((one.step, one.mean) for one in run.evaluations()) for run in runs)
     found = []
-    for kind in ("best", "last"):
+    for kind in ("first", "best", "last"):
         checkpoints = [run.checkpoint(kind) for run in runs]
+        if kind == "first" and None in checkpoints:
+            continue
         missing = [str(run.path) for run, folder in zip(runs, checkpoints, strict=True) if folder is None]
         if missing:
             raise ValueError(f"policies: {', '.join(missing)}: no {kind} checkpoint; train it (again)")
         paths = tuple(f"{folder}:{way}" if way else str(folder) for folder in checkpoints)
-        steps = max((run.curve()[-1].step for run in runs if run.curve()), default=0) or None
+        steps = 0 if kind == "first" else max((run.curve()[-1].step for run in runs if run.curve()), default=0) or None
         own = str(configs[0]["scenario"])
         found.append(Row(f"{name} ({kind})", paths, sum(seconds) / 3600.0, steps, curves, own))
     return found

@@ -412,7 +412,8 @@ class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
 
     The options of ``_HELP`` help to learn from nothing, in training alone. A team that begins from policies or clones
-    has none of it unless it is asked for, less entropy, and no shared weights.
+    has none of it unless it is asked for, no entropy bonus, a tenth of the learning rate, and rollouts and traces
+    nearly as long as episodes; from policies, it shares no weights.
     """
 
     algo: Literal["ippo"] = "ippo"
@@ -452,8 +453,11 @@ class IPPO(Clipped, Arguments, Cloning):
             return values
         return {
             **dict.fromkeys(_HELP, 0.0),
-            "tied": False,
-            "ent_coef": 0.01,
+            "learning_rate": 1e-4,
+            "ent_coef": 0.0,
+            "rollout": 128,
+            "gae_lambda": 0.98,
+            **({} if values.get("begin_from") is None else {"tied": False}),
             **values,
         }
 

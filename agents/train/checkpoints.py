@@ -45,7 +45,7 @@ def restore_random_state(state: dict[str, Any]) -> None:
 
 
 def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: bool, best_step: int | None) -> None:
-    """Write the ``last`` checkpoint, and a copy of its policies as ``best`` if it is the best.
+    """Write the ``last`` checkpoint, and copies of its policies: ``best`` if it is the best, ``first`` before training.
 
     Args:
         run: the run.
@@ -60,11 +60,12 @@ def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: 
     with naming(draft):
         write(draft)
     run.keep_lines(draft)
-    if best:
-        copy = run.checkpoints / f"new-best-{step}"
-        shutil.rmtree(copy, ignore_errors=True)
-        shutil.copytree(draft, copy, ignore=shutil.ignore_patterns("state.pkl*", "*.jsonl"))
-        _renamed(copy, run.checkpoints / f"best-{step}")
+    for kind, kept in (("best", best), ("first", step == 0)):
+        if kept:
+            copy = run.checkpoints / f"new-{kind}-{step}"
+            shutil.rmtree(copy, ignore_errors=True)
+            shutil.copytree(draft, copy, ignore=shutil.ignore_patterns("state.pkl*", "*.jsonl"))
+            _renamed(copy, run.checkpoints / f"{kind}-{step}")
     _renamed(draft, run.checkpoints / f"last-{step}")
     tidy(run, step, best_step)
 
@@ -117,8 +118,8 @@ def _renamed(draft: Path, final: Path) -> None:
 
 
 def tidy(run: Run, last: int, best: int | None) -> None:
-    """Remove every checkpoint except these two, and drafts."""
-    keep = {f"last-{last}", f"best-{best}", "replay"}
+    """Remove every checkpoint except these two and that of before training, and drafts."""
+    keep = {f"last-{last}", f"best-{best}", "first-0", "replay"}
     for folder in run.checkpoints.iterdir():
         if folder.is_dir() and folder.name not in keep:
             shutil.rmtree(folder, ignore_errors=True)

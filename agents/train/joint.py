@@ -58,6 +58,7 @@ class Team(Trainee):
         # A run may use another reward mix than the scenario: the task is the same.
         self._workplaces = {role_of(role.name): role.workplace for role in reversed(labs.roles)}
         self._labs = labs = Laboratories(self.scenario, 1)
+        self.has_policy = a.bc is not None or a.begin_from is not None
         self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
         for number, agent in enumerate(labs.agents):
             if role_of(agent) not in self.learning:

@@ -90,12 +90,14 @@ class Trainee(ABC):
         steps: how many of them it learns from.
         logger: set by the loop; losses may be logged there.
         note: what the last round was, where it was not of the episodes that are evaluated.
+        has_policy: whether it begins with a policy, which is evaluated before anything is learned.
     """
 
     arguments: Arguments
     steps: int
     logger: Logger
     note: str = ""
+    has_policy: bool = False
 
     @abstractmethod
     def check(self) -> None:
@@ -221,14 +223,8 @@ def train_in_rounds(run: Run, config: RunConfig, trainee: Trainee, progress: Pro
     watcher.begun(p.step, total)
     with _tensorboard(run, p.step) as logger:
         trainee.logger = logger
-        while p.step < total:
-            before = p.step
-            turns, ended = trainee.learn(p)
-            p.step, p.rounds, p.seconds = p.step + turns, p.rounds + 1, time.perf_counter() - begun
-            point = _point(p, ended)
-            run.append(point)
-            # Evenly spread over the run, and after the last round.
-            evaluate, save = (p.step * n // total > before * n // total for n in (a.evaluations, a.checkpoints))
+
+        def assess(evaluate: bool, save: bool, point: CurvePoint | None = None) -> None:
             evaluation, best = None, False
             if evaluate:
                 evaluation = _evaluation(p.step, trainee, scripted)
@@ -237,12 +233,25 @@ def train_in_rounds(run: Run, config: RunConfig, trainee: Trainee, progress: Pro
                 best = p.best_mean is None or evaluation.mean > p.best_mean
                 if best:
                     p.best_mean, p.best_step, p.best_sampled = evaluation.mean, p.step, p.sampled
-            _log(logger, point, evaluation)
+            if point is not None:
+                _log(logger, point, evaluation)
             if evaluate or save:
                 p.seconds = time.perf_counter() - begun
                 _save(run, trainee, p, evaluation, best)
             if evaluation is not None:
                 watcher.evaluated(evaluation, best)
+
+        if trainee.has_policy and p.best_step is None:
+            assess(evaluate=True, save=True)
+        while p.step < total:
+            before = p.step
+            turns, ended = trainee.learn(p)
+            p.step, p.rounds, p.seconds = p.step + turns, p.rounds + 1, time.perf_counter() - begun
+            point = _point(p, ended)
+            run.append(point)
+            # Evenly spread over the run, and after the last round.
+            evaluate, save = (p.step * n // total > before * n // total for n in (a.evaluations, a.checkpoints))
+            assess(evaluate, save, point)
             watcher.advanced(p.step, point.return_mean, trainee.note)
     watcher.finishing()
     result = _result(run, config, trainee, p)

@@ -4,7 +4,7 @@
 (``studies/baselines/from_nothing.toml``), also where no measurement can be paid, and, on the same episodes, the
 scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. Of scenarios with hidden
 parameters it also plays the 40 test episodes of the small audit. It adds the scores to ``results/from_nothing.json``.
-Without RESULTS nothing is played: the table of docs/training.md is written from that file.
+Without RESULTS nothing is played: tables and figure of docs/training.md are written from that file.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.episodes import play_laboratory
+from chemlab.agents.evaluate.benchmark import world_scenarios
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of, without_instruments
 from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.policies import make_policies
@@ -28,9 +29,11 @@ from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Policy, as_policy
 from chemlab.lab.engine import Laboratories
 from chemlab.openchem.difficulty import waiting
+from chemlab.render.figure import new_figure, save_figure
 
 SCORES = Path(__file__).parent / "results" / "from_nothing.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
+FIGURE = PAGE.parent / "images" / "from_nothing.png"
 SPLIT, EPISODES = "validation", 100
 MANAGERS = ("nothing", "random", "plan", "scripted")
 
@@ -72,7 +75,14 @@ def learned(run: Run) -> dict[str, Any]:
         asked = {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": budget.episodes, "split": "test"}
         own["audited"] = statistics.mean(Crew(spec, budget).run([Job("audit", "play", asked)])["audit"]["scores"])
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
-    return {**own, **found, "sampled": result.sampled}
+    return {**own, **found, "sampled": result.sampled, **curve(run)}
+
+
+def curve(run: Run) -> dict[str, Any]:
+    """Return a run's evaluations (millions of steps, mean score), and the scripted agents' score on their episodes."""
+    found = run.evaluations()
+    points = " ".join(f"{one.step / 1e6:.3f}:{one.mean:.3f}" for one in found)
+    return {"evaluations": points, "beside": found[0].scripted_mean}
 
 
 def table(scores: dict[str, Any]) -> list[str]:
@@ -90,9 +100,53 @@ def table(scores: dict[str, Any]) -> list[str]:
             worst = f" ({min(values):.3f})" if len(values) > 1 else ""
             cells.append(f"{statistics.median(values):.3f}{worst}" if values else "")
         best, steps = (statistics.median(run[name] for run in runs) for name in ("best_step", "steps"))
-        words = "manager" if roles == "manager" else "all roles"
-        lines.append(f"| `{scenario}` | {words} | {' | '.join(cells)} | {best:,.0f} of {steps:,.0f} | {len(runs)} |")
+        lines.append(
+            f"| `{scenario}` | {learners(roles)} | {' | '.join(cells)} | {best:,.0f} of {steps:,.0f} | {len(runs)} |"
+        )
     return lines
+
+
+def ladder(scores: dict[str, Any]) -> list[str]:
+    """Return the lines of the table of what has been learned from nothing by whom; what has not been tried is open."""
+    lines = ["| scenario | scripted | manager | benches | all roles |", "| --- | --: | --: | --: | --: |"]
+    for scenario in (*world_scenarios(), "wurtz_dodecane"):
+        cells = [f"{scores['untrained'][scenario]['scripted']:.3f}" if scenario in scores["untrained"] else ""]
+        for who in ("manager", "benches", "all roles"):
+            best = [
+                run["best"] for run in scores["runs"] if run["scenario"] == scenario and learners(run["roles"]) == who
+            ]
+            cells.append(f"{statistics.median(best):.3f}" if best else "open")
+        lines.append(f"| `{scenario}` | {' | '.join(cells)} |")
+    return lines
+
+
+def learners(roles: str) -> str:
+    """Return who learned in words."""
+    return "manager" if roles == "manager" else "all roles" if "manager" in roles.split(",") else "benches"
+
+
+def draw(scores: dict[str, Any], path: Path) -> None:
+    """Draw the evaluations of managers where parameters are hidden, every seed a line, and the scripted agents'."""
+    managers = [run for run in scores["runs"] if run["roles"] == "manager" and "audited" in run]
+    hidden = sorted({run["scenario"] for run in managers})
+    columns, rows = 4, -(-len(hidden) // 4)
+    figure = new_figure(2.2 * columns, 1.8 * rows)
+    for i, scenario in enumerate(hidden):
+        axes = figure.add_subplot(rows, columns, i + 1)
+        for run in managers:
+            if run["scenario"] == scenario:
+                points = [[float(number) for number in point.split(":")] for point in run["evaluations"].split()]
+                axes.plot(*zip(*points, strict=True), color="#0072B2")
+                axes.axhline(run["beside"], ls="--", color="black", lw=1.2)
+        axes.set_title(scenario)
+        axes.set_xlim(left=0.0)
+        axes.grid(alpha=0.25)
+        if i // columns == rows - 1:
+            axes.set_xlabel("million steps")
+        if i % columns == 0:
+            axes.set_ylabel("raw score")
+    figure.tight_layout()
+    save_figure(figure, path)
 
 
 def main() -> None:
@@ -114,6 +168,8 @@ def main() -> None:
         print(json.dumps(new), json.dumps(scores["untrained"][new["scenario"]]), flush=True)
         write_text(SCORES, json.dumps(scores, indent=1) + "\n")
     replace_between(PAGE, "from nothing", table(scores))
+    replace_between(PAGE, "ladder", ladder(scores))
+    draw(scores, FIGURE)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ pytest.importorskip("sb3_contrib", reason='needs the extra: pip install ".[train
 
 import torch
 
+from chemlab.agents.evaluate.benchmark import find_rows
 from chemlab.agents.notes import notes_size
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.pretrained import load_pretrained
@@ -150,7 +151,7 @@ def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> 
 
 
 def test_a_team_begins_as_clones(tmp_path: Path) -> None:
-    """In laboratories that have begun anew; a run of it can be exported."""
+    """In laboratories that have begun anew; clones are scored before they learn, and a run can be exported."""
     small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn", "dit"), "rewards": "mixed"}
     team = team_of(IPPO(**small, bc="scripted"))
     assert set(team.clone("scripted", 60, 1, 0.02)) == {"rxn", "dit"}
@@ -159,7 +160,17 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     assert (team.labs.state.ticks == 0).all()
     arguments = IPPO(**{**small, "steps": 40}, bc="scripted", bc_steps=50)
     assert (arguments.practice, arguments.refund, arguments.own_goals) == (0.0, 0.0, 0.0), "help is for nothing"
+    assert (arguments.learning_rate, arguments.ent_coef, arguments.gae_lambda, arguments.tied) == (
+        1e-4,
+        0.0,
+        0.98,
+        None,
+    )
     train(arguments, tmp_path / "run")
+    run = Run(tmp_path / "run")
+    assert run.evaluations()[0].step == 0
+    assert run.checkpoint("first") == run.checkpoints / "first-0"
+    assert [row.name.rpartition(" ")[2] for row in find_rows([str(run.path)])] == ["(first)", "(best)", "(last)"]
     card = export_run(tmp_path / "run", tmp_path / "mine", "dit")
     assert (card.name, card.bench, card.background) == ("mine", "dit", "scripted")
     assert "--bc scripted --bc-steps 50" in card.command
