@@ -93,7 +93,7 @@ class Row:
         name: what it is called.
         policies: a policy's name, or path, for each of its training runs; one where it was not trained here.
         hours: of training, all runs together; None where it is not known.
-        steps: of a run; None where there is none.
+        steps: of a run, 0 before training; None where there is none.
         curves: for each run (step, mean score) of its evaluations.
         scenario: what the runs were trained on; None: anything.
         records: (scenario's name, record) of episodes that somebody has played already; who has some plays none here.
@@ -200,9 +200,11 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
         if missing:
             raise ValueError(f"policies: {', '.join(missing)}: no {kind} checkpoint; train it (again)")
         paths = tuple(f"{folder}:{way}" if way else str(folder) for folder in checkpoints)
-        steps = 0 if kind == "first" else max((run.curve()[-1].step for run in runs if run.curve()), default=0) or None
-        own = str(configs[0]["scenario"])
-        found.append(Row(f"{name} ({kind})", paths, sum(seconds) / 3600.0, steps, curves, own))
+        steps = max((run.curve()[-1].step for run in runs if run.curve()), default=0) or None
+        hours: float | None = sum(seconds) / 3600.0
+        if kind == "first":
+            hours, steps = None, 0  # how long cloning took is not known apart
+        found.append(Row(f"{name} ({kind})", paths, hours, steps, curves, str(configs[0]["scenario"])))
     return found
 
 

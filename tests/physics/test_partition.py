@@ -65,6 +65,16 @@ def test_four_solvents_at_rest_follow_the_formula(solute: str) -> None:
     assert where(FOUR, 0, solute, SOLVENTS) == pytest.approx([total * rest[name] for name in SOLVENTS], rel=1e-12)
 
 
+def test_solvents_as_polar_as_the_solute_share_it_by_volume() -> None:
+    """All differences in polarity are 0 then, and no solvent is preferred."""
+    glass = Glassware(four_solvents(), 1)
+    glass.known.polarity[:] = 0.5
+    glass.mixed(0, {"water": 6.0, "hexane": 1.0, "dodecane": 0.2})
+    glass.turn(0, 100.0)
+    in_water, in_hexane = where(glass, 0, "dodecane", ("water", "hexane"))
+    assert in_water / in_hexane == pytest.approx(glass.volume(0, "water") / glass.volume(0, "hexane"), rel=1e-12)
+
+
 @pytest.mark.parametrize("clock", [T_MIX, 0.0, CLOCK_SETTLED])
 def test_one_solvent_holds_everything(clock: float) -> None:
     """With one solvent every solute is in it, at any clock and wherever it was before."""
