@@ -412,8 +412,9 @@ class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
 
     The options of ``_HELP`` help to learn from nothing, in training alone. A team that begins from policies or clones
-    has none of it unless it is asked for, no entropy bonus, a tenth of the learning rate, and rollouts and traces
-    nearly as long as episodes; from policies, it shares no weights.
+    has none of it unless it is asked for, no entropy bonus, and a tenth of the learning rate; from policies, it shares no
+    weights. Rollouts and traces are nearly as long as episodes: a manager has few turns in a short rollout, so that its
+    critic's errors would count for more than what it earns.
     """
 
     algo: Literal["ippo"] = "ippo"
@@ -424,12 +425,12 @@ class IPPO(Clipped, Arguments, Cloning):
     begin_from: str | None = None
     steps: Many = 250_000
     envs: Count = 256
-    rollout: Turns = 32
+    rollout: Turns = 128
     learning_rate: Positive = 1e-3
     net_arch: Layers = (128, 128)
     manager_gamma: Share = 1.0
     by_ticks: bool = False
-    gae_lambda: Share = 0.95
+    gae_lambda: Share = 0.98
     ent_coef: Weight = 0.03
     epochs: Annotated[int, Field(ge=1, le=10_000)] = 3
     batch_size: Minibatch = 1024
@@ -455,8 +456,6 @@ class IPPO(Clipped, Arguments, Cloning):
             **dict.fromkeys(_HELP, 0.0),
             "learning_rate": 1e-4,
             "ent_coef": 0.0,
-            "rollout": 128,
-            "gae_lambda": 0.98,
             **({} if values.get("begin_from") is None else {"tied": False}),
             **values,
         }
