@@ -412,9 +412,9 @@ class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
 
     The options of ``_HELP`` help to learn from nothing, in training alone. A team that begins from policies or clones
-    has none of it unless it is asked for, no entropy bonus, and a tenth of the learning rate; from policies, it shares no
-    weights. Rollouts and traces are nearly as long as episodes: a manager has few turns in a short rollout, so that its
-    critic's errors would count for more than what it earns.
+    has none of it unless it is asked for, no entropy bonus, and a tenth of the learning rate; from policies, it shares
+    no weights. Rollouts and traces are nearly as long as episodes: a manager has few turns in a short rollout, where
+    its critic's errors count for more than what it earns.
     """
 
     algo: Literal["ippo"] = "ippo"
