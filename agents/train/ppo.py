@@ -55,7 +55,9 @@ _FORBIDDEN = -1e9
 _PRACTICE = 20
 """Steps in each environment before each update while benches learn on their own."""
 _REMEMBERED = 1 << 16
-"""Turns of the manager that self-imitation chooses from."""
+"""Most turns of the manager that self-imitation chooses from."""
+_MEMORY = 1 << 26
+"""Most numbers that these turns' observations take together."""
 _BY_TURN = ("_env", "_following", "_ended")
 """Arrays of these turns beside observations and actions."""
 _PART = 4096
@@ -237,7 +239,8 @@ class _Learner:
         if not self._normalizes:
             return
         self._count += len(seen)
-        self._moments += np.stack([seen.sum(axis=0, dtype=np.float64), np.square(seen, dtype=np.float64).sum(axis=0)])
+        squares = np.einsum("ij,ij->j", seen, seen, dtype=np.float64)  # without a whole array of squares
+        self._moments += np.stack([seen.sum(axis=0, dtype=np.float64), squares])
         sizes = np.bincount(self._groups)
         mean, square = (
             (np.bincount(self._groups, weights=one) / sizes)[self._groups] for one in self._moments / self._count
@@ -442,13 +445,14 @@ class _Best:
     """
 
     def __init__(self, envs: int, track: _Track) -> None:
+        size = self._size = min(_REMEMBERED, _MEMORY // track.seen.shape[2])
         self._turns = {
-            name: np.zeros((_REMEMBERED, *array.shape[2:]), dtype=array.dtype)
+            name: np.zeros((size, *array.shape[2:]), dtype=array.dtype)
             for name, array in track.arrays().items()
             if name in ("observed", "seen", "mask", "action")
         }
-        self._env, self._following = np.full(_REMEMBERED, -1), np.zeros(_REMEMBERED, dtype=np.float32)
-        self._ended, self._earned, self._at = np.zeros(_REMEMBERED, dtype=np.bool_), np.zeros(envs), 0
+        self._env, self._following = np.full(size, -1), np.zeros(size, dtype=np.float32)
+        self._ended, self._earned, self._at = np.zeros(size, dtype=np.bool_), np.zeros(envs), 0
 
     def __getstate__(self) -> dict[str, Any]:
         # Rows that no turn has taken yet are empty: they would make a gigabyte of a checkpoint.
@@ -460,7 +464,7 @@ class _Best:
         taken = len(state["_env"])
         for arrays, names in ((state["_turns"], list(state["_turns"])), (state, _BY_TURN)):
             for name in names:
-                whole = np.zeros((_REMEMBERED, *arrays[name].shape[1:]), dtype=arrays[name].dtype)
+                whole = np.zeros((state["_size"], *arrays[name].shape[1:]), dtype=arrays[name].dtype)
                 whole[:taken] = arrays[name]
                 arrays[name] = whole
         state["_env"][taken:] = -1
@@ -468,8 +472,8 @@ class _Best:
 
     def add(self, track: _Track, t: int, rows: IntArray) -> None:
         """Take turns of the laboratories ``rows`` in round ``t``."""
-        at = (self._at + np.arange(len(rows))) % _REMEMBERED
-        self._at = int(at[-1] + 1) % _REMEMBERED
+        at = (self._at + np.arange(len(rows))) % self._size
+        self._at = int(at[-1] + 1) % self._size
         for name, kept in self._turns.items():
             kept[at] = getattr(track, name)[t, rows]
         self._env[at], self._following[at], self._ended[at] = rows, -self._earned[rows], False
@@ -617,9 +621,8 @@ class PPOTeam:
                     units += notes_units(labs) if tied else []
                 network = _Network(len(columns), state, size, bool(count), settings.net_arch, tied, units)
                 gamma = settings.manager_gamma if role == MANAGER_ROLE else settings.gamma
-                groups = np.arange(len(columns) + state)
-                if tied:
-                    groups[: len(columns)] = numbered([unit[0] for unit in units])
+                kinds = [unit[0] for unit in units] if tied else range(len(columns))
+                groups = numbered([*kinds, *(("state", k) for k in range(state))])
                 self.learners[role] = _Learner(columns, whole, network, settings, gamma, groups)
             seen = len(self.learners[role].columns)
             self._tracks[agent] = _Track(
