@@ -437,12 +437,12 @@ class IPPO(Clipped, Arguments, Cloning):
     eval_episodes: Count = 50
     play: Play = "better"
     practice: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.5
-    refund: Share = 0.5
-    processed: Share = 0.3
-    own_goals: Share = 0.5
-    shown_readings: Share = 0.7
-    partial: Share = 0.6
-    free_readings: Share = 0.8
+    refund: Share = 0.25
+    processed: Share = 0.15
+    own_goals: Share = 0.25
+    shown_readings: Share = 0.35
+    partial: Share = 0.3
+    free_readings: Share = 0.4
     self_imitation: Weight = 1.0
     notes: bool | None = None
     tied: bool | None = None
