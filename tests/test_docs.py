@@ -321,6 +321,20 @@ MADE = ("laboratory.md", "summary.md")
 """Pages of results that are written whole by the commands of ``studies/``."""
 
 
+def test_the_table_of_times_is_that_of_the_stored_runs() -> None:
+    """And a score is reached at the first of two evaluations in a row."""
+    pytest.importorskip("stable_baselines3", reason="needs the extra train")
+    made = script("studies/baselines/time_to_score.py")
+    runs = json.loads(made.SCORES.read_text(encoding="utf-8"))
+    assert "\n".join(made.table(runs)) in (DOCS / "training.md").read_text(encoding="utf-8"), made.__doc__
+    for run in runs:
+        assert run["target"] == round(made.asked(run["scenario"]), 4)
+        watch = made.Watch(run["target"], run["cap"], 0.0, lambda sampled: 0.0)
+        points = (point.split(":") for point in run["evaluations"].split())
+        watch.points = [(float(seconds), 0, float(score)) for seconds, score in points]
+        assert (watch.reached() or (None,))[0] == run["seconds"]
+
+
 def test_the_citation_names_this_version() -> None:
     assert f"{{{__version__}}}" in (DOCS / "about.md").read_text(encoding="utf-8")
 
