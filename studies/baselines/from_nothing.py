@@ -141,7 +141,7 @@ def draw(scores: dict[str, Any], path: Path) -> None:
         axes.set_title(scenario)
         axes.set_xlim(left=0.0)
         axes.grid(alpha=0.25)
-        if i // columns == rows - 1:
+        if i + columns >= len(hidden):  # nothing below
             axes.set_xlabel("million steps")
         if i % columns == 0:
             axes.set_ylabel("raw score")
