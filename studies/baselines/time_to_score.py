@@ -38,13 +38,13 @@ from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import Policy, as_policy
 from chemlab.lab.engine import Laboratories
 
-ROOT = Path(__file__).parent.parent.parent
 SCORES = Path(__file__).parent / "results" / "time_to_score.json"
-PAGE = ROOT / "docs" / "training.md"
-AUDITS = ROOT / "docs" / "results" / "audits"
+PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
 SPLIT, EPISODES = "validation", 50
 STEPS = {"wurtz_dodecane": 150_000, "rush": 1_500_000}
 """Length of a run of ``ippo``, whose rates and helps fade by it; the other learners keep theirs."""
+TARGETS = {"rush": 0.08}
+"""Raw scores to reach."""
 EVERY = {"wurtz_dodecane": 2.0, "rush": 10.0}
 """Seconds between evaluations, besides a twentieth of those before; a learner may have longer rollouts."""
 _COMMON = {"envs": 256, "rollout": 16, "batch_size": 256, "ent_coef": 0.01}
@@ -68,12 +68,8 @@ def played(scenario: str, manager: Policy | None) -> float:
 
 
 def asked(scenario: str) -> float:
-    """Return the raw score to reach: 0.3 on the scale of the audit of rush, 0.9 times the scripted one elsewhere."""
-    if scenario != "rush":
-        return 0.9 * played(scenario, None)
-    audit = json.loads((AUDITS / f"{scenario}.json").read_text(encoding="utf-8"))
-    zero, one = audit["random"]["score"], audit["oracle"]["score"]
-    return float(zero + 0.3 * (one - zero))
+    """Return the raw score to reach: 0.9 times the scripted one, or what ``TARGETS`` states."""
+    return TARGETS[scenario] if scenario in TARGETS else 0.9 * played(scenario, None)
 
 
 class Watch:

@@ -411,4 +411,5 @@ def test_shipped_policies_do_what_their_cards_say(name: str) -> None:
         policy.check(task.workplace)
     found = task.by_goal(task.trained(policy), episodes, seed)
     mean = sum(found.values()) / len(found)
-    assert mean == pytest.approx(card.evaluation["mean"], rel=0.03, abs=0.01)
+    drawn = 0.03 if card.sampled else 0.01  # a sampled policy draws other actions
+    assert mean == pytest.approx(card.evaluation["mean"], rel=0.03, abs=drawn)
