@@ -409,7 +409,7 @@ def test_shipped_policies_do_what_their_cards_say(name: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         policy.check(task.workplace)
-    found = task.by_goal(task.trained(policy), episodes, seed)
+    found = task.by_goal(task.trained(policy.as_played(None, seed)), episodes, seed)
     mean = sum(found.values()) / len(found)
-    drawn = 0.03 if card.sampled else 0.01  # a sampled policy draws other actions
+    drawn = 0.05 if card.sampled else 0.01  # other actions are drawn
     assert mean == pytest.approx(card.evaluation["mean"], rel=0.03, abs=drawn)
