@@ -242,7 +242,7 @@ class PretrainedPolicy:
         """Return the policy, played in a way.
 
         Args:
-            way: :data:`~.former_names.GREEDY`, :data:`~.names.SAMPLED` or None (as its card says).
+            way: :data:`~.former_names.GREEDY`, :data:`~.former_names.SAMPLED` or None (as its card says).
             seed: seed of what is drawn.
 
         Raises:
