@@ -30,8 +30,10 @@ from stable_baselines3.common.logger import Logger
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
-from chemlab.agents.train.arguments import training_arguments
+from chemlab.agents.train.arguments import IPPO, training_arguments
+from chemlab.agents.train.joint import Team
 from chemlab.agents.train.loop import EVALUATION_SEED, Progress
+from chemlab.agents.train.single import Agent
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT
@@ -105,14 +107,12 @@ class Watch:
         return next((one for one, two in pairs if min(one[2], two[2]) >= self.target), None)
 
 
-def own(settings: dict[str, Any], scenario: str, seed: int, watch: Callable[..., Watch]) -> Watch:
+def chemlab_learner(settings: dict[str, Any], scenario: str, seed: int, watch: Callable[..., Watch]) -> Watch:
     """Run a learner of this package."""
-    from chemlab.agents.train.learn import _trainee
-
     steps = STEPS[scenario] if settings["algo"] == "ippo" else 10**9
     task = {"scenario": scenario, "roles": "manager", "seed": seed}
     arguments = training_arguments({"steps": steps, **settings, **task})
-    trainee, _ = _trainee(arguments)
+    trainee = (Team if isinstance(arguments, IPPO) else Agent)(arguments)
     with tempfile.TemporaryDirectory() as folder:
         progress: Progress = trainee.begin(Run(Path(folder)))
         trainee.logger = Logger(None, [])
@@ -155,9 +155,9 @@ def benchmarl(settings: dict[str, Any], scenario: str, seed: int, watch: Callabl
 
         def act(observation: Any, mask: Any) -> Any:
             seen = {"observation": torch.as_tensor(observation), "action_mask": torch.as_tensor(mask) > 0}
-            own = TensorDict({name: value[:, None] for name, value in seen.items()}, [len(observation), 1])
+            agents = TensorDict({name: value[:, None] for name, value in seen.items()}, [len(observation), 1])
             with torch.no_grad(), set_exploration_type(way):
-                rows = experiment.group_policies["manager"](TensorDict({"manager": own}, [len(observation)]))
+                rows = experiment.group_policies["manager"](TensorDict({"manager": agents}, [len(observation)]))
             return rows["manager", "action"][:, 0].numpy()
 
         return played(scenario, as_policy(act))
@@ -186,7 +186,7 @@ def benchmarl(settings: dict[str, Any], scenario: str, seed: int, watch: Callabl
 def measure(learner: str, settings: dict[str, Any], scenario: str, seed: int, cap: float) -> dict[str, Any]:
     """Return what a run has reached and when."""
     target = asked(scenario)  # its episodes also load the kernels
-    run = benchmarl if "algorithm" in settings else own
+    run = benchmarl if "algorithm" in settings else chemlab_learner
     clock = run(settings, scenario, seed, lambda score: Watch(target, cap, EVERY[scenario], score))
     found = clock.reached()
     best, points = max(point[2] for point in clock.points), " ".join(f"{t}:{score}" for t, _, score in clock.points)
