@@ -55,7 +55,7 @@ class RunConfig(BaseModel):
         fingerprint: hash of the bench's chemistry, options and prices; equal tasks have equal hashes.
         versions: versions of everything that results may depend on.
         background, starts, rewards: as in the arguments.
-        arguments: arguments of :mod:`chemlab.agents.train.arguments` that differ from the defaults, without the seed;
+        arguments: arguments of :mod:`chemlab.agents.train.arguments` without the seed;
             None in runs before 0.3, which have them beside the others.
     """
 

@@ -178,9 +178,9 @@ class Arguments(BaseModel):
     def _task_name(self) -> str:
         return "-".join([Path(self.scenario).stem, *(self.roles or ("all",))])
 
-    def changed(self) -> dict[str, Any]:
-        """Return what differs from the defaults, as JSON; the seed stands apart."""
-        return {**self.model_dump(mode="json", exclude_defaults=True, exclude={"seed"}), "algo": self.algo}
+    def stated(self) -> dict[str, Any]:
+        """Return all arguments as JSON, since defaults may change; the seed stands apart."""
+        return self.model_dump(mode="json", exclude={"seed"})
 
     def flags(self) -> list[str]:
         """Return the options of ``chemlab train`` that give these arguments, but for the scenario."""
@@ -666,3 +666,26 @@ def curriculum_of(arguments: Single, benches: Sequence[str]) -> list[Stage]:
             )
         stages.append(stage)
     return stages
+
+
+def recorded_arguments(config: dict[str, Any], where: str) -> Arguments:
+    """Return the arguments of a run; those that it does not state have their defaults.
+
+    Args:
+        config: its ``config.json``.
+        where: the file, for error messages.
+
+    Raises:
+        DataError: they are not of this version.
+    """
+    if not isinstance(config.get("arguments"), dict):
+        raise DataError(f"{where}: was made by a version before 0.3; train it again")
+    return training_arguments({**config["arguments"], "seed": config.get("seed")}, where)
+
+
+def filled(config: dict[str, Any]) -> dict[str, Any]:
+    """Return a run's ``config.json`` with arguments that are newer than the run, if it can be read."""
+    try:
+        return {**config, "arguments": recorded_arguments(config, "").stated()}
+    except DataError:
+        return config

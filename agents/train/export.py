@@ -21,7 +21,7 @@ from ..former_names import GREEDY, split_way
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..random_policy import RandomPolicy
 from ..runs import RESULT_SEED, Run
-from .arguments import Arguments, Single, training_arguments
+from .arguments import Arguments, Single, recorded_arguments
 from .tasks import Task, find_task, task_of
 
 try:
@@ -207,18 +207,3 @@ def _player(best: Path, arguments: Arguments, config: dict[str, Any], task: Task
         evaluation={},
         background=task.background,
     )
-
-
-def recorded_arguments(config: dict[str, Any], where: str) -> Arguments:
-    """Return the arguments of a run.
-
-    Args:
-        config: its ``config.json``.
-        where: the file, for error messages.
-
-    Raises:
-        DataError: they are not of this version.
-    """
-    if not isinstance(config.get("arguments"), dict):
-        raise DataError(f"{where}: was made by a version before 0.3; train it again")
-    return training_arguments({**config["arguments"], "seed": config.get("seed")}, where)

@@ -19,7 +19,7 @@ from pathlib import Path
 from chemlab.config.files import write_text
 
 from ..runs import Run, RunConfig, RunResult, differences, to_text
-from .arguments import IPPO, Arguments, Single
+from .arguments import IPPO, Arguments, Single, filled
 
 try:
     import torch
@@ -88,7 +88,7 @@ def _check_same(run: Run, config: RunConfig) -> None:
         return
     if saved.get("arguments") is None:
         raise ValueError(f"{run.path}: holds a run of chemlab before 0.3; give another --out, or delete the folder")
-    found = differences(saved, config.model_dump(exclude_none=True))
+    found = differences(filled(saved), config.model_dump(exclude_none=True))
     if list(found) == ["fingerprint"]:
         raise ValueError(
             f"{run.path}: scenario {config.scenario!r} has changed since this run was begun; "

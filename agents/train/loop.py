@@ -146,7 +146,7 @@ class Trainee(ABC):
             background=a.background,
             starts=getattr(a, "starts", "paper"),
             rewards=getattr(a, "rewards", None),
-            arguments=a.changed(),
+            arguments=a.stated(),
             versions={
                 **versions(),
                 "stable-baselines3": stable_baselines3.__version__,

@@ -31,7 +31,7 @@ from chemlab.config.parts import may_run
 
 from ..executors import WorkerLost, run_chemlab
 from ..runs import Run, RunBusy, differences, to_text
-from .arguments import Arguments, training_arguments
+from .arguments import Arguments, filled, training_arguments
 from .tasks import task_fingerprint
 
 STATES: tuple[str, ...] = ("done", "running", "waiting", "interrupted", "failed", "other")
@@ -145,8 +145,8 @@ def status_of(planned: Planned) -> Status:
     if config is None:
         return _unfinished(planned, 0, None, "waiting")
     now = planned.arguments
-    expected = {"arguments": now.changed(), "seed": now.seed, "fingerprint": task_fingerprint(now)}
-    found = differences(config, {**config, **expected})
+    expected = {"arguments": now.stated(), "seed": now.seed, "fingerprint": task_fingerprint(now)}
+    found = differences(filled(config), {**config, **expected})
     if config.get("arguments") is None or found:
         what = ", ".join(found.values()) if config.get("arguments") is not None else "of chemlab before 0.3"
         return Status("other", 0, steps, None, f"{what}: {run.path}")

@@ -97,7 +97,7 @@ def test_card_says_the_preset() -> None:
     from chemlab.agents.train.export import recorded_arguments
 
     arguments = training_arguments({"scenario": "chemlab/WurtzExtraction-v0", "preset": "ppo-entropy", "seed": 4})
-    config = {"arguments": json.loads(json.dumps(arguments.changed())), "seed": 4}
+    config = {"arguments": json.loads(json.dumps(arguments.stated())), "seed": 4}
     assert recorded_arguments(config, "config.json") == arguments
     assert arguments.command_line() == (
         "chemlab train wurtz_dodecane --algo ppo --preset ppo-entropy --steps 1000000 --seed 4 --bench ext"
