@@ -9,6 +9,7 @@ scenario's name. A card states the task, training, command and evaluation of a p
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import importlib.resources
 import json
@@ -420,6 +421,10 @@ def _read_card(path: Path) -> Card:
     return validated(Card, read_json(path), f"{path}: not a card of this version")
 
 
+# What is bundled stays as it is, and a command may ask for all of it hundreds of times.
+_bundled = functools.cache(_read_card)
+
+
 def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
     """Load a policy by its name (:func:`pretrained_names`) or by the path of either of its files.
 
@@ -473,7 +478,7 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
         ValueError: there is none; the message states why each policy of this kind does not fit.
     """
     reasons, fitting = [], []
-    cards = {name: _read_card(_shipped() / f"{name}.json") for name in pretrained_names()}
+    cards = {name: _bundled(_shipped() / f"{name}.json") for name in pretrained_names()}
     alike = {name: card for name, card in cards.items() if card.interface.kind == workplace.kind}
     for name, card in alike.items():
         difference = _difference(card, workplace)
