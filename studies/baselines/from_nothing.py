@@ -3,7 +3,8 @@
 ``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
 (``studies/baselines/from_nothing.toml``), also where no measurement can be paid, and, on the same episodes, the
 scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. Of scenarios with hidden
-parameters it also plays the 40 test episodes of the small audit. It adds the scores to ``results/from_nothing.json``.
+parameters it also plays the 40 test episodes of the small audit, and 400 validation episodes beside the scripted agents,
+for the mean difference with its 95 % interval. It adds the scores to ``results/from_nothing.json``.
 Without RESULTS nothing is played: tables and figure of docs/training.md are written from that file.
 """
 
@@ -21,6 +22,7 @@ from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.benchmark import world_scenarios
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of, without_instruments
 from chemlab.agents.evaluate.search import search_plan
+from chemlab.agents.evaluate.statistics import mean
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
 from chemlab.config.files import replace_between, write_text
@@ -34,7 +36,9 @@ from chemlab.render.figure import new_figure, save_figure
 SCORES = Path(__file__).parent / "results" / "from_nothing.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
 FIGURE = PAGE.parent / "images" / "from_nothing.png"
-SPLIT, EPISODES = "validation", 100
+SPLIT, EPISODES, PAIRED = "validation", 100, 400
+LEAST = 0.02
+"""A gain not below minus this counts as the scripted agents' score."""
 MANAGERS = ("nothing", "random", "plan", "scripted")
 
 
@@ -47,6 +51,16 @@ def means(spec: Scenario, policy: str) -> list[float]:
     else:
         policies = make_policies(policy, labs, RESULT_SEED)
     return [float(play_laboratory(labs, policies, goal, RESULT_SEED).returns.mean()) for goal in spec.lab_goals]
+
+
+def gain(spec: Scenario, policy: str) -> dict[str, float]:
+    """Return how much higher a policy scores than the scripted agents in the same episodes, with its interval."""
+    labs = Laboratories(spec, PAIRED, split=SPLIT)
+    ours, theirs = (
+        play_laboratory(labs, make_policies(name, labs, RESULT_SEED), None, RESULT_SEED).returns
+        for name in (policy, "scripted")
+    )
+    return mean([ours - theirs]).as_dict()
 
 
 def untrained(name: str, plans: int) -> dict[str, float]:
@@ -74,6 +88,7 @@ def learned(run: Run) -> dict[str, Any]:
         budget = budget_of("small")
         asked = {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": budget.episodes, "split": "test"}
         own["audited"] = statistics.mean(Crew(spec, budget).run([Job("audit", "play", asked)])["audit"]["scores"])
+        own["gain"] = gain(spec, str(run.path))
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled, **curve(run)}
 
@@ -107,15 +122,18 @@ def table(scores: dict[str, Any]) -> list[str]:
 
 
 def ladder(scores: dict[str, Any]) -> list[str]:
-    """Return the lines of the table of what has been learned from nothing by whom; what has not been tried is open."""
+    """Return the lines of the table of what has been learned from nothing by whom; what has not been tried is open.
+
+    Scores of runs that gain at least nothing but for 0.02, with the lower end of the interval, are bold.
+    """
     lines = ["| scenario | scripted | manager | benches | all roles |", "| --- | --: | --: | --: | --: |"]
     for scenario in (*world_scenarios(), "wurtz_dodecane"):
         cells = [f"{scores['untrained'][scenario]['scripted']:.3f}" if scenario in scores["untrained"] else ""]
         for who in ("manager", "benches", "all roles"):
-            best = [
-                run["best"] for run in scores["runs"] if run["scenario"] == scenario and learners(run["roles"]) == who
-            ]
-            cells.append(f"{statistics.median(best):.3f}" if best else "open")
+            runs = [run for run in scores["runs"] if run["scenario"] == scenario and learners(run["roles"]) == who]
+            cell = f"{statistics.median(run['best'] for run in runs):.3f}" if runs else "open"
+            sure = runs and all("gain" in run and run["gain"]["low"] >= -LEAST for run in runs)
+            cells.append(f"**{cell}**" if sure else cell)
         lines.append(f"| `{scenario}` | {' | '.join(cells)} |")
     return lines
 

@@ -315,7 +315,7 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     assert f"{result.mean:.3f}" in again.output
     refused = runner.invoke(app, [*flags, "--learning-rate", "0.01"])
     assert refused.exit_code == 2
-    assert "learning_rate None (now 0.01)" in refused.output
+    assert "learning_rate 0.0003 (now 0.01)" in refused.output
     assert "--out" in refused.output
     config = Run(tmp_path / "run").config()
     assert config is not None
