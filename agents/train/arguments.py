@@ -540,14 +540,14 @@ def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> A
     """
     given = _renamed(values, where)
     preset = given.get("preset", "paper")
-    if preset not in PRESETS:
+    if str(preset) not in PRESETS:
         raise DataError(f"{where}: preset: choose from {', '.join(PRESETS)}; given {shown(preset)}")
     given = {**PRESETS[preset], **given}
     roles = _several(given.get("roles", "all"))
     one = "bench" in given or (len(roles) == 1 and roles != ("all",))
     managed = roles in (("manager",), ("manager_0",)) and set(given) <= set(IPPO.model_fields)
     algo = given.get("algo", "ippo" if managed or not one else "ppo")
-    if algo not in ALGORITHMS:
+    if str(algo) not in ALGORITHMS:
         raise DataError(f"{where}: algo: choose from {', '.join(ALGORITHMS)}; given {shown(algo)}")
     kind, known = ALGORITHMS[algo], {name for model in ALGORITHMS.values() for name in model.model_fields}
     for name in given:
@@ -569,7 +569,7 @@ def _renamed(values: Mapping[str, Any], where: str) -> dict[str, Any]:
         value = given.pop(old)
         print(f"{where}: {old} is now called {new}; the old name ends with this release", file=sys.stderr)
         if old == "critic":
-            given[new] = {"own": "ippo", "state": "mappo"}.get(value, value)
+            given[new] = {"own": "ippo", "state": "mappo"}.get(str(value), value)
         else:
             given.setdefault(new, value)
     for name in ("background", "bc", "hints"):
@@ -602,7 +602,7 @@ def _placed(given: dict[str, Any], where: str) -> dict[str, Any]:
         return given
     env_id = "chemlab/LabManager-v1" if env_id == "manager" else env_id
     known = _benches()
-    if env_id not in known:
+    if str(env_id) not in known:
         raise DataError(f"{where}: scenario: environments are {', '.join(known)}; given {shown(env_id)}")
     own = {} if env_id == _ANY_BENCH else known[env_id]  # of which any scenario has one
     for name, value in own.items():

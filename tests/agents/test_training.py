@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import inspect
+import itertools
 import json
 import os
 import pickle
@@ -35,6 +37,7 @@ from chemlab.agents.train import learn as training
 from chemlab.agents.train.arguments import (
     ALGORITHMS,
     IPPO,
+    OLD_NAMES,
     PPO,
     Arguments,
     MaskablePPO,
@@ -47,6 +50,7 @@ from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.single import _learner
 from chemlab.agents.train.tasks import BenchTask, LaboratoryTask
 from chemlab.cli import app
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
@@ -480,7 +484,9 @@ def test_flags_say_the_same_as_arguments() -> None:
     ("values", "message"),
     [
         ({"algo": "reinforce"}, "algo: choose from ppo, a2c"),
+        ({"algo": ["ppo"]}, "algo: choose from ppo, a2c"),
         ({"preset": "huge"}, "preset: choose from paper, .*ppo-xl"),
+        ({"preset": ["paper"]}, "preset: choose from paper, .*ppo-xl"),
         ({"stepz": 3}, "stepz: unknown argument; did you mean steps"),
         ({"steps": "many"}, "steps: Input should be a valid integer, given 'many'"),
         ({"steps": True}, "steps: Input should be a valid integer, given True"),
@@ -622,6 +628,16 @@ def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
                 load_arguments(None, {"algo": algo, **given})
         for value in EDGES.get(name, ()):
             kind(**fitting(kind, name), **{name: value})
+
+
+@pytest.mark.parametrize("algo", ["ppo", "maskable-ppo", "ippo"])
+def test_values_of_any_kind_are_readable_errors(algo: str) -> None:
+    """Also of names of before 0.3. What is not refused is a value that the argument may have."""
+    names = {name for kind in KINDS for name in kind.model_fields} | set(OLD_NAMES)
+    values = [["x"], [["x"]], [1], [], {}, {"a": 1}, [None], 1.5, -1, "", True, float("nan"), 10**30, "x" * 99]
+    for name, value in itertools.product(sorted(names), values):
+        with contextlib.suppress(DataError):
+            training_arguments({"algo": algo, name: value})
 
 
 def test_nonsense_in_a_file_and_on_the_command_line(tmp_path: Path) -> None:
