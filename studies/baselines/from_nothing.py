@@ -3,8 +3,8 @@
 ``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
 (``studies/baselines/from_nothing.toml``), also where no measurement can be paid, and, on the same episodes, the
 scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. Of scenarios with hidden
-parameters it also plays the 40 test episodes of the small audit, and 1,000 validation episodes beside the scripted agents,
-for the mean difference with its 95 % interval. It adds the scores to ``results/from_nothing.json``.
+parameters it also plays the 40 test episodes of the small audit, and 1,000 ``validation`` episodes beside the scripted
+agents, for the mean difference with its 95 % interval. It adds the scores to ``results/from_nothing.json``.
 Without RESULTS nothing is played: tables and figure of docs/training.md are written from that file.
 """
 
