@@ -669,7 +669,7 @@ def curriculum_of(arguments: Single, benches: Sequence[str]) -> list[Stage]:
 
 
 def recorded_arguments(config: dict[str, Any], where: str) -> Arguments:
-    """Return the arguments of a run; those that it does not state have their defaults.
+    """Return the arguments of a run; what it does not state has its default.
 
     Args:
         config: its ``config.json``.

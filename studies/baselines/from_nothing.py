@@ -3,14 +3,16 @@
 ``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
 (``studies/baselines/from_nothing.toml``), also where no measurement can be paid, and, on the same episodes, the
 scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. Of scenarios with hidden
-parameters it also plays the 40 test episodes of the small audit, and 1,000 ``validation`` episodes beside the scripted
-agents, for the mean difference with its 95 % interval. It adds the scores to ``results/from_nothing.json``.
+parameters it also plays the 40 test episodes of the small audit, and 1,000 episodes of ``validation`` and of ``test``
+beside the scripted agents, for the mean differences with their intervals. It adds the scores to
+``results/from_nothing.json``.
 Without RESULTS nothing is played: tables and figure of docs/training.md are written from that file.
 """
 
 from __future__ import annotations
 
 import argparse
+import functools
 import json
 import statistics
 import tempfile
@@ -22,13 +24,14 @@ from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.benchmark import world_scenarios
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of, without_instruments
 from chemlab.agents.evaluate.search import search_plan
-from chemlab.agents.evaluate.statistics import mean
+from chemlab.agents.evaluate.statistics import interval_text, mean
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Policy, as_policy
+from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 from chemlab.openchem.difficulty import waiting
 from chemlab.render.figure import new_figure, save_figure
@@ -37,8 +40,6 @@ SCORES = Path(__file__).parent / "results" / "from_nothing.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
 FIGURE = PAGE.parent / "images" / "from_nothing.png"
 SPLIT, EPISODES, PAIRED = "validation", 100, 1000
-LEAST = 0.02
-"""A gain not below minus this counts as the scripted agents' score."""
 MANAGERS = ("nothing", "random", "plan", "scripted")
 
 
@@ -53,14 +54,19 @@ def means(spec: Scenario, policy: str) -> list[float]:
     return [float(play_laboratory(labs, policies, goal, RESULT_SEED).returns.mean()) for goal in spec.lab_goals]
 
 
-def gain(spec: Scenario, policy: str) -> dict[str, float]:
-    """Return how much higher a policy scores than the scripted agents in the same episodes, with its interval."""
-    labs = Laboratories(spec, PAIRED, split=SPLIT)
-    ours, theirs = (
-        play_laboratory(labs, make_policies(name, labs, RESULT_SEED), None, RESULT_SEED).returns
-        for name in (policy, "scripted")
-    )
-    return mean([ours - theirs]).as_dict()
+@functools.cache
+def returns(name: str, split: str, policy: str) -> FloatArray:
+    """Return the scores of a policy in ``PAIRED`` episodes."""
+    labs = Laboratories(load_scenario(name), PAIRED, split=split)
+    return play_laboratory(labs, make_policies(policy, labs, RESULT_SEED), None, RESULT_SEED).returns
+
+
+def gains(name: str, policy: str) -> dict[str, Any]:
+    """Return how much higher a policy scores than the scripted agents in the same episodes, by split."""
+    return {
+        split: mean([returns(name, split, policy) - returns(name, split, "scripted")]).as_dict()
+        for split in ("validation", "test")
+    }
 
 
 def untrained(name: str, plans: int) -> dict[str, float]:
@@ -88,7 +94,7 @@ def learned(run: Run) -> dict[str, Any]:
         budget = budget_of("small")
         asked = {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": budget.episodes, "split": "test"}
         own["audited"] = statistics.mean(Crew(spec, budget).run([Job("audit", "play", asked)])["audit"]["scores"])
-        own["gain"] = gain(spec, str(run.path))
+        own["gains"] = gains(scenario, str(run.path))
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled, **curve(run)}
 
@@ -122,19 +128,29 @@ def table(scores: dict[str, Any]) -> list[str]:
 
 
 def ladder(scores: dict[str, Any]) -> list[str]:
-    """Return the lines of the table of what has been learned from nothing by whom; what has not been tried is open.
-
-    Scores of runs that gain at least nothing but for 0.02, with the lower end of the interval, are bold.
-    """
+    """Return the lines of the table of what has been learned from nothing by whom; what has not been tried is open."""
     lines = ["| scenario | scripted | manager | benches | all roles |", "| --- | --: | --: | --: | --: |"]
     for scenario in (*world_scenarios(), "wurtz_dodecane"):
         cells = [f"{scores['untrained'][scenario]['scripted']:.3f}" if scenario in scores["untrained"] else ""]
         for who in ("manager", "benches", "all roles"):
-            runs = [run for run in scores["runs"] if run["scenario"] == scenario and learners(run["roles"]) == who]
-            cell = f"{statistics.median(run['best'] for run in runs):.3f}" if runs else "open"
-            sure = runs and all("gain" in run and run["gain"]["low"] >= -LEAST for run in runs)
-            cells.append(f"**{cell}**" if sure else cell)
+            best = [
+                run["best"] for run in scores["runs"] if run["scenario"] == scenario and learners(run["roles"]) == who
+            ]
+            cells.append(f"{statistics.median(best):.3f}" if best else "open")
         lines.append(f"| `{scenario}` | {' | '.join(cells)} |")
+    return lines
+
+
+def compared(scores: dict[str, Any]) -> list[str]:
+    """Return the lines of the table of gains over the scripted agents."""
+    lines = [
+        "| scenario | learners | seed | same worlds as in training | `test` worlds |",
+        "| --- | --- | --: | --- | --- |",
+    ]
+    runs = [run for run in scores["runs"] if "gains" in run]
+    for run in sorted(runs, key=lambda run: (run["scenario"], len(run["roles"]), run["seed"])):
+        cells = [interval_text(run["gains"][split], sign="+") for split in ("validation", "test")]
+        lines.append(f"| `{run['scenario']}` | {learners(run['roles'])} | {run['seed']} | {' | '.join(cells)} |")
     return lines
 
 
@@ -187,6 +203,7 @@ def main() -> None:
         write_text(SCORES, json.dumps(scores, indent=1) + "\n")
     replace_between(PAGE, "from nothing", table(scores))
     replace_between(PAGE, "ladder", ladder(scores))
+    replace_between(PAGE, "gains", compared(scores))
     draw(scores, FIGURE)
 
 
