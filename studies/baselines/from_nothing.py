@@ -143,10 +143,7 @@ def ladder(scores: dict[str, Any]) -> list[str]:
 
 def compared(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table of gains over the scripted agents."""
-    lines = [
-        "| scenario | learners | seed | same worlds as in training | `test` worlds |",
-        "| --- | --- | --: | --- | --- |",
-    ]
+    lines = ["| scenario | learners | seed | `validation` | `test` |", "| --- | --- | --: | --: | --: |"]
     runs = [run for run in scores["runs"] if "gains" in run]
     for run in sorted(runs, key=lambda run: (run["scenario"], len(run["roles"]), run["seed"])):
         cells = [interval_text(run["gains"][split], sign="+") for split in ("validation", "test")]
