@@ -323,6 +323,10 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     assert "--out" in refused.output
     config = Run(tmp_path / "run").config()
     assert config is not None
+    # Of before there was such an argument: it has its default.
+    del config["arguments"]["gamma"]
+    Run(tmp_path / "run").config_file.write_text(json.dumps(config))
+    assert "is finished" in runner.invoke(app, flags).output
     Run(tmp_path / "run").config_file.write_text(json.dumps({**config, "fingerprint": "another"}))
     changed = runner.invoke(app, flags)
     assert changed.exit_code == 2
