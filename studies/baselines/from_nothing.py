@@ -12,7 +12,6 @@ Without RESULTS nothing is played: tables and figure of docs/training.md are wri
 from __future__ import annotations
 
 import argparse
-import functools
 import json
 import statistics
 import tempfile
@@ -23,15 +22,15 @@ from typing import Any
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.benchmark import world_scenarios
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of, without_instruments
+from chemlab.agents.evaluate.play import Target, evaluate
 from chemlab.agents.evaluate.search import search_plan
-from chemlab.agents.evaluate.statistics import interval_text, mean
+from chemlab.agents.evaluate.statistics import interval_text
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Policy, as_policy
-from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 from chemlab.openchem.difficulty import waiting
 from chemlab.render.figure import new_figure, save_figure
@@ -54,19 +53,12 @@ def means(spec: Scenario, policy: str) -> list[float]:
     return [float(play_laboratory(labs, policies, goal, RESULT_SEED).returns.mean()) for goal in spec.lab_goals]
 
 
-@functools.cache
-def returns(name: str, split: str, policy: str) -> FloatArray:
-    """Return the scores of a policy in ``PAIRED`` episodes."""
-    labs = Laboratories(load_scenario(name), PAIRED, split=split)
-    return play_laboratory(labs, make_policies(policy, labs, RESULT_SEED), None, RESULT_SEED).returns
-
-
-def gains(name: str, policy: str) -> dict[str, Any]:
+def gains(spec: Scenario, policy: str) -> dict[str, Any]:
     """Return how much higher a policy scores than the scripted agents in the same episodes, by split."""
-    return {
-        split: mean([returns(name, split, policy) - returns(name, split, "scripted")]).as_dict()
-        for split in ("validation", "test")
+    found = {
+        split: evaluate(Target(spec, split=split), [policy], PAIRED, RESULT_SEED) for split in ("validation", "test")
     }
+    return {split: results["policies"][-1]["difference"] for split, results in found.items()}
 
 
 def untrained(name: str, plans: int) -> dict[str, float]:
@@ -94,7 +86,7 @@ def learned(run: Run) -> dict[str, Any]:
         budget = budget_of("small")
         asked = {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": budget.episodes, "split": "test"}
         own["audited"] = statistics.mean(Crew(spec, budget).run([Job("audit", "play", asked)])["audit"]["scores"])
-        own["gains"] = gains(scenario, str(run.path))
+        own["gains"] = gains(spec, str(run.path))
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled, **curve(run)}
 

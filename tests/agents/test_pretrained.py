@@ -93,8 +93,7 @@ def act(policy: PretrainedPolicy, seen: Any, mask: Any = None) -> Any:
 
 def test_card_says_the_preset() -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import training_arguments
-    from chemlab.agents.train.export import recorded_arguments
+    from chemlab.agents.train.arguments import recorded_arguments, training_arguments
 
     arguments = training_arguments({"scenario": "chemlab/WurtzExtraction-v0", "preset": "ppo-entropy", "seed": 4})
     config = {"arguments": json.loads(json.dumps(arguments.stated())), "seed": 4}

@@ -176,7 +176,7 @@ def try_run(folder: Path, rng: np.random.Generator) -> None:
     collect_count(folder)
     run.rewind(150)
     agent_policy(str(run.path), laboratory(SCENARIO), 0)
-    from chemlab.agents.train.export import recorded_arguments
+    from chemlab.agents.train.arguments import recorded_arguments
 
     config = run.config()
     assert config is not None
