@@ -546,9 +546,10 @@ class Laboratories:
         It is half of what they would be worth without it, times the share of the required amount that they have and the
         fourth power of their share of the required purity. It is never part of a score; training can begin with it.
         """
-        amount, purity = self.state.submitted[members, :, 0], self.state.submitted[members, :, 1]
-        near, worth = self._near(members, amount, purity)
-        return np.asarray(np.where(near < 1.0, 0.5 * near * worth, 0.0).mean(axis=1))
+        near, worth = self._near(
+            members, self.state.submitted[members, :, None, 0], self.state.submitted[members, :, None, 1]
+        )
+        return np.asarray(np.where(near < 1.0, 0.5 * near * worth, 0.0).mean(axis=(1, 2)))
 
     def unfinished_worth(self, members: IntArray) -> FloatArray:
         """Return [B] what vessels that may be submitted later are nearly worth, as a mean over the orders.
@@ -561,28 +562,28 @@ class Laboratories:
         made, *ions = (amounts[..., np.maximum(rules.parts[:, k], 0)] for k in range(3))
         made = made + np.where(rules.parts[:, 1] >= 0, np.minimum(*ions), 0.0)
         purity = made / np.maximum(amounts @ rules.counts.T, 1e-9)
-        goals, found, each = state.goal[members], np.zeros(len(members)), np.arange(len(members))
-        left = np.ones(made.shape[:2])
-        for order in range(goals.shape[1]):
-            goal, open_ = goals[:, order], ~state.filled[members, order]
-            if self.scenario.demand.order:
-                late = state.ticks[members] - state.terms[members, order, ARRIVES]
-                open_ &= (late >= 0.0) & (late <= state.terms[members, order, WITHIN])
-            near, worth = self._near(members, made[each, :, goal], purity[each, :, goal], order)
-            value = near * worth * left
-            best = value.argmax(axis=1)
-            found += 0.5 * open_ * value[each, best]
-            left[each[open_], best[open_]] = 0.0
-        return np.asarray(found / goals.shape[1])
+        open_, found, each = ~state.filled[members], np.zeros(len(members)), np.arange(len(members))
+        if self.scenario.demand.order:
+            late = state.ticks[members, None] - state.terms[members, :, ARRIVES]
+            open_ &= (late >= 0.0) & (late <= state.terms[members, :, WITHIN])
+        goals = state.goal[members][:, None]
+        near, worth = self._near(
+            members, *(np.take_along_axis(part, goals, 2).swapaxes(1, 2) for part in (made, purity))
+        )
+        values = near * worth
+        for order in range(values.shape[1]):
+            best = values[:, order].argmax(axis=1)
+            found += 0.5 * open_[:, order] * values[each, order, best]
+            filled = each[open_[:, order]]
+            values[filled, :, best[filled]] = 0.0
+        return np.asarray(found / values.shape[1])
 
-    def _near(
-        self, members: IntArray, amount: FloatArray, purity: FloatArray, order: int | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return [B, O], of amounts and purities [B, O] submitted for each order, how nearly they meet their
-        specification (1: they do), and what they would be worth without it; [B, V] for V vessels and one order.
+    def _near(self, members: IntArray, amount: FloatArray, purity: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return [B, O, V], of amounts and purities [B, O, V] of V vessels for each order, how nearly they meet its
+        specification (1: they do), and what they would be worth without it.
         """
-        rules, which = self.rules.arrays, slice(None) if order is None else slice(order, order + 1)
-        goals, terms = self.state.goal[members, which], self.state.terms[members, which]
+        rules = self.rules.arrays
+        goals, terms = self.state.goal[members][..., None], self.state.terms[members][:, :, None]
         least_amount, least_purity = rules.least_amount[goals], rules.least_purity[goals]
         worth = amount * purity / rules.maximum[goals]
         if self.scenario.demand.order:
