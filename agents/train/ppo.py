@@ -60,8 +60,8 @@ _MEMORY = 1 << 26
 """Most numbers that these turns' observations take together."""
 _BY_TURN = ("_env", "_following", "_ended")
 """Arrays of these turns beside observations and actions."""
-_PART = 4096
-"""Most of these turns that are valued at once."""
+_RECALLED = 1 << 13
+"""Most of these turns that one update draws."""
 _CRITIC_FIRST = 5
 """Updates in which the critic of a policy from elsewhere learns alone."""
 _CLONE = {"epochs": 10, "updates": 1100, "batch": 256, "learning_rate": 1e-3, "entropy": 0.03}
@@ -490,23 +490,23 @@ class _Best:
 
     def learn(self, learner: _Learner, rng: np.random.Generator) -> None:
         """Make turns more likely whose return is above the critic's value."""
-        known = np.flatnonzero(self._ended)
-        if not len(known):
+        ended = np.flatnonzero(self._ended)
+        if not len(ended):
             return
+        known = rng.choice(ended, min(len(ended), _RECALLED), replace=False)
         returns, seen = self._following[known], self._turns.get("seen", self._turns["observed"])
         learner.network.eval()
-        # In parts, because all of them would not fit into the processor's cache.
-        value = np.concatenate([learner.value(seen[part]) for part in np.array_split(known, len(known) // _PART + 1)])
+        value = learner.value(seen[known])
         better = (returns - value) / (returns.std() + 1e-8)
-        chosen, weight = known[better > 0.0], better[better > 0.0]
+        chosen = np.flatnonzero(better > 0.0)  # in random order, as drawn
         learner.network.train()
-        # The loss is a mean over all turns: the fewer are better, the less they count.
+        # The loss is a mean over all turns drawn: the fewer are better, the less they count.
         scale = learner.settings.self_imitation * len(chosen) / len(known)
         parts = max(1, len(chosen) // learner.settings.batch_size)
-        for rows in np.array_split(rng.permutation(len(chosen)), parts) if len(chosen) else ():
-            own = {name: torch.from_numpy(values[chosen[rows]]) for name, values in self._turns.items()}
+        for rows in np.array_split(chosen, parts) if len(chosen) else ():
+            own = {name: torch.from_numpy(values[known[rows]]) for name, values in self._turns.items()}
             log_probability, _ = learner.network.judge(own["observed"], own["mask"], own["action"])
-            loss = -scale * (torch.from_numpy(weight[rows]) * log_probability).mean()
+            loss = -scale * (torch.from_numpy(better[rows]) * log_probability).mean()
             learner.optimizer.zero_grad()
             loss.backward()  # type: ignore[no-untyped-call]
             nn.utils.clip_grad_norm_(learner.network.parameters(), 0.5)
