@@ -37,7 +37,6 @@ from .plans import (
     recorded_tapes,
     tape_of,
 )
-from .play import BATCH
 
 PLAN_BUDGETS = {"small": 10_000, "full": 100_000}
 """Plans tried in all."""
@@ -45,6 +44,8 @@ NOISE = 0.02
 """Standard deviation of good plans' scores over seeds below which one seed selects promising plans."""
 
 _POPULATION, _CHILDREN, _FIRST = 32, 128, 256
+_EPISODES = 1024
+"""Most episodes played at once; results do not depend on it."""
 _ISLANDS, _PATIENCE = 3, 6
 _SAME = 1e-9
 _BUNDLED = ("pretrained", "trained")
@@ -149,7 +150,8 @@ class Search:
 
     def _prepared(self, seeds: Sequence[int]) -> _Prepared:
         """Laboratories for these seeds, and who plays there; the manager's place is the plans'."""
-        trials = Trials(self._scenario, self._context, seeds, max(BATCH // len(seeds), 1), self._split)
+        most = min(max(_EPISODES // len(seeds), 1), _FIRST)
+        trials = Trials(self._scenario, self._context, seeds, most, self._split)
         return trials, make_policies(self._benches, trials.labs)
 
     def _play(self, prepared: _Prepared, teams: Sequence[TeamPlan]) -> list[Tried]:
