@@ -3,7 +3,7 @@
 ``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
 (``studies/baselines/from_nothing.toml``), also where no measurement can be paid, and, on the same episodes, the
 scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. Of scenarios with hidden
-parameters it also plays the 40 test episodes of the small audit, and 1,000 episodes of ``validation`` and of ``test``
+parameters it also plays the test episodes of the committed audit, and 1,000 episodes of ``validation`` and of ``test``
 beside the scripted agents, for the mean differences with their intervals. It adds the scores to
 ``results/from_nothing.json``.
 Without RESULTS nothing is played: tables and figure of docs/training.md are written from that file.
@@ -38,6 +38,7 @@ from chemlab.render.figure import new_figure, save_figure
 SCORES = Path(__file__).parent / "results" / "from_nothing.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
 FIGURE = PAGE.parent / "images" / "from_nothing.png"
+AUDITS = PAGE.parent / "results" / "audits"
 SPLIT, EPISODES, PAIRED = "validation", 100, 1000
 MANAGERS = ("nothing", "random", "plan", "scripted")
 
@@ -83,9 +84,10 @@ def learned(run: Run) -> dict[str, Any]:
         warnings.filterwarnings("ignore", message=".*has changed since it was trained")  # the budget has
         score, unpaid = (statistics.mean(means(one, str(run.path))) for one in (spec, without_instruments(spec)))
     if spec.world.draws and not spec.level:
-        budget = budget_of("small")
-        asked = {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": budget.episodes, "split": "test"}
-        own["audited"] = statistics.mean(Crew(spec, budget).run([Job("audit", "play", asked)])["audit"]["scores"])
+        episodes = json.loads((AUDITS / f"{scenario}.json").read_text(encoding="utf-8"))["budget_episodes"]
+        asked = {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": episodes, "split": "test"}
+        played = Crew(spec, budget_of("small")).run([Job("audit", "play", asked)])
+        own["audited"] = statistics.mean(played["audit"]["scores"])
         own["gains"] = gains(spec, str(run.path))
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled, **curve(run)}
