@@ -69,8 +69,8 @@ def table() -> list[str]:
 def tasks() -> list[str]:
     """Return README's table of scenarios with hidden parameters: what is hidden, and normalized scores.
 
-    The best policy is that of the audit, which has none that learned from nothing. Of these there is the better in
-    validation, a manager or a team, on the scale of the audit: where it scores above the oracle's mean, it has 1.
+    The best policy is that of the audit. Of what learned from nothing, a manager or a team, the table has the better in
+    validation, on the scale of the audit: where it scores above the oracle's mean, it has 1.
     """
     heads = ["scenario", "benches", "what is hidden", "open-loop", "scripted", "from nothing", "best in audit"]
     rows = [f"| {' | '.join(heads)} |", "| --- | --- | --- | --: | --: | --: | --- |"]
