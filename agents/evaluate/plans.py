@@ -329,7 +329,8 @@ class _Taped:
 
     def _experiment(self, members: IntArray) -> IntArray:
         """Return [B] the row of the present experiment in a tape."""
-        return np.asarray((self._manager.started[members, self._number] - 1).clip(0, self._actions.shape[1] - 1))
+        number = np.maximum(self._manager.started[members, self._number] - 1, 0)  # clip looks up bounds of integers
+        return np.minimum(number, self._actions.shape[1] - 1)
 
     def reads(self, members: IntArray) -> BoolArray:
         """See :class:`chemlab.envs.players.Policy`: where no tape is played."""

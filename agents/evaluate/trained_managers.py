@@ -53,7 +53,7 @@ constrained-RL cost), mol of all orders together, purity in [0, 1] (0 where noth
 BASELINES: dict[str, tuple[str, str]] = {
     "scripted": ("scripted", "scripted"),
     "scripted:no-extraction": ("scripted:no-extraction", "scripted, without extraction"),
-    "plan": ("plan", "best constant plan found"),
+    "plan": ("plan", "best open-loop policy found"),
     "random": ("random", "random legal actions"),
 }
 """Untrained managers: the policy's name (the benches are the background's) and its label in the table.

@@ -1,4 +1,4 @@
-"""Time of a newcomer's first steps: install, a moving laboratory, a trained team with its curve, an own scenario.
+"""Time of a newcomer's first steps: install, a moving laboratory, a trained team with its curve, a scenario of your own.
 
     python studies/speed/newcomer.py --update docs/getting-started.md
 
@@ -28,14 +28,14 @@ TEAM = (
 STEPS = {
     "install": ("python -m pip install .",),
     "first episode, which compiles the kernels": ("chemlab run wurtz_dodecane_direct --record first.jsonl",),
-    "the episode as a page that moves": ("chemlab replay first.jsonl -o first.html",),
+    "replay page of the episode": ("chemlab replay first.jsonl -o first.html",),
     "install the learners": ("python -m pip install TORCH .[train,plot]",),
     "train a team": (TEAM,),
     "its curve, and an episode of it": (
         "chemlab plot curves runs/team -o curve.png",
         "chemlab run wurtz_dodecane_direct --policy runs/team",
     ),
-    "an own scenario, checked and played": (
+    "a scenario of your own, checked and played": (
         "chemlab check my_lab.toml",
         "chemlab run my_lab.toml --policy random",
     ),
