@@ -14,7 +14,6 @@ from chemlab.envs.players import Players, Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import FloatArray, IntArray
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import action_words
 from chemlab.record import Play, Recorder
 from chemlab.roles.manager_state import COST_ITEMS, LIMIT, STATUS_WORDS
 
@@ -147,9 +146,7 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         nothing was submitted), and the reward of every bench's agent.
     """
     n = len(labs.members)
-    for member in labs.members:
-        labs.seed(int(member), np.random.SeedSequence(seed + int(member)))
-    labs.reset(labs.members, goal)
+    labs.begin(seed, goal)
     cost, illegal, rewards = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros((n, len(labs.agents)))
 
     def count(number: int, members: IntArray) -> None:
@@ -179,9 +176,7 @@ class PlayedTurn:
 
     agent: str
     tick: int
-    step: int
     action: Any
-    meaning: str
     reward: float
     info: Mapping[str, Any]
 
@@ -247,7 +242,7 @@ def play_episode(
 
     def act(number: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
         agent, action = labs.agents[number], actions[0]
-        tick, step = int(labs.state.ticks[0]), int(labs.turns_had(number)[0])
+        tick = int(labs.state.ticks[0])
         seen, mask = labs.observe(number, members), labs.mask(number, members)
         env.step(action)
         if recorder is not None:
@@ -255,8 +250,7 @@ def play_episode(
         for name, reward in env.rewards.items():
             rewards[name] += reward
         if watch is not None:
-            words = action_words(labs, number, action)
-            watch(PlayedTurn(agent, tick, step, action, words, env.rewards[agent], env.infos[agent]))
+            watch(PlayedTurn(agent, tick, action, env.rewards[agent], env.infos[agent]))
 
     Players(labs, [policies[agent] for agent in labs.agents], act).play_on(labs.members)
     outcome, state = labs.outcome(), labs.state

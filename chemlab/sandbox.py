@@ -867,7 +867,7 @@ class Flask:
         """Return its picture as RGB [height, width, 3].
 
         Raises:
-            ImportError: Pillow is not installed (``pip install '.[render]'``).
+            ImportError: Pillow is not installed (``pip install '.[plot]'``).
         """
         from .render.draw import draw_vessel
 

@@ -97,14 +97,6 @@ def _facts(table: facts.FactTable) -> str:
     return (f"{table.note}\n\n" if table.note else "") + _table(table.head, table.rows, table.right)
 
 
-def _code(text: object) -> str:
-    return f"`{text}`"
-
-
-def _codes(texts: Iterable[object]) -> str:
-    return ", ".join(map(_code, texts))
-
-
 def _markdown(docstring: str) -> str:
     """Convert a module's docstring to a page's text: it is Markdown except for references and heading levels."""
     text = re.sub(r":(class|func|meth|mod|data):`", r"{py:\1}`", docstring)
@@ -235,7 +227,7 @@ def _results() -> dict[str, list[list[str]]]:
 def _chemistry(spec: Scenario) -> str:
     rows = [
         (
-            _code(name),
+            facts.code(name),
             ", ".join(filter(None, (m.formula, m.cas))),
             m.role,
             f"{m.molar_mass_g_mol:.2f}",
@@ -247,7 +239,7 @@ def _chemistry(spec: Scenario) -> str:
     ]
     head = ("material", "formula, CAS", "role", "g/mol", "kg/L", "boils (K)", "polarity")
     reactions = [
-        (_code(equation(step)), f"{step.pre_exponential:g}", f"{step.activation_energy_j_mol / 1000:g}")
+        (facts.code(equation(step)), f"{step.pre_exponential:g}", f"{step.activation_energy_j_mol / 1000:g}")
         for step in spec.family.reaction
     ]
     parts = [
@@ -262,7 +254,7 @@ def _chemistry(spec: Scenario) -> str:
         salts = ", ".join(f"`{s.solid} ⇌ {s.cation} + {s.anion}`" for s in spec.family.salt)
         parts += [f"Salts, at their equilibrium in every vessel: {salts}.", ""]
     if spec.family.violent:
-        violent = ", ".join(_code(equation(step)) for step in spec.family.violent)
+        violent = ", ".join(facts.code(equation(step)) for step in spec.family.violent)
         parts += [f"Violent, a safety event: {violent}.", ""]
     return "\n".join(parts)
 
@@ -582,7 +574,7 @@ def _type(hint: Any) -> str:
     if origin is typing.Annotated:
         return _type(arguments[0])
     if origin is typing.Literal:
-        return "one of " + _codes(arguments)
+        return "one of " + facts.codes(arguments)
     if origin in (typing.Union, types.UnionType):
         return " or ".join(_type(argument) for argument in arguments if argument is not type(None))
     if origin is tuple:
@@ -620,7 +612,7 @@ def _bounds(field: pydantic.fields.FieldInfo) -> str:
 
 def _limits(metadata: Iterable[Any]) -> list[str]:
     return [
-        f"{sign} {_code(value) if name == 'pattern' else value}"
+        f"{sign} {facts.code(value) if name == 'pattern' else value}"
         for item in metadata
         for name, sign in _SIGNS.items()
         if (value := getattr(item, name, None)) is not None
@@ -646,7 +638,7 @@ def _default(field: pydantic.fields.FieldInfo) -> str:
     value = field.get_default(call_default_factory=True)
     if isinstance(value, pydantic.BaseModel) or value in (None, (), {}):
         return ""
-    return _code(value)
+    return facts.code(value)
 
 
 def _keys_page() -> str:
@@ -667,7 +659,7 @@ def _keys_page() -> str:
             for name, field in model.model_fields.items():
                 texts = [docs[owner, name] for owner in owners if (owner, name) in docs]
                 meaning = _markdown(" ".join(texts[0]).strip()) if texts else ""
-                rows.append((_code(name), _type(field.annotation), _default(field), _bounds(field), meaning))
+                rows.append((facts.code(name), _type(field.annotation), _default(field), _bounds(field), meaning))
             about = _markdown(inspect.getdoc(model) or "")
             parts += [f"### {model.__name__}", "", about, ""]
             parts += [_table(("key", "value", "default", "bounds", "meaning"), rows)]
@@ -686,12 +678,12 @@ def _command_page() -> str:
         for p in arguments:
             word = p.name.upper() + ("..." if p.nargs == -1 else "")
             usage.append(word if p.required else f"[{word}]")
-        rows = [(_code(p.name.upper()), p.help or "", "") for p in arguments]
+        rows = [(facts.code(p.name.upper()), p.help or "", "") for p in arguments]
         for p in options:
             shown = isinstance(p.default, (str, int, float, Path)) and p.default is not False
-            rows.append((_codes(p.opts), p.help or "", _code(p.default) if shown else ""))
+            rows.append((facts.codes(p.opts), p.help or "", facts.code(p.default) if shown else ""))
         text = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(found.help or ""))
-        parts += [f"## {name}", "", _code(" ".join(usage)), "", text, ""]
+        parts += [f"## {name}", "", facts.code(" ".join(usage)), "", text, ""]
         parts += [_table(("argument", "meaning", "default"), rows)]
     return "\n".join(parts)
 

@@ -22,21 +22,6 @@ from chemlab.agents.runs import Run, versions
 from chemlab.config.files import check_target, write_text
 from chemlab.envs.players import as_policy
 
-__all__ = [
-    "AUDIT_SEED",
-    "ONCE",
-    "PLAIN",
-    "SCRIPTED",
-    "Budget",
-    "Outcome",
-    "cook",
-    "learned",
-    "learner",
-    "score",
-    "score_run",
-    "training_envs",
-]
-
 PLAIN = "plain PPO"
 SCRIPTED = "scripted"
 _ENVS, _ROLLOUT = 16, 64

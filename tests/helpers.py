@@ -23,7 +23,7 @@ from chemlab.kernels.arrays import declared
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.backends import heat, law_addresses, partition, settle_phases
-from chemlab.physics.chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE, Chemistry, network_fields
+from chemlab.physics.chemistry import AMOUNTS, CLOCK, TEMPERATURE, Chemistry, network_fields
 from chemlab.physics.constants import SOLIDS
 from chemlab.physics.shelf import T_MIX, Shelf
 from chemlab.physics.stratification import profile
@@ -355,20 +355,3 @@ def record_episode(
     with Recorder(path, labs, policies=dict.fromkeys(labs.agents, policy) if named else None, force=True) as recorder:
         play_episode(env, policies, seed, policy, options=options, recorder=recorder)
     return path
-
-
-__all__ = [
-    "CLOCK_WAS",
-    "FEATURED",
-    "PIXELS",
-    "TRACE",
-    "Careless",
-    "Glassware",
-    "composition",
-    "four_solvents",
-    "molar_volume",
-    "network_table",
-    "record_episode",
-    "script",
-    "slow_but",
-]

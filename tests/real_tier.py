@@ -155,9 +155,6 @@ def network(
     )
 
 
-__all__ = ["enthalpy_of", "filled", "give_enthalpy", "network", "real_table"]
-
-
 def react(
     row: FloatArray, table: Table[Any], dt: float, jacket: float, transfer: float, tolerance: tuple[float, float]
 ) -> int:

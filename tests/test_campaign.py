@@ -140,9 +140,7 @@ def test_wrong_recipes_change_nothing(change: dict[str, Any], message: str) -> N
 def test_values_in_many_worlds_are_those_of_each() -> None:
     """Whichever vessel is used, and however many there were before."""
     labs = Laboratories("optimize_coupling", 3)
-    for member in labs.members:
-        labs.seed(int(member), np.random.SeedSequence(int(member)))
-    labs.reset(labs.members)
+    labs.begin()
     campaign, other = Campaign(), {**GOOD, "catalyst": "catalyst_a"}
     campaign.values_in(labs, [other] * 3, 4)
     values = campaign.values_in(labs, [GOOD, other, GOOD], 23)

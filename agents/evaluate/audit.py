@@ -192,11 +192,8 @@ def measuring_jobs(
             Job(name, "learn", {"instruments": instruments, "plans": begin})
             for name, (instruments, begin) in learners.items()
         ]
-    for opening in openings(spec) if budget.worlds and spec.world.draws else ():
-        for way, central in (("central", True), ("feedback", False)):
-            if central or opening == "submission":
-                own = {"opening": opening, "central": central, "plans": plans}
-                jobs.append(Job(f"{way}-{opening}", "inform", own))
+    if budget.worlds and spec.world.draws:
+        jobs += [Job(f"central-{one}", "inform", {"opening": one, "plans": plans}) for one in openings(spec)]
     if best in _TRAINED:
         jobs.append(Job("best", "play", {"policy": best, **test}))
         jobs += [
@@ -254,10 +251,12 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
     seeing = {chosen: _scores(found, "best"), policy: test, _WITH_INSTRUMENTS: _scores(found, _WITH_INSTRUMENTS)}
     scripted = _named(found, "blindfold-") | ways
     learners = {name: own for name, own in _named(found, "learner-").items() if name != _WITH_INSTRUMENTS}
-    feedback, central = _named(found, "feedback-"), _named(found, "central-")
+    central = _named(found, "central-")
+    told = found.get("central-submission", {}).get("feedback")  # a look at vessels is not for the manager
+    feedback = {"feedback-submission": None if told is None else np.array(told)}
     rows = {**seeing, **scripted, **learners, **feedback, **central}
     elsewhere = ("choose-", "foresee-", "train", "apart")  # other episodes, or other laboratories
-    played = [_scores(found, name) for name in found if not name.startswith(elsewhere)]
+    played = [*feedback.values(), *(_scores(found, name) for name in found if not name.startswith(elsewhere))]
     others = np.maximum.reduce([repeated, *(own for own in played if own is not None)])
     oracle = np.maximum(foreseen(found), others)
     idle = np.array(found["idle"]["scores"])

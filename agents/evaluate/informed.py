@@ -8,8 +8,7 @@ paid for. The plans are the best open-loop policies and the best plans of single
 | opening | observations | detects |
 |---|---|---|
 | ``submission``: the best plan up to its first submission | ``feedback``: the manager's, and the terms and outcome of \
-its submissions | feedback from customers in place of measurements |
-| the same | ``central``: also those of all benches | |
+its submissions; ``central``: also those of all benches | feedback from customers in place of measurements |
 | ``look-KEY``: start a bench of that kind on every vessel and recall it | ``central`` | free looks at vessels |
 """
 
@@ -53,20 +52,18 @@ def openings(scenario: Scenario) -> list[str]:
 def informed_scores(
     scenario: Scenario,
     opening: str,
-    central: bool,
     known: Teams,
     worlds: int,
     library: int,
     budget: int,
     episodes: int,
     seed: int,
-) -> list[float] | None:
-    """Score the policy that chooses among plans after an opening.
+) -> tuple[list[float], list[float]] | None:
+    """Score the policies that choose among plans after an opening.
 
     Args:
         scenario: where.
         opening: one of :func:`openings`.
-        central: whether the choice depends on the observations of all agents, not of the manager alone.
         known: open-loop policies by context, the best last.
         worlds: training worlds in which plans are compared, for each context.
         library: training worlds for each of which the best plan is searched.
@@ -75,10 +72,11 @@ def informed_scores(
         seed: of the first.
 
     Returns:
-        [episodes] scores; None if the best plan submits nothing before its end, so that there is no such opening.
+        [episodes] scores of the choice by the observations of all agents, and by the manager's alone; None if the best
+        plan submits nothing before its end, so that there is no such opening.
     """
     labs = Laboratories(scenario, episodes, split="test")
-    scores = np.empty(episodes)
+    central, feedback = np.empty(episodes), np.empty(episodes)
     for context, own in drawn_contexts(labs, seed).items():
         teams = known[context]
         begun = _opening(labs, opening, context, teams[-1])
@@ -94,10 +92,18 @@ def informed_scores(
             search.improve(list(teams), donors=False)
             found.append(search.best[0].team)
         plans = [team.after(first) for team in dict.fromkeys(found)]
-        learned = _table(scenario, context, plans, first, central, range(_WORLD_SEED, _WORLD_SEED + worlds), "train")
-        played = _table(scenario, context, plans, first, central, [seed + i for i in own], "test")
-        scores[own] = played[1][_choice(*learned, played[0]), np.arange(len(own))]
-    return [float(score) for score in scores]
+        seen, learned = _table(scenario, context, plans, first, range(_WORLD_SEED, _WORLD_SEED + worlds), "train")
+        now, played = _table(scenario, context, plans, first, [seed + i for i in own], "test")
+        manager = labs.observation_sizes[0] + _accounts(labs)
+        for scores, part in ((central, slice(None)), (feedback, slice(manager))):
+            known_of, asked_of = (one[:, :, part].reshape(len(one), -1) for one in (seen, now))
+            scores[own] = played[_choice(known_of, learned, asked_of), np.arange(len(own))]
+    return central.tolist(), feedback.tolist()
+
+
+def _accounts(labs: Laboratories) -> int:
+    """Return how many numbers the terms and outcome of submissions are."""
+    return 2 * labs.scenario.orders
 
 
 def _opening(labs: Laboratories, name: str, context: Context, best: TeamPlan) -> tuple[TeamPlan, TeamPlan] | None:
@@ -141,14 +147,13 @@ class _Observing(Playback):
     """Plays plans, and keeps what agents observe before each action of an opening and after the last.
 
     Attributes:
-        seen: [N, opening + 1, size].
+        seen: [N, opening + 1, size], what the manager observes first.
     """
 
-    def __init__(self, labs: Laboratories, plans: Sequence[tuple[int, ...]], opening: int, central: bool) -> None:
+    def __init__(self, labs: Laboratories, plans: Sequence[tuple[int, ...]], opening: int) -> None:
         super().__init__(labs.actions, plans)
-        self._labs, self._opening, self._central = labs, opening, central
-        self._accounts = 2 * labs.scenario.orders
-        size = labs.observation_sizes[0] + self._accounts + central * sum(labs.observation_sizes[1:])
+        self._labs, self._opening = labs, opening
+        size = sum(labs.observation_sizes) + _accounts(labs)
         self.seen = np.zeros((len(plans), opening + 1, size), dtype=np.float32)
 
     def act(
@@ -162,8 +167,7 @@ class _Observing(Playback):
         if len(rows):
             own, accounts = members[rows], self._labs.manager.accounts(slice(None))
             parts = [observation[rows], accounts["submitted_mol"][own], accounts["purity"][own]]
-            if self._central:
-                parts += [self._labs.observe(number, own) for number in range(1, len(self._labs.agents))]
+            parts += [self._labs.observe(number, own) for number in range(1, len(self._labs.agents))]
             self.seen[own, np.maximum(at[rows], 0)] = np.concatenate(parts, axis=1)
         return actions
 
@@ -173,22 +177,21 @@ def _table(
     context: Context,
     plans: Sequence[TeamPlan],
     opening: TeamPlan,
-    central: bool,
     seeds: Sequence[int],
     split: str,
 ) -> tuple[Arrays, FloatArray]:
-    """Return [seeds, size] what is observed in the opening, and [plans, seeds] the scores."""
+    """Return [seeds, turns, size] what is observed in the opening, and [plans, seeds] the scores."""
     seen, scores = [], np.empty((len(plans), len(seeds)))
     for first in range(0, len(seeds), BATCH):
         some = seeds[first : first + BATCH]
         trials = Trials(scenario, context, some, 1, split)
         policies = make_policies("scripted", trials.labs)
         for number, team in enumerate(plans):
-            observing = _Observing(trials.labs, [team.plan] * len(some), len(opening.plan), central)
+            observing = _Observing(trials.labs, [team.plan] * len(some), len(opening.plan))
             manager = observing if number == 0 else None
             scores[number, first : first + len(some)] = trials.play_teams([team], policies, manager)[0]
             if number == 0:
-                seen.append(np.nan_to_num(observing.seen.reshape(len(some), -1)).astype(np.float64))
+                seen.append(np.nan_to_num(observing.seen).astype(np.float64))
     return np.concatenate(seen), scores
 
 

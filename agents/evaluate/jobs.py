@@ -174,7 +174,7 @@ def _everybody(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
 
 def _idle(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
     """Score the submission of the first vessel for the first order, and so on, without any experiment."""
-    nothing = [FoundPlan(context, (), 0.0, 0) for context in all_contexts(scenario)]
+    nothing = [FoundPlan(context, (), 0.0) for context in all_contexts(scenario)]
     return {"scores": PlanSearch(scenario, "scripted", nothing, 0).play(budget.episodes, AUDIT_SEED, "test").tolist()}
 
 
@@ -193,12 +193,11 @@ def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: li
     return {"scores": learned_scores(spec, budget.turns, budget.episodes, AUDIT_SEED, begin or None)}
 
 
-def _inform(scenario: Scenario, budget: AuditBudget, opening: str, central: bool, plans: list[Any]) -> dict[str, Any]:
-    """Score a controller without instruments that chooses among plans by observations."""
-    scores = informed_scores(
+def _inform(scenario: Scenario, budget: AuditBudget, opening: str, plans: list[Any]) -> dict[str, Any]:
+    """Score controllers without instruments that choose among plans by observations: of all agents, of the manager."""
+    found = informed_scores(
         without_instruments(scenario),
         opening,
-        central,
         _known(plans),
         budget.worlds,
         max(budget.worlds // _WORLDS_PER_PLAN, 1),
@@ -206,7 +205,9 @@ def _inform(scenario: Scenario, budget: AuditBudget, opening: str, central: bool
         budget.episodes,
         AUDIT_SEED,
     )
-    return {"scores": scores, **({"reason": "the best plan has one submission"} if scores is None else {})}
+    if found is None:
+        return {"scores": None, "reason": "the best plan has one submission"}
+    return {"scores": found[0], "feedback": found[1]}
 
 
 def _known(plans: list[Any]) -> dict[Context, list[TeamPlan]]:
@@ -219,7 +220,7 @@ def _known(plans: list[Any]) -> dict[Context, list[TeamPlan]]:
 
 def _replayed(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch, split: str = "test") -> list[float]:
     blind = replay_actions(scenario, policy, budget.donors, budget.episodes, AUDIT_SEED, split=split)
-    scores: list[float] = blind.scores.tolist()
+    scores: list[float] = blind.tolist()
     return scores
 
 
@@ -248,9 +249,7 @@ def _foresee(
 def _apart(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, Any]:
     """Mean over the orders of what each comes to in a laboratory that has no other."""
     labs = Laboratories(scenario, budget.episodes, split="test")
-    for member in labs.members.tolist():
-        labs.seed(member, np.random.SeedSequence(AUDIT_SEED + member))
-    labs.reset(labs.members)
+    labs.begin(AUDIT_SEED)
     goals = np.array(scenario.goals)[labs.state.goal]
     alone = _alone(scenario)
     scores = np.zeros(goals.shape)
@@ -339,6 +338,7 @@ class _Result(BaseModel):
     plans: list[tuple[list[str], list[int]]] = []
     teams: list[tuple[list[str], list[int], list[Tape | None]]] = []
     everybody: list[float] = []
+    feedback: list[float] = []
     curves: list[list[float]] = []
 
     def is_of(self, job: Job, budget: AuditBudget, scenario: Scenario) -> bool:
@@ -356,6 +356,8 @@ class _Result(BaseModel):
             wanted |= {"plans", "everybody"}
         if job.kind == "everybody":
             wanted |= {"teams"}
+        if job.kind == "inform":
+            wanted |= {"feedback"}
         contexts = all_contexts(scenario)
         if job.kind in ("plan", "everybody"):
             wanted |= {"chosen"}

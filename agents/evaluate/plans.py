@@ -26,7 +26,6 @@ from ..open_loop import ConstantPlan, Context, Plan, PlanFile, Playback, StoredP
 from ..policies import make_policies
 from ..runs import versions
 from . import statistics
-from .statistics import Estimate
 
 SEARCH_SEED = 3_000_000
 """Of the first episode that plans are tried on: seeds that neither training nor evaluation plays."""
@@ -78,13 +77,12 @@ def tape_of(content: Sequence[Sequence[Any]]) -> Tape:
 
 @dataclass(frozen=True)
 class FoundPlan:
-    """The best plan for a public context; ``score`` is its mean over ``seeds`` episodes that it was chosen on, other
-    than those it was found on."""
+    """The best plan for a public context; ``score`` is its mean over episodes that it was chosen on, other than those
+    it was found on."""
 
     context: Context
     plan: Plan
     score: float
-    seeds: int
     benches: tuple[Tape | None, ...] = ()
 
     @property
@@ -239,9 +237,7 @@ class Trials:
 def drawn_contexts(labs: Laboratories, seed: int) -> dict[Context, list[int]]:
     """Return the public contexts of episodes that begin with ``seed``, each with the environment indices that have it;
     the laboratories are then at the start of these episodes."""
-    for member in labs.members.tolist():
-        labs.seed(member, np.random.SeedSequence(seed + member))
-    labs.reset(labs.members)
+    labs.begin(seed)
     found: dict[Context, list[int]] = {}
     for member, row in enumerate(labs.state.goal.tolist()):
         found.setdefault(tuple(labs.scenario.goals[goal] for goal in row), []).append(member)
@@ -249,23 +245,6 @@ def drawn_contexts(labs: Laboratories, seed: int) -> dict[Context, list[int]]:
 
 
 # -- replaying --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Replayed:
-    """Blind replay beside the policies that were replayed, on the same seeds.
-
-    Attributes:
-        blind: the score of the best donor's actions, played again from every seed.
-        seeing: the score of the policies that look.
-        donors: seed of the best donor's episode, by context.
-        scores: [episodes] of the blind ones.
-    """
-
-    blind: Estimate
-    seeing: Estimate
-    donors: dict[Context, int]
-    scores: FloatArray
 
 
 class TapeRecorder:
@@ -319,7 +298,7 @@ class _Taped:
         longest = max((1, *(len(actions or ()) for tape in known for actions in tape)))
         kind = np.int64 if bench.action_count else np.float64
         self._actions = np.full((len(known), most, longest, *shape), bench.end_action if not shape else 0.0, dtype=kind)
-        self._played = np.ones((len(known), most), dtype=np.bool_)
+        self._played = np.ones((max(len(known), 1), most), dtype=np.bool_)
         for tape, number in known.items():
             for e in range(most):
                 actions = tape[min(e, len(tape) - 1)]
@@ -327,23 +306,21 @@ class _Taped:
                 if actions:
                     self._actions[number, e] = [*actions, *[actions[-1]] * (longest - len(actions))]
 
-    def _experiment(self, members: IntArray) -> IntArray:
-        """Return [B] the row of the present experiment in a tape."""
+    def _place(self, members: IntArray) -> tuple[IntArray, BoolArray]:
+        """Return [B] the row of the present experiment in a tape, and whether a tape is played."""
         number = np.maximum(self._manager.started[members, self._number] - 1, 0)  # clip looks up bounds of integers
-        return np.minimum(number, self._actions.shape[1] - 1)
+        experiment, which = np.minimum(number, self._actions.shape[1] - 1), self._which[members]
+        return experiment, self._played[which, experiment] & (which >= 0)
 
     def reads(self, members: IntArray) -> BoolArray:
         """See :class:`chemlab.envs.players.Policy`: where no tape is played."""
-        taped = self._which[members] >= 0
-        if taped.any():
-            taped &= self._played[self._which[members], self._experiment(members)]
-        return ~taped
+        return ~self._place(members)[1]
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
-        longest, experiment, taped = self._actions.shape[2], self._experiment(members), ~self.reads(members)
+        longest, (experiment, taped) = self._actions.shape[2], self._place(members)
         played = np.zeros((len(members), *self._actions.shape[3:]), dtype=self._actions.dtype)
         if not taped.all():
             allowed = None if mask is None else mask[~taped]
@@ -367,12 +344,12 @@ def replay_actions(
     episodes: int = 100,
     seed: int = 0,
     split: str = "train",
-) -> Replayed:
+) -> FloatArray:
     """Play again, without looking, what all agents did in one episode: for each public context the best of some donors.
 
-    The manager plays its actions as a constant plan does. Donors play seeds of their own and are chosen on others
-    again; both blind and seeing agents are then scored on ``episodes`` further seeds. With ``plan`` for the policy, the
-    donors' manager is blind already: a constant plan of everybody.
+    The manager plays its actions as a constant plan does. Donors play seeds of their own, are chosen on others again,
+    and are scored on ``episodes`` further seeds. With ``plan`` for the policy, the donors' manager is blind already: a
+    constant plan of everybody.
 
     Args:
         scenario: where.
@@ -382,6 +359,9 @@ def replay_actions(
         seed: of the first.
         split: worlds of the episodes that are scored, where the scenario draws any; donors are from train.
 
+    Returns:
+        [episodes] scores.
+
     Raises:
         ValueError: unknown policy, or fewer than one donor or episode.
     """
@@ -389,8 +369,7 @@ def replay_actions(
     if donors < 1 or episodes < 1:
         raise ValueError(f"replay: needs at least one donor and one episode, given {donors} and {episodes}")
     labs = Laboratories(spec, episodes, split=split)
-    seeing = play_laboratory(labs, _players(policy, labs, seed), None, seed).returns
-    blind, best = np.empty(episodes), {}
+    scores = np.empty(episodes)
     for context, own in drawn_contexts(labs, seed).items():
         trials = Trials(spec, context, range(SEARCH_SEED, SEARCH_SEED + donors), 1)
         tapes = recorded_tapes(trials, _players(policy, trials.labs))
@@ -400,9 +379,8 @@ def replay_actions(
         choice = Trials(spec, context, range(SEARCH_SEED + donors, SEARCH_SEED + donors + SEEDS), donors)
         chosen = int(choice.play_teams(teams, _players(policy, choice.labs)).mean(axis=1).argmax())
         final = Trials(spec, context, [seed + i for i in own], 1, split)
-        blind[own] = final.play_teams([teams[chosen]], _players(policy, final.labs))[0]
-        best[context] = SEARCH_SEED + chosen
-    return Replayed(statistics.mean([blind]), statistics.mean([seeing]), best, blind)
+        scores[own] = final.play_teams([teams[chosen]], _players(policy, final.labs))[0]
+    return scores
 
 
 def _players(policy: str | PlanSearch, labs: Laboratories, seed: int | None = None) -> dict[str, Policy]:

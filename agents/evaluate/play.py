@@ -96,15 +96,11 @@ class Target:
         else:
             make_policies(policy, Laboratories(self.scenario, 1, split=self.split))
 
-    def play(
-        self, policy: str, goal: str, episodes: int, seed: int, watch: Callable[[int], None] | None = None
-    ) -> Played:
+    def play(self, policy: str, goal: str, episodes: int, seed: int) -> Played:
         """Play episodes of a policy given by name; episode i has seed + i."""
         parts = []
         for first in range(0, episodes, BATCH):
             parts.append(self._batch(policy, goal, min(BATCH, episodes - first), seed + first))
-            if watch is not None:
-                watch(len(parts[-1].returns))
         return Played.joined(parts)
 
     def _batch(self, policy: str, goal: str, count: int, seed: int) -> Played:

@@ -138,7 +138,7 @@ class Search:
         self._opening = opening or TeamPlan(())
         self._scenario, self._benches, self._context, self._watch = scenario, benches, context, watch
         self._budget, self.tried = budget, 0
-        self._actions, self._without = ManagerActions.of(scenario), without
+        self._actions = ManagerActions.of(scenario)
         self._seen: set[TeamPlan] = set()
         self.best: list[Tried] = []
         self.curve: list[tuple[int, float]] = []
@@ -298,7 +298,7 @@ class Search:
         final = self._prepared(range(first, first + count))
         whole = _ranked(self._play(final, [tried.team for tried in self.best]), 1)[0]
         if self._moves.free:
-            return FoundPlan(self._context, whole.plan, whole.score, count, whole.benches)
+            return FoundPlan(self._context, whole.plan, whole.score, whole.benches)
         few = final if count == _FEW_FINAL_SEEDS else self._prepared(range(first, first + _FEW_FINAL_SEEDS))
         best = whole if few is final else self._play(few, [whole.team])[0]
         while True:
@@ -311,7 +311,7 @@ class Search:
             best = better[0]
         best = best if few is final else self._play(final, [best.team])[0]
         best = best if best.score >= whole.score - _SAME else whole
-        return FoundPlan(self._context, best.plan, best.score, count)
+        return FoundPlan(self._context, best.plan, best.score)
 
 
 def _revealed(scenario: Scenario) -> Scenario:

@@ -388,7 +388,7 @@ def _foreseen(
     common, own = _sizes(scenario)
     labs = Laboratories(scenario, common * own)
     members = labs.members
-    _draw(labs, goal, common, own)
+    _draw(labs, goal, own)
     steps = _steps(labs, goal, skip)
     policies: list[Policy | None] = [None, *(script(bench) for bench in labs.benches)]
     slices = channel_slices(labs.channels)
@@ -416,15 +416,13 @@ def _foreseen(
     return _Foresight(stages, after, np.stack(readings, 1), fills, np.stack(worth, 1), np.stack(costs, 1))
 
 
-def _draw(labs: Laboratories, goal: str, common: int, own: int) -> None:
+def _draw(labs: Laboratories, goal: str, own: int) -> None:
     """Assign worlds of the prior to the laboratories.
 
     Laboratory s * O + o has draw s of the S draws of shared parameters and draw o of the O draws of a vessel's own.
     """
     members = labs.members.tolist()
-    for member in members:
-        labs.seed(member, np.random.SeedSequence(_SEED + member))
-    labs.reset(labs.members, goal)
+    labs.begin(_SEED, goal)
     drawn = [labs.worlds.values(member) for member in members]
     labs.episodes.again[:] = True  # the same episodes in other worlds
     for member in members:

@@ -34,14 +34,9 @@ from ..runs import Run, RunBusy, differences, to_text
 from .arguments import Arguments, filled, training_arguments
 from .tasks import task_fingerprint
 
-STATES: tuple[str, ...] = ("done", "running", "waiting", "interrupted", "failed", "other")
-"""``interrupted`` has a checkpoint and waits; ``other`` is a folder with other arguments or a changed scenario."""
-
 _OWN = ("name", "seeds")
 _LISTS = ("env_id", "scenario", "preset", "algo")
 """Keys that may have several values, of which every combination is run."""
-
-
 _MOST_RUNS = 10_000
 _FOLDER = re.compile(r"[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,199}")
 
@@ -62,7 +57,8 @@ class Planned:
 
 @dataclass(frozen=True)
 class Status:
-    """State of a run; ``mean`` is that of the result, or of the last evaluation so far."""
+    """State of a run: done, running, waiting, interrupted (has a checkpoint and waits), failed, or other (a folder with
+    other arguments or a changed scenario). ``mean`` is that of the result, or of the last evaluation so far."""
 
     state: str
     step: int

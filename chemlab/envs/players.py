@@ -278,9 +278,7 @@ class Players:
                 return
             self.play_pass(members, after)
 
-    def begin(
-        self, members: IntArray, reset: Callable[[IntArray], None], after: Callable[[int, IntArray], None] = _nothing
-    ) -> None:
+    def begin(self, members: IntArray, reset: Callable[[IntArray], None]) -> None:
         """Start new episodes and play up to the first turn of an agent without a policy.
 
         Episodes without such a turn are played to the end and replaced.
@@ -288,7 +286,6 @@ class Players:
         Args:
             members: [B] environment indices.
             reset: starts an episode in some of them.
-            after: as for :meth:`play_pass`.
 
         Raises:
             RuntimeError: the policies never start the others.
@@ -299,7 +296,7 @@ class Players:
             reset(waiting)
             if not tries:
                 self.renew(waiting)
-            self.play_on(waiting, after)
+            self.play_on(waiting)
             waiting = waiting[self._labs.state.status[waiting] != RUNNING]
             if not len(waiting):
                 return

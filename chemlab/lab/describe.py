@@ -35,12 +35,12 @@ def _facts(head: Sequence[str], rows: Iterable[Sequence[Any]], right: Sequence[i
     return FactTable(tuple(head), tuple(tuple(str(cell) for cell in row) for row in rows), tuple(right), note)
 
 
-def _code(text: object) -> str:
+def code(text: object) -> str:
     return f"`{text}`"
 
 
-def _codes(texts: Iterable[object]) -> str:
-    return ", ".join(map(_code, texts))
+def codes(texts: Iterable[object]) -> str:
+    return ", ".join(map(code, texts))
 
 
 def _number(value: float) -> str:
@@ -80,7 +80,7 @@ def channel_table(channels: Sequence[Channel]) -> FactTable:
             if slots > 1:
                 place, name = f"{width} s + {place}", name.replace("slot_0_", "slot_s_")
         bounds = "" if channel.unit in ("one-hot", "0 or 1", "fraction") else f"{channel.low:g} to {channel.high:g} "
-        rows.append((place, _code(name), channel.size, bounds + channel.unit, channel.meaning))
+        rows.append((place, code(name), channel.size, bounds + channel.unit, channel.meaning))
     note = f"s is the slot, 0 to {slots - 1}." if slots > 1 else ""
     return _facts(("index", "channel", "size", "0 to 1 stands for", "meaning"), rows, (2,), note)
 
@@ -110,7 +110,7 @@ def manager_action_table(labs: Laboratories) -> FactTable:
     for kind, group in groupby(range(len(labs.actions)), key=lambda action: labs.actions.decode(action)[0]):
         numbers = list(group)
         words = [labs.actions.words(n) for n in (numbers[0], numbers[-1])]
-        rows.append((_span(at, len(numbers)), _code(kind), len(numbers), " ... ".join(dict.fromkeys(words))))
+        rows.append((_span(at, len(numbers)), code(kind), len(numbers), " ... ".join(dict.fromkeys(words))))
         at += len(numbers)
     return _facts(("action", "kind", "number", "meaning"), rows, (2,))
 
@@ -118,7 +118,7 @@ def manager_action_table(labs: Laboratories) -> FactTable:
 def agent_table(labs: Laboratories) -> FactTable:
     """Return every agent's spaces."""
     rows = [
-        (_code(agent), f"Box({labs.observation_sizes[n]})", space_words(labs.action_space(n)))
+        (code(agent), f"Box({labs.observation_sizes[n]})", space_words(labs.action_space(n)))
         for n, agent in enumerate(labs.agents)
     ]
     return _facts(("agent", "observation", "actions"), rows)
@@ -132,8 +132,8 @@ def goal_words(spec: Scenario) -> list[str]:
     orders = "one order" if spec.orders == 1 else f"{spec.orders} orders"
     several = "one of " if len(spec.lab_goals) > 1 else ""
     return [
-        f"An episode has {orders}, for {several}{_codes(spec.lab_goals)}.",
-        f"Experiments may be run for {_codes(spec.goals)}.",
+        f"An episode has {orders}, for {several}{codes(spec.lab_goals)}.",
+        f"Experiments may be run for {codes(spec.goals)}.",
         f"Theoretical maximum: {amount_words(spec.theoretical_maximum_mol)}.",
         *(
             f"`{goal}` needs {needed_words(goal, wanted)}, or is worth nothing."
@@ -146,7 +146,7 @@ def needed_words(goal: str, wanted: OrderSpec) -> str:
     """Describe the amount and the purity that a goal needs in order to be worth anything."""
     amount = f"{wanted.amount_at_least_mol:g} mol and " if wanted.amount_at_least_mol else ""
     others = [one for one in wanted.purity_among if one != goal]
-    among = f" among {_codes(others)} and itself" if others else ""
+    among = f" among {codes(others)} and itself" if others else ""
     return f"at least {amount}a purity of {wanted.purity_at_least:g}{among}"
 
 
@@ -185,11 +185,11 @@ def world_table(spec: Scenario) -> FactTable:
             for key, value in numbers.items()
             if value != ()
         )
-        what = f"{draw.what} of {_code(draw.material)}" if draw.material else draw.what
-        whose = _codes(draw.of) or "the laboratory"
+        what = f"{draw.what} of {code(draw.material)}" if draw.material else draw.what
+        whose = codes(draw.of) or "the laboratory"
         each = "one number" if draw.variables == 1 else "each its own"
         change = {"factor": "x ", "offset": "+ ", "value": "= "}[draw.change] if _is_change(draw) else ""
-        rows.append((_code(name), what, whose, f"{change}{kind}: {words}", each))
+        rows.append((code(name), what, whose, f"{change}{kind}: {words}", each))
     note = "x: multiplies the stated value, +: is added to it, =: replaces it"
     return _facts(("draw", "what", "of", "drawn from", "shared"), rows, note=note if rows else "")
 
@@ -202,7 +202,7 @@ def _is_change(draw: Draw) -> bool:
 def stock_table(spec: Scenario) -> FactTable:
     """Return the bottles and their prices."""
     prices = spec.costs.stock_per_mol
-    rows = [(_code(name), f"{mol:g}", _number(prices.get(name, 0.0))) for name, mol in spec.stock.items()]
+    rows = [(code(name), f"{mol:g}", _number(prices.get(name, 0.0))) for name, mol in spec.stock.items()]
     return _facts(("bottle", "mol", "price a mol"), rows, (1, 2))
 
 
@@ -226,7 +226,7 @@ def _accuracy(spec: InstrumentSpec) -> str:
 def instrument_table(labs: Laboratories) -> FactTable:
     """Return the instruments of the characterization bench."""
     rows = [
-        (_code(name), kind.summary, f"{i.price:g}", f"{i.sample_fraction:g}", _accuracy(i))
+        (code(name), kind.summary, f"{i.price:g}", f"{i.sample_fraction:g}", _accuracy(i))
         for (name, i), kind in zip(labs.scenario.instruments.items(), labs.instruments.kinds, strict=True)
     ]
     return _facts(("instrument", "reading", "price", "sample", "noise"), rows, (2, 3, 4))
@@ -235,7 +235,7 @@ def instrument_table(labs: Laboratories) -> FactTable:
 def bench_table(labs: Laboratories) -> FactTable:
     """Return each kind of bench: number, step limit, and score of an experiment."""
     rows = [
-        (_code(bench.key), bench.spec.kind, bench.spec.count, bench.spec.step_limit, bench.score_meaning)
+        (code(bench.key), bench.spec.kind, bench.spec.count, bench.spec.step_limit, bench.score_meaning)
         for bench in {bench.key: bench for bench in labs.benches}.values()
     ]
     return _facts(("bench", "kind", "number", "step limit", "score of an experiment"), rows, (2, 3))

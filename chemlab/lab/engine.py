@@ -294,6 +294,17 @@ class Laboratories:
         self.worlds.seed(member, sequence)
         self.episodes.seed(member, self._streams())
 
+    def begin(self, seed: int = 0, goal: str | None = None, world: World | None = None) -> None:
+        """Start an episode in every laboratory: that of ``seed`` in the first, of ``seed`` + i in laboratory i.
+
+        Args:
+            seed: seed of the first laboratory.
+            goal, world: see :meth:`reset`.
+        """
+        for member in self.members.tolist():
+            self.seed(member, seed + member)
+        self.reset(self.members, goal, world)
+
     def _streams(self) -> list[StreamArray]:
         """Return every random stream of an episode; streams of degradation and drift derive from the world's number."""
         # By kind of role: a seed means the same, whatever the order of the agents.

@@ -95,19 +95,13 @@ def pour(
     source: FloatArray, target: FloatArray, fraction: float, chem: Handle, waste: FloatArray, events: FloatArray
 ) -> None:
     """Pour ``fraction`` (0 to 1) of everything in ``source`` into ``target``; the excess spills."""
-    chemistry = opened(Chemistry, chem)
-    n = chemistry.role.shape[0]
     before = volume(target, chem)
     there = heat_capacity(target, chem)
     arriving = fraction * heat_capacity(source, chem)
     if fraction <= 0.0 or arriving <= 0.0:
         return
     _mix_temperature(target, there, arriving, source[TEMPERATURE])
-    for i in range(AMOUNTS, AMOUNTS + n):
-        moved = source[i] * fraction
-        target[i] += moved
-        source[i] -= moved
-    for i in range(AMOUNTS + n, source.shape[0]):
+    for i in range(AMOUNTS, source.shape[0]):
         moved = source[i] * fraction
         target[i] += moved
         source[i] -= moved

@@ -40,11 +40,6 @@ class Group:
     weights: FloatArray
     """[materials]"""
 
-    @property
-    def unit(self) -> str:
-        """Unit of the group's amounts."""
-        return f"mol {self.name}"
-
 
 @dataclass(frozen=True)
 class Balance:

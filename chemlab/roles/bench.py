@@ -212,8 +212,6 @@ class BenchRules(NamedTuple):
 
     parts: Annotated[IntArray, Field("G 3")]
     """see :class:`Goals`"""
-    solute_counts: Annotated[FloatArray, Field("G M")]
-    absolute_counts: Annotated[FloatArray, Field("G M")]
     event_weights: Annotated[FloatArray, Field("E")]
     """[E] weight of each kind of event in the cost"""
     event_price: Annotated[float, Field("")]
@@ -479,8 +477,6 @@ class Bench(ABC):
         declaration = merged(BenchRules, *self.own_rules)
         values = {
             "parts": self.goals.parts,
-            "solute_counts": self.goals.solute_counts,
-            "absolute_counts": self.goals.absolute_counts,
             "event_weights": np.array([safety.weights.get(kind, 0.0) for kind in scenario.safety_events]),
             "event_price": safety.reward_price,
             "illegal_price": scenario.costs.illegal_action,

@@ -21,9 +21,7 @@ SEED = 6_000_000
 def play(scenario: str, episodes: int) -> str:
     """Return a table row for a scenario, played in worlds of the split ``validation``."""
     labs = Laboratories(scenario, episodes, split="validation")
-    for member in labs.members.tolist():
-        labs.seed(member, np.random.SeedSequence(SEED + member))
-    labs.reset(labs.members)
+    labs.begin(SEED)
     policies = make_policies("random", labs, SEED)
     turns, acted = np.zeros(episodes, dtype=np.int64), np.zeros(episodes, dtype=np.bool_)
 

@@ -1,4 +1,4 @@
-"""Time of a newcomer's first steps: install, a moving laboratory, a trained team with its curve, a scenario of your own.
+"""Time of a newcomer's first steps: install, a moving laboratory, a trained team with its curve, an added scenario.
 
     python studies/speed/newcomer.py --update docs/getting-started.md
 

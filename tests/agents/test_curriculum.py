@@ -49,9 +49,7 @@ SMALL: dict[str, Any] = {
 
 
 def begun(labs: Laboratories, seed: int = 0) -> Laboratories:
-    for member in labs.members:
-        labs.seed(int(member), seed + int(member))
-    labs.reset(labs.members)
+    labs.begin(seed)
     return labs
 
 

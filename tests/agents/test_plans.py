@@ -230,7 +230,7 @@ def test_stored_plans_reach_what_their_files_say(path: Path) -> None:
     labs = Laboratories(stored.scenario, 20)
     plans = stored.decoded(labs.actions)
     assert list(plans) == all_contexts(labs.scenario)
-    found = [FoundPlan(context, plan, 0.0, 0) for context, plan in plans.items()]
+    found = [FoundPlan(context, plan, 0.0) for context, plan in plans.items()]
     episodes, seed = stored.evaluation["episodes"], stored.evaluation["seed"]
     scores = PlanSearch(labs.scenario, stored.benches, found, 0).play(episodes, seed)
     assert scores.mean() == pytest.approx(stored.evaluation["value"], abs=1e-9)
@@ -322,7 +322,6 @@ def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None
 
 def test_a_constant_plan_of_everybody() -> None:
     """Donors whose manager is blind: nobody looks, and the score is that of the plan."""
-    replayed = replay_actions("wurtz_dodecane", "plan", episodes=10, donors=3)
-    assert replayed.blind.value >= 0.97
+    assert replay_actions("wurtz_dodecane", "plan", episodes=10, donors=3).mean() >= 0.97
     with pytest.raises(ValueError, match="at least one donor"):
         replay_actions("wurtz_dodecane", donors=0)

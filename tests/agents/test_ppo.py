@@ -407,9 +407,7 @@ def find_best(run: Path) -> Path:
 def make_laboratories() -> Any:
 
     labs = Laboratories(load_scenario("wurtz_dodecane"), 3)
-    for member in labs.members:
-        labs.seed(int(member), int(member))
-    labs.reset(labs.members)
+    labs.begin()
     return labs
 
 

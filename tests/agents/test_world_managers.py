@@ -179,9 +179,7 @@ def test_memories_are_put_back() -> None:
     for name in ("campaign", "unlabelled", "failing", "rush", "relay", "refine"):
         labs = Laboratories(name, 2, split="test")
         players = Players(labs, list(make_policies("scripted", labs, 0).values()))
-        for member in range(2):
-            labs.seed(member, 7 + member)
-        labs.reset(labs.members)
+        labs.begin(7)
         for _ in range(30):
             players.play_pass(labs.members)
         saved, memory = labs.snapshot(), players.get_memory()

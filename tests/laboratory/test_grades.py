@@ -101,9 +101,7 @@ def test_reports_say_what_is_there_as_well_as_sensors_can() -> None:
     said = [float(env.observe("manager_0")[slices[name]][0]) for name in names]
     assert said == pytest.approx([made / 4.0, made / 4.0, 4 / 20], rel=1e-6)
     many = Laboratories(load_scenario(graded(report=0.1)), 400)
-    for member in many.members.tolist():
-        many.seed(member, np.random.SeedSequence(member))
-    many.reset(many.members, world={"rate": 1.0})
+    many.begin(world={"rate": 1.0})
     begin = many.actions.encode("start", "rxn_0", 0, "2-chlorohexane", "quick")
     for action in (begin, many.actions.encode("wait")):
         many.act(0, many.members, np.full(400, action))

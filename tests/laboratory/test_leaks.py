@@ -71,9 +71,7 @@ def test_a_vessel_that_was_at_no_bench_cannot_be_submitted(name: str) -> None:
 @pytest.mark.parametrize("name", ["campaign", "rush"])
 def test_orders_that_are_not_met_cost_their_share(name: str) -> None:
     labs = Laboratories(name, 3, split="validation")
-    for member in labs.members.tolist():
-        labs.seed(member, np.random.SeedSequence(member))
-    labs.reset(labs.members)
+    labs.begin()
     prices = labs.state.terms[:, :, 2] if labs.scenario.demand.order else np.ones((3, labs.scenario.orders))
     assert labs.result(labs.members) == pytest.approx(-0.1 * prices.mean(axis=1))
 

@@ -48,9 +48,7 @@ def run(labs: Laboratories, agent: str, slot: int = 0, actions: Any = HOLD) -> i
 
 def begun(spec: Scenario, members: int = 1, seed: int = 0, **world: Any) -> Laboratories:
     labs = Laboratories(spec, members)
-    for member in range(members):
-        labs.seed(member, seed + member)
-    labs.reset(labs.members, world=world or None)
+    labs.begin(seed, world=world or None)
     return labs
 
 

@@ -128,9 +128,7 @@ def test_splits_have_worlds_of_their_own() -> None:
     numbers, titres = set(), {}
     for split in ("train", "validation", "test", "private:7175657474616c007175657474616c00"):
         labs = Laboratories(scenario(), 200, split=split)
-        for member in range(200):
-            labs.seed(member, member)
-        labs.reset(labs.members)
+        labs.begin()
         numbers |= {labs.worlds.number(member) for member in range(200)}
         titres[split] = min(min(labs.worlds.values(member)["titre"].values()) for member in range(200))
     assert len(numbers) == 4 * 200
@@ -147,9 +145,7 @@ def test_what_is_drawn_is_in_vessels_and_parameters() -> None:
     """Litre for litre: every volume is as the file has it, whatever is in it."""
     spec = scenario()
     labs = Laboratories(spec, 5)
-    for member in range(5):
-        labs.seed(member, member)
-    labs.reset(labs.members)
+    labs.begin()
     litres = {name: m.molar_mass_g_mol / m.density_kg_l / 1000.0 for name, m in spec.materials.items()}
     for member in range(5):
         values, known = labs.worlds.values(member), labs.shelf.known(member)
@@ -283,9 +279,7 @@ def test_two_worlds_look_equal_until_something_physical_differs() -> None:
     happens in one."""
     spec = scenario()
     labs = Laboratories(spec, 40)
-    for member in range(40):
-        labs.seed(member, member)
-    labs.reset(labs.members, "dodecane")
+    labs.begin(0, "dodecane")
 
     def seen() -> list[bytes]:
         """What everybody sees, by laboratory."""
@@ -319,9 +313,7 @@ def estimated(distribution: dict[str, Any]) -> Scenario:
 
 def test_a_formation_enthalpy_may_be_drawn_though_it_is_below_0() -> None:
     labs = Laboratories(estimated({"kind": "uniform", "low": -5000.0, "high": 5000.0}), 3)
-    for member in range(3):
-        labs.seed(member, np.random.SeedSequence(member))
-    labs.reset(labs.members)
+    labs.begin()
     formation = labs.shelf.chemistry.parameters["formation"]
     salt = labs.shelf.layout.index("NaCl")
     assert formation[0, salt] == pytest.approx(-411_200.0, abs=1000.0)

@@ -15,18 +15,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import record_episode
 from PIL import Image
 from typer.testing import CliRunner
 
-from chemlab.agents.episodes import play_episode
-from chemlab.agents.policies import make_policies
 from chemlab.agents.seats import Room
 from chemlab.cli import app
 from chemlab.config.loading import dump_scenario, restore_scenario
-from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
-from chemlab.record import Recorder, RecordError, Replay, read_record
+from chemlab.record import RecordError, Replay, read_record
 from chemlab.render.animation import animation
 from chemlab.render.draw import draw
 from chemlab.render.replay_page import replay_data, replay_page
@@ -35,17 +33,9 @@ from chemlab.render.scene import laboratory_scene
 runner = CliRunner()
 
 
-def record(path: Path, scenario: str | Scenario = "wurtz_dodecane", policy: str = "scripted", seed: int = 0) -> Path:
-    """A recorded episode."""
-    env = raw_env(scenario)
-    with Recorder(path, env.laboratories) as recorder:
-        play_episode(env, make_policies(policy, env.laboratories, seed), seed, recorder=recorder)
-    return path
-
-
 @pytest.fixture(scope="module")
 def episode(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return record(tmp_path_factory.mktemp("episode") / "a.jsonl")
+    return record_episode(tmp_path_factory.mktemp("episode") / "a.jsonl", seed=0)
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +98,7 @@ def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
 
 @pytest.mark.parametrize("name", ["fictitious", "wurtz_two_lines"])
 def test_pages_are_small(name: str, tmp_path: Path) -> None:
-    found = read_record(record(tmp_path / "a.jsonl", name, "scripted", 1))
+    found = read_record(record_episode(tmp_path / "a.jsonl", name, "scripted", 1))
     text = replay_page(found)
     ticks = max(found.turns[-1]["tick"], 1)
     assert len(text.encode()) < 100_000 + 1_900_000 * max(ticks, 20) / 200
@@ -126,7 +116,7 @@ def test_names_cannot_break_out_of_the_page(episode: Path, tmp_path: Path) -> No
     evil = "</script><script>alert(1)</script><!-- <b> & \u2028 __DATA__"
     data = dump_scenario(raw_env("wurtz_dodecane").scenario)
     data["scenario"]["title"] = evil
-    text = replay_page(read_record(record(tmp_path / "evil.jsonl", restore_scenario(data, "test"))))
+    text = replay_page(read_record(record_episode(tmp_path / "evil.jsonl", restore_scenario(data, "test"), seed=0)))
     assert len(re.findall(r"</script", text)) == len(re.findall(r"</script", replay_page(found))) == 2
     assert "<!--" not in text
     inside = text.split('type="application/json">')[1].split("</script>")[0]
@@ -465,7 +455,7 @@ def test_text_can_be_read(page: Any, scheme: str) -> None:
 
 def test_two_records_have_one_clock(episode: Path, tmp_path: Path, browser: Any) -> None:
     """A turn chosen in one shows the other at the same tick; the longer one goes on alone."""
-    other, both = record(tmp_path / "b.jsonl", policy="random", seed=3), tmp_path / "both.html"
+    other, both = record_episode(tmp_path / "b.jsonl", policy="random", seed=3), tmp_path / "both.html"
     assert runner.invoke(app, ["replay", str(episode), str(other), "-o", str(both)]).exit_code == 0
     page, complaints = browser.new_page(), []
     page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)

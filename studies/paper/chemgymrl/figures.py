@@ -393,37 +393,29 @@ FIGURES: tuple[FigureSpec, ...] = (
 """Every figure of the paper that reports results."""
 
 
-def write_figures(
-    results: Results, folder: Path, formats: Sequence[str] = ("png",), watch: Callable[[str], None] | None = None
-) -> dict[str, list[str]]:
+def write_figures(results: Results, folder: Path) -> dict[str, list[str]]:
     """Draw every figure with results.
 
     Args:
         results: results of :func:`~studies.paper.chemgymrl.results.read_results`.
         folder: folder of the pictures.
-        formats: suffixes known to matplotlib, such as ``png`` and ``svg``.
-        watch: called with each figure's stem before it is drawn.
 
     Returns:
         {stem: missing results, in words}; a figure without any results is not written.
 
     Raises:
         ImportError: matplotlib is not installed.
-        ValueError: a format is unknown.
     """
     matplotlib = import_matplotlib()
     folder.mkdir(parents=True, exist_ok=True)
     lacking = {}
     for spec in FIGURES:
-        if watch is not None:
-            watch(spec.stem)
         with matplotlib.rc_context(SETTINGS):
             drawn = spec.draw(results)
             lacking[spec.stem] = drawn.missing
-            for ending in formats:
-                path = folder / f"{spec.stem}.{ending}"
-                if drawn.figure is None:
-                    path.unlink(missing_ok=True)  # from earlier results
-                else:
-                    save_figure(drawn.figure, path)
+            path = folder / f"{spec.stem}.png"
+            if drawn.figure is None:
+                path.unlink(missing_ok=True)  # from earlier results
+            else:
+                save_figure(drawn.figure, path)
     return lacking

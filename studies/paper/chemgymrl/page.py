@@ -31,19 +31,16 @@ def paper_table(results: Results) -> list[str]:
     return lines
 
 
-def write_page(
-    results: Results, folder: Path, lacking: Mapping[str, Sequence[str]], formats: Sequence[str] = ("png",)
-) -> Path:
+def write_page(results: Results, folder: Path, lacking: Mapping[str, Sequence[str]]) -> Path:
     """Write ``summary.md`` and return its path.
 
     Args:
         results: results of the tables.
         folder: output folder.
         lacking: missing results of each figure, as returned by :func:`~studies.paper.chemgymrl.figures.write_figures`.
-        formats: formats of the figures; the page shows the first.
     """
     page = folder / "summary.md"
-    write_text(page, "\n".join(_markdown(results, folder, lacking, formats[0])).rstrip() + "\n")
+    write_text(page, "\n".join(_markdown(results, folder, lacking)).rstrip() + "\n")
     return page
 
 
@@ -52,7 +49,7 @@ def _verdict(finding: Finding) -> str:
     return f"{said} ({', '.join(finding.variants)}: yes)" if finding.variants else said
 
 
-def _markdown(results: Results, folder: Path, lacking: Mapping[str, Sequence[str]], ending: str) -> Iterator[str]:
+def _markdown(results: Results, folder: Path, lacking: Mapping[str, Sequence[str]]) -> Iterator[str]:
     yield from ("# The paper's results and ours", "", "## What the paper says", "")
     yield (
         "The paper's values are those its text and captions state; none is read off a picture. What an "
@@ -83,7 +80,7 @@ def _markdown(results: Results, folder: Path, lacking: Mapping[str, Sequence[str
             yield from ("", f"{experiment.title}: no runs of {', '.join(map(display_name, missing))}.")
     yield from ("", "## Figures", "")
     for spec in FIGURES:
-        picture = f"{spec.stem}.{ending}"
+        picture = f"{spec.stem}.png"
         yield f"**The paper's figure {spec.number}.** {spec.caption}"
         yield from (f"Missing: {what}." for what in lacking[spec.stem])
         yield from ("", f"![{spec.stem}]({picture})" if (folder / picture).exists() else "(no picture)", "")

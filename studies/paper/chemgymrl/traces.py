@@ -28,7 +28,6 @@ def collect_traces(
     results: Results,
     folder: Path,
     episodes: int = EPISODES,
-    seed: int = SEED,
     watch: Callable[[str], None] | None = None,
 ) -> None:
     """Play the scripted policy, random actions and the best run of every algorithm; write ``traces.csv``.
@@ -37,7 +36,6 @@ def collect_traces(
         results: results whose best runs are played; traces of runs known only from a table are kept.
         folder: folder of the table.
         episodes: episodes per goal; every policy plays the same seeds.
-        seed: seed of the first episode.
         watch: called with each policy's name when it has been played.
 
     Raises:
@@ -55,19 +53,19 @@ def collect_traces(
                 sources[label] = (str(cell.best.folder.path), *source_of(cell))
         for label, (name, run, step) in sources.items():
             own = {"experiment": key, "policy": label, "fingerprint": experiment.fingerprint, "run": run, "step": step}
-            rows += [{**own, **row} for row in _played(experiment, name, episodes, seed)]
+            rows += [{**own, **row} for row in _played(experiment, name, episodes)]
             if watch is not None:
                 watch(f"{experiment.title}: {label}")
     write_table(folder / TRACE_FILE, TRACE_COLUMNS, rows)
 
 
-def _played(experiment: Experiment, name: str, episodes: int, seed: int) -> Iterator[dict[str, Any]]:
+def _played(experiment: Experiment, name: str, episodes: int) -> Iterator[dict[str, Any]]:
     """Yield a policy's rows."""
     env = Target(load_scenario(experiment.scenario), experiment.bench).environment(episodes)
     bench: Bench = env.bench
-    policy = bench_policy(name, bench, seed)
+    policy = bench_policy(name, bench, SEED)
     for goal in experiment.goals:
-        played = play_bench(env, policy, goal, seed, record=True)
+        played = play_bench(env, policy, goal, SEED, record=True)
         assert played.actions is not None, "they were recorded"
         for case in sorted(set(played.cases)):
             chosen = np.flatnonzero(np.array(played.cases) == case)
