@@ -131,7 +131,10 @@ def _unsafe(labs: Laboratories) -> npt.NDArray[np.bool_]:
 
 
 def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str | None, seed: int) -> Played:
-    """Play one episode in each of N laboratories; laboratory i plays what :func:`play_episode` plays with seed + i.
+    """Play one episode in each of N laboratories, the one of seed + i in laboratory i.
+
+    It is what :func:`play_episode` plays with that seed, unless a policy draws its actions: its draws depend on its own
+    seed and on the laboratory's index.
 
     Args:
         labs: N laboratories.

@@ -93,8 +93,7 @@ class Campaign:
             )
         self.scenario = spec
         self._labs = Laboratories(spec, 1, split=split)
-        self._labs.seed(0, np.random.SeedSequence(seed))
-        self._labs.reset(self._labs.members)
+        self._labs.begin(seed)
         (self._goal, *_), (self._instrument,), (self._reagent,) = spec.lab_goals, spec.instruments, others
         bench = self._labs.benches[0]
         assert isinstance(bench, ReactionBench), "checked above"

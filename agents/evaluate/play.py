@@ -97,7 +97,7 @@ class Target:
             make_policies(policy, Laboratories(self.scenario, 1, split=self.split))
 
     def play(self, policy: str, goal: str, episodes: int, seed: int) -> Played:
-        """Play episodes of a policy given by name; episode i has seed + i."""
+        """Play episodes of a policy given by name; episode i has seed + i, a policy that draws that of its batch."""
         parts = []
         for first in range(0, episodes, BATCH):
             parts.append(self._batch(policy, goal, min(BATCH, episodes - first), seed + first))

@@ -42,17 +42,7 @@ try:
     import torch
     from torch import nn
 
-    from .tied import (
-        LAST_GAIN,
-        Tanh,
-        TiedLinear,
-        Unit,
-        action_units,
-        notes_units,
-        numbered,
-        observed_units,
-        tied_layers,
-    )
+    from .tied import Tanh, TiedLinear, Unit, action_units, notes_units, numbered, observed_units, tied_layers
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
@@ -101,12 +91,12 @@ class _Network(nn.Module):
         self.discrete = discrete
         # Values begin at 0: with others and no discount, it can seem better never to end an episode.
         if tied is None:
-            self.actor = _layers(observed, hidden, actions)
-            self.critic = _layers(observed + state, hidden, 1)
+            self.actor = _layers(observed, hidden, actions, 0.01)
+            self.critic = _layers(observed + state, hidden, 1, 0.01)
         else:
             seen = [*units, *((("state", k), -1, -1) for k in range(state))]
-            self.actor = tied_layers(tied, units, action_units(tied), hidden)
-            self.critic = tied_layers(tied, seen, [("value", -1, -1)], hidden)
+            self.actor = tied_layers(tied, units, action_units(tied), hidden, 0.01)
+            self.critic = tied_layers(tied, seen, [("value", -1, -1)], hidden, 0.01)
         # What is observed is normalized: a reading of a hundredth can matter as much as one of a half.
         self.register_buffer("mean", torch.zeros(observed + state))
         self.register_buffer("scale", torch.ones(observed + state))
@@ -144,12 +134,12 @@ class _Network(nn.Module):
         return (x - self.mean[: x.shape[1]]) * self.scale[: x.shape[1]]
 
 
-def _layers(size: int, hidden: Sequence[int], out: int) -> nn.Sequential:
-    """Fully connected layers with tanh between them, orthogonally initialized, the last one nearly at 0."""
+def _layers(size: int, hidden: Sequence[int], out: int, gain: float) -> nn.Sequential:
+    """Fully connected layers with tanh between them, orthogonally initialized."""
     widths = [size, *hidden, out]
     linear = [nn.Linear(a, b) for a, b in itertools.pairwise(widths)]
     for i, layer in enumerate(linear):
-        nn.init.orthogonal_(layer.weight, LAST_GAIN if i == len(hidden) else 2.0**0.5)
+        nn.init.orthogonal_(layer.weight, gain if i == len(hidden) else 2.0**0.5)
         nn.init.zeros_(layer.bias)
     modules: list[nn.Module] = []
     for layer in linear:

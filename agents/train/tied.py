@@ -32,8 +32,6 @@ except ImportError as error:
 Unit = tuple[Hashable, int, int]
 """Kind of a unit, and the slot and the order that it belongs to; -1: none."""
 
-LAST_GAIN = 0.01
-"""Gain of a last layer at first: actions are equally likely, and values near 0."""
 _SLOT = {START: SECOND, MEASURE: FIRST, DISCARD: FIRST, SUBMIT: FIRST}
 """Column of the table of actions that holds the slot."""
 
@@ -183,7 +181,7 @@ def action_units(labs: Laboratories) -> list[Unit]:
 
 
 def tied_layers(
-    labs: Laboratories, observed: Sequence[Unit], outs: Sequence[Unit], hidden: Sequence[int]
+    labs: Laboratories, observed: Sequence[Unit], outs: Sequence[Unit], hidden: Sequence[int], gain: float
 ) -> nn.Sequential:
     """Layers with tanh between them.
 
@@ -192,6 +190,7 @@ def tied_layers(
         observed: units of the input.
         outs: units of the output.
         hidden: twice the units of the laboratory in each hidden layer; a slot has an eighth of it, an order a 16th.
+        gain: of the last layer.
     """
     layers, scenario = [list(observed)], labs.scenario
     for number, size in enumerate(hidden):
@@ -202,5 +201,5 @@ def tied_layers(
     layers.append(list(outs))
     modules: list[nn.Module] = []
     for i in range(len(layers) - 1):
-        modules += [TiedLinear(layers[i], layers[i + 1], LAST_GAIN if i == len(hidden) else 2.0**0.5), Tanh()]
+        modules += [TiedLinear(layers[i], layers[i + 1], gain if i == len(hidden) else 2.0**0.5), Tanh()]
     return nn.Sequential(*modules[:-1])

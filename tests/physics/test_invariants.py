@@ -113,12 +113,10 @@ def random_turns(laboratories: Laboratories, rng: np.random.Generator, policy: R
 def test_random_agents_break_no_invariant(scenario: str) -> None:
     """Twenty thousand turns of random agents, one in ten of them against the mask: atoms to 1e-9 and all the rest."""
     laboratories = Laboratories(scenario, 40)
-    for member in laboratories.members:
-        laboratories.seed(member, int(member))
+    laboratories.begin()
     rng, policy = np.random.default_rng(5), RandomPolicy(0, 6)
     _, atoms_in = composition(laboratories.scenario)
     shelf = laboratories.shelf
-    laboratories.reset(laboratories.members)
     start = laboratories.total() @ atoms_in
 
     def check(members: IntArray) -> None:
@@ -199,12 +197,10 @@ def test_extremes_leave_nothing_out_of_bounds(scenario: str) -> None:
     spaces, and atoms conserved.
     """
     laboratories = Laboratories(extreme(scenario), 12)
-    for member in laboratories.members:
-        laboratories.seed(member, int(member))
+    laboratories.begin()
     rng, policy = np.random.default_rng(7), RandomPolicy(0, 8)
     _, atoms_in = composition(laboratories.scenario)
     whole, shelf = GlobalState(laboratories), laboratories.shelf
-    laboratories.reset(laboratories.members)
     turns, rounds = 0, 0
     start = laboratories.total() @ atoms_in
     while turns < 1200:
@@ -238,10 +234,8 @@ def test_extremes_leave_nothing_out_of_bounds(scenario: str) -> None:
 def test_random_agents_meet_every_safety_event() -> None:
     """The random play above is not tame: spills, relief, boiling dry, dry heating and metal in water all happen."""
     laboratories = Laboratories("wurtz_dodecane", 40)
-    for member in laboratories.members:
-        laboratories.seed(member, int(member))
+    laboratories.begin()
     rng, policy = np.random.default_rng(5), RandomPolicy(0, 6)
-    laboratories.reset(laboratories.members)
     seen = np.zeros(laboratories.safety_totals.shape[1])
     for _ in range(TURNS // 40):
         random_turns(laboratories, rng, policy, 0.1)
