@@ -46,10 +46,12 @@ class _Rates(Belief):
     Attributes:
         weights: [T] probability of each rate.
         runs: number of experiments of each slot's vessel.
+        read: (slot, number of experiments) of the latest reading.
     """
 
     weights: FloatArray = field(default_factory=lambda: np.full(_GRID, 1.0 / _GRID))
     runs: dict[int, int] = field(default_factory=dict)
+    read: tuple[int, int] | None = None
 
 
 class CampaignManager(BeliefManager[_Rates]):
@@ -57,7 +59,8 @@ class CampaignManager(BeliefManager[_Rates]):
 
     The outcome of a batch at every candidate rate is simulated on the public scenario beforehand. The probability of
     every rate is updated with each reading (Bayes) and carried over to the next batch. The manager measures when the
-    expected gain of the information, for this and the later batches, exceeds the price.
+    expected gain of the information, for this and the later batches, exceeds the price; after each experiment once at
+    most, because a later reading tells more than a repeated one.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.
@@ -91,6 +94,7 @@ class CampaignManager(BeliefManager[_Rates]):
 
     def _learn(self, belief: _Rates, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
         belief.weights = self._updated(belief.weights, reading, self._runs(belief))
+        belief.read = slot, self._runs(belief)
 
     def _runs(self, belief: _Rates) -> int:
         return min(belief.runs.get(belief.slots[0], 0), _MOST_RUNS)
@@ -145,7 +149,9 @@ class CampaignManager(BeliefManager[_Rates]):
     def _measures(self, belief: _Rates, mask: MaskArray, slot: int) -> bool:
         """Return True if another measurement is worth its price."""
         runs = self._runs(belief)
-        if self._instrument is None or runs == 0 or not mask[self._actions.encode("measure", slot, self._instrument)]:
+        if self._instrument is None or runs == 0 or belief.read == (slot, runs):
+            return False
+        if not mask[self._actions.encode("measure", slot, self._instrument)]:
             return False
         left = len(belief.orders) - 1 if self._remember else 0
         readings = self._expected[self._sampled(belief.weights), runs] + self._errors
