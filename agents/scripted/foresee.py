@@ -41,7 +41,6 @@ _MODEL_ERROR = 0.006
 """Standard deviation of readings besides their noise: true worlds lie between the simulated ones."""
 _SURPRISE = 1e-9
 """Lower bound of a likelihood relative to the best one."""
-_MOST_LOOKS = 3
 _UNWORKED = -1.0
 """Value of a vessel that was at no bench, which cannot be submitted: below that of any experiment."""
 _SEED = 7_000_000
@@ -99,19 +98,21 @@ class _Vessels(Belief):
         likelihood: [V, S, O] likelihood of all readings of each vessel.
         filled: [V, S, O] likelihood of the initial fill levels.
         stage: [V] stage of each vessel.
-        looks: [V] number of measurements of each vessel at its stage.
+        read: [V] True if a vessel was measured at its stage.
         gone: submitted vessels.
     """
 
     likelihood: FloatArray = field(default_factory=lambda: np.zeros(0))
     filled: FloatArray = field(default_factory=lambda: np.zeros(0))
     stage: list[int] = field(default_factory=list)
-    looks: list[int] = field(default_factory=list)
+    read: list[bool] = field(default_factory=list)
     gone: set[int] = field(default_factory=set)
 
 
 class ForeseeingManager(BeliefManager[_Vessels]):
     """Measures vessels, processes the most promising one, and measures again where the information is worth the price.
+
+    At each stage a vessel is measured once at most, because a later reading tells more than a repeated one.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.
@@ -155,12 +156,12 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         wanted = (*stages[belief.stage[v]], (agent, more[0]))
         belief.running = {agent: slot}
         if wanted in stages:
-            belief.stage[v], belief.looks[v] = stages.index(wanted), 0
+            belief.stage[v], belief.read[v] = stages.index(wanted), False
         else:
             belief.gone.add(v)  # the resulting stage was not simulated
 
     def _measured(self, belief: _Vessels, slot: int) -> None:
-        belief.looks[belief.slots.index(slot)] += 1
+        belief.read[belief.slots.index(slot)] = True
 
     def _removed(self, belief: _Vessels, slot: int) -> None:
         belief.gone.add(belief.slots.index(slot))
@@ -193,8 +194,8 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         for v, slot in enumerate(slots):
             fill = np.array([self._value(observation, f"slot_{slot}_fill")])
             found[v] = likelihood(fill, foresight.fills[:, None], self._fill_noise, _SURPRISE).reshape(self._shape)
-        none = [0] * len(slots)
-        return _Vessels(slots, list(range(len(self._orders))), None, {}, found, found.copy(), none, none.copy())
+        stage, read = [0] * len(slots), [False] * len(slots)
+        return _Vessels(slots, list(range(len(self._orders))), None, {}, found, found.copy(), stage, read)
 
     def _next_order(self, belief: _Vessels) -> int:
         return belief.orders[0] if belief.orders else len(self._orders) - 1
@@ -216,7 +217,7 @@ class ForeseeingManager(BeliefManager[_Vessels]):
                     return discard
             return self._submit_for(mask, belief, belief.slots[v], self._next_order(belief))
         belief.stage[v] = self._foresight[goal].stages.index(wanted[: len(done) + 1])
-        belief.looks[v], belief.running = 0, {step[0]: belief.slots[v]}
+        belief.read[v], belief.running = False, {step[0]: belief.slots[v]}
         return start
 
     # -- belief -----------------------------------------------------------------------------------------------
@@ -280,12 +281,12 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         best, most = None, self._price
         fresh = set[tuple[int, ...]]()
         for v, slot in enumerate(belief.slots):
-            if v in belief.gone or belief.looks[v] >= _MOST_LOOKS:
+            if v in belief.gone or belief.read[v]:
                 continue
             if not mask[self._actions.encode("measure", slot, self._instrument)]:
                 continue
             # Vessels without readings are exchangeable, so one of them is evaluated.
-            alike = belief.stage[v], belief.looks[v], *(posterior[v] * 1e6).astype(np.int64).tolist()
+            alike = belief.stage[v], *(posterior[v] * 1e6).astype(np.int64).tolist()
             if alike in fresh:
                 continue
             fresh.add(alike)
