@@ -6,17 +6,22 @@ Numbers that tests compare with come from ``scenario.materials`` (the data files
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.util
-from collections.abc import Iterable, Mapping
+import json
+import time
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
 
-from chemlab.config.loading import load_scenario
+from chemlab.config.loading import dump_scenario, load_scenario
+from chemlab.config.materials import Material
 from chemlab.config.scenario import SAFETY_EVENTS, Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.kernels.arrays import declared
@@ -86,6 +91,47 @@ def manager(env: raw_env, *action: str | int) -> None:
 def allowed(env: raw_env, *action: str | int) -> bool:
     """Whether the manager's mask allows an action."""
     return bool(env.infos["manager_0"]["action_mask"][env.laboratories.actions.encode(*action)])  # type: ignore[arg-type]
+
+
+def random_legal(space: Any, mask: npt.NDArray[Any] | None, rng: np.random.Generator) -> Any:
+    """A random legal action: a number where there is a mask, else an array of a box."""
+    return rng.random(space.shape, dtype=np.float32) if mask is None else int(rng.choice(np.flatnonzero(mask)))
+
+
+def random_actions(space: gymnasium.Space[Any], steps: int, members: int, seed: int = 0) -> npt.NDArray[Any]:
+    """[steps, members, ...] random actions, legal or not; 3 % of discrete ones end the experiment."""
+    rng = np.random.default_rng(seed)
+    if isinstance(space, gymnasium.spaces.Discrete):
+        actions: npt.NDArray[Any] = rng.integers(space.n - 1, size=(steps, members))
+        actions[rng.random(actions.shape) < 0.03] = space.n - 1
+        return actions
+    return rng.random((steps, members, *(space.shape or ())), dtype=np.float32)
+
+
+def weights(model: Any) -> npt.NDArray[Any]:
+    """All parameters of a model of Stable-Baselines3 in one array."""
+    return np.concatenate([one.detach().numpy().ravel() for one in model.policy.parameters()])
+
+
+def until(met: Callable[[], Any], seconds: float = 600.0) -> None:
+    """Wait until something is true."""
+    end = time.monotonic() + seconds
+    while not met():
+        assert time.monotonic() < end
+        time.sleep(0.02)
+
+
+def said(name: str) -> str:
+    """Hash of all that a scenario says."""
+    return hashlib.sha256(json.dumps(dump_scenario(load_scenario(name))).encode()).hexdigest()[:16]
+
+
+def pascal(materials: Mapping[str, Material], name: str, kelvin: float) -> float:
+    """Vapour pressure of a pure material."""
+    real = materials[name].real
+    assert real is not None
+    assert real.vapor_pressure is not None
+    return float(real.vapor_pressure.pascal(kelvin))
 
 
 def litres(scenario: Scenario, contents: Mapping[str, float]) -> float:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import functools
-import hashlib
-import json
 import math
 import re
 from pathlib import Path
@@ -13,13 +11,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import script, slow_but
+from helpers import said, script, slow_but
 
 import chemlab.scenarios
 from chemlab.agents.episodes import EpisodeResult, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.inherit import scenario_names, shipped_file, synthesis_names
-from chemlab.config.loading import dump_scenario, load_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
@@ -47,10 +45,7 @@ def played(name: str, policy: str, seed: int = 0) -> EpisodeResult:
 
 
 def test_what_they_say_has_not_changed() -> None:
-    def digest(name: str) -> str:
-        return hashlib.sha256(json.dumps(dump_scenario(load_scenario(name))).encode()).hexdigest()[:16]
-
-    assert {name: digest(name) for name in SYNTHESES} == SHIPPED
+    assert {name: said(name) for name in SYNTHESES} == SHIPPED
 
 
 def test_they_are_those_of_the_folder_and_have_names_of_their_own() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import ExitStack, contextmanager
@@ -13,6 +12,7 @@ from typing import Any
 
 import job_functions
 import pytest
+from helpers import until
 from job_functions import asked, held, killed_at_first, refused, trains_for_long, waits
 from typer.testing import CliRunner
 
@@ -80,13 +80,6 @@ def gone(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except OSError:
         return True
-
-
-def until(met: Callable[[], Any], seconds: float = 600.0) -> None:
-    end = time.monotonic() + seconds
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 # -- results ----------------------------------------------------------------------------------------------------------

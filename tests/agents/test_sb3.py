@@ -17,6 +17,7 @@ pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip ins
 
 import torch
 from gymnasium.wrappers.vector import TransformReward
+from helpers import random_actions, weights
 from sb3_contrib import MaskablePPO, RecurrentPPO
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
@@ -30,17 +31,6 @@ from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 
 BENCHES = ["rxn", "ext", "dit"]
-
-
-def plan(bench: str, steps: int, members: int, seed: int = 0) -> Any:
-    """[steps, members, ...] random actions; 3 % of discrete ones end the experiment."""
-    space = RoleEnv(bench=bench).action_space
-    rng = np.random.default_rng(seed)
-    if isinstance(space, gymnasium.spaces.Discrete):
-        actions = rng.integers(space.n - 1, size=(steps, members))
-        actions[rng.random(actions.shape) < 0.03] = space.n - 1
-        return actions
-    return rng.random((steps, members, *space.shape), dtype=np.float32)  # type: ignore[misc]
 
 
 # -- what it returns --------------------------------------------------------------------------------------------------
@@ -59,7 +49,7 @@ def test_members_are_single_environments(bench: str, copy: bool) -> None:
         np.testing.assert_array_equal(seen[i], one.reset(seed=20 + i)[0])
     returns, lengths, ends = np.zeros(4), np.zeros(4), 0
     kept: list[tuple[Any, Any]] = [(seen, seen.copy())]
-    for action in plan(bench, 110, 4):
+    for action in random_actions(RoleEnv(bench=bench).action_space, 110, 4):
         seen, rewards, dones, infos = venv.step(action)
         kept.append((seen, seen.copy()))
         assert seen.dtype == rewards.dtype == np.float32
@@ -168,7 +158,7 @@ def test_masks_are_where_sb3_contrib_looks(bench: str) -> None:
     venv.reset()
     batch.reset(seed=2)
     assert is_masking_supported(venv)
-    for action in plan(bench, 60, 5):
+    for action in random_actions(RoleEnv(bench=bench).action_space, 60, 5):
         masks = get_action_masks(venv)
         assert masks.shape == (5, venv.action_space.n)  # type: ignore[attr-defined]
         assert masks.dtype == np.bool_
@@ -195,7 +185,7 @@ def test_observations_that_end_with_the_mask() -> None:
     for venv in (plain, shown):
         venv.seed(4)
     seen, both, ended = plain.reset(), shown.reset(), 0
-    for action in plan("dit", 80, 3):
+    for action in random_actions(RoleEnv(bench="dit").action_space, 80, 3):
         np.testing.assert_array_equal(both, np.concatenate([seen, plain.action_masks()], axis=1))
         assert all(shown.observation_space.contains(one) for one in both)
         seen, rewards, _, _ = plain.step(action)
@@ -217,7 +207,7 @@ def test_an_existing_batch_wrapped_or_not() -> None:
     for venv in (plain_venv, wrapped_venv):
         venv.seed(0)
         venv.reset()
-    for action in plan("rxn", 45, 2):
+    for action in random_actions(RoleEnv(bench="rxn").action_space, 45, 2):
         seen, rewards, _, _ = plain_venv.step(action)
         wrapped_seen, wrapped_rewards, _, infos = wrapped_venv.step(action)
         np.testing.assert_array_equal(seen, wrapped_seen)
@@ -243,7 +233,7 @@ def test_what_a_wrapper_writes_into_an_info_stays_there(bench: str) -> None:
     """A wrapper that adds up into ``info`` gets its own sum, in every step and for every member."""
     venv = ChemlabVecEnv(3, bench=bench)
     venv.reset()
-    for action in plan(bench, 30, 3):
+    for action in random_actions(RoleEnv(bench=bench).action_space, 30, 3):
         infos = venv.step(action)[3]
         for info in infos:
             assert "seen" not in info
@@ -254,7 +244,7 @@ def test_pickles_go_on_alike() -> None:
     venv = ChemlabVecEnv(2, bench="ext", threads=2)
     venv.seed(3)
     venv.reset()
-    actions = plan("ext", 60, 2)
+    actions = random_actions(RoleEnv(bench="ext").action_space, 60, 2)
     for action in actions[:20]:
         venv.step(action)
     twin = pickle.loads(pickle.dumps(venv))
@@ -273,11 +263,6 @@ def test_without_stable_baselines3_the_error_names_the_extra(monkeypatch: pytest
 
 
 # -- learners ---------------------------------------------------------------------------------------------------------
-
-
-def weights(model: Any) -> Any:
-    """All parameters in one array."""
-    return np.concatenate([one.detach().numpy().ravel() for one in model.policy.parameters()])
 
 
 def test_ppo_learns_reproducibly_and_hears_of_episodes() -> None:

@@ -25,6 +25,8 @@ from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
 
+from helpers import weights as of_model
+
 import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate.play import Target
@@ -86,7 +88,7 @@ def weights(run: Run, algo: str, kind: str = "last") -> Any:
     folder = run.checkpoint(kind)
     assert folder is not None
     model = load_learner(folder, algo)
-    return np.concatenate([p.detach().numpy().ravel() for p in model.policy.parameters()])
+    return of_model(model)
 
 
 class Killed(BaseException):

@@ -13,7 +13,7 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from gymnasium.utils.env_match import check_environments_match
 from gymnasium.vector import AutoresetMode
-from helpers import FEATURED
+from helpers import FEATURED, random_legal
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.config.loading import load_scenario
@@ -21,13 +21,6 @@ from chemlab.record import scenario_hash
 
 MANAGER, AGENT = "chemlab/LabManager-v1", "chemlab/LabAgent-v1"
 VIEWS = [(name, agent) for name in FEATURED for agent in ("manager_0", *load_scenario(name).bench_agents())]
-
-
-def legal(env: Any, rng: np.random.Generator) -> Any:
-    """A random legal action of a single view."""
-    if isinstance(env.action_space, gymnasium.spaces.Discrete):
-        return int(rng.choice(np.flatnonzero(env.get_wrapper_attr("action_masks")())))
-    return rng.random(env.action_space.shape, dtype=np.float32)
 
 
 @pytest.mark.parametrize(("name", "agent"), VIEWS)
@@ -44,10 +37,11 @@ def test_the_passive_checker_finds_nothing() -> None:
         warnings.simplefilter("error")
         env = gymnasium.make(MANAGER, scenario="wurtz_any", render_mode="ansi")
         for seed in range(3):
-            env.reset(seed=seed, options={"goal": "dodecane"})
+            _, info = env.reset(seed=seed, options={"goal": "dodecane"})
             over = False
             while not over:
-                _, _, terminated, truncated, _ = env.step(legal(env, rng))
+                action = random_legal(env.action_space, info.get("action_mask"), rng)
+                _, _, terminated, truncated, info = env.step(action)
                 over = terminated or truncated
             env.render()
         env.close()
@@ -71,13 +65,13 @@ def test_wrappers() -> None:
     env = gymnasium.wrappers.NormalizeReward(env)
     env = gymnasium.wrappers.RescaleObservation(env, np.float32(-1.0), np.float32(1.0))
     rng = np.random.default_rng(0)
-    seen, _ = env.reset(seed=0)
+    seen, info = env.reset(seed=0)
     bare = role_env()
     bare.reset(seed=0)
     earned, steps, over = 0.0, 0, False
     while not over:
         assert env.observation_space.contains(seen)
-        action = legal(env, rng)
+        action = random_legal(env.action_space, info.get("action_mask"), rng)
         seen, _, terminated, truncated, info = env.step(action)
         earned += bare.step(action)[1]
         steps, over = steps + 1, terminated or truncated
@@ -208,7 +202,8 @@ def test_arguments_of_a_spec_are_as_short_as_they_can_be(tmp_path: Path) -> None
 def test_infos_have_types_of_numpys_and_stay_arrays_in_vector_environments(name: str, arguments: Any) -> None:
     env = gymnasium.make(name, **arguments)
     rng = np.random.default_rng(0)
-    for info in (env.reset(seed=0)[1], env.step(legal(env, rng))[4]):
+    first = env.reset(seed=0)[1]
+    for info in (first, env.step(random_legal(env.action_space, first.get("action_mask"), rng))[4]):
         for key, value in info.items():
             assert isinstance(value, (np.ndarray, np.number)), key
     several = gymnasium.vector.SyncVectorEnv([lambda: gymnasium.make(name, **arguments)] * 2)

@@ -19,7 +19,7 @@ pytest.importorskip("ray.rllib", reason='needs the extra: pip install ".[rllib]"
 
 import ray
 import torch
-from helpers import script
+from helpers import random_legal, script
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
 
@@ -63,11 +63,6 @@ def cluster() -> Iterator[None]:
     shutil.rmtree(folder, ignore_errors=True)
 
 
-def legal(space: Any, mask: Any, rng: np.random.Generator) -> Any:
-    """A random legal action."""
-    return rng.random(space.shape) if mask is None else int(rng.choice(np.flatnonzero(mask)))
-
-
 def parts(observation: Any) -> tuple[Any, Any]:
     """What an agent sees, and its mask."""
     if isinstance(observation, dict):
@@ -99,7 +94,7 @@ def test_same_actions_give_the_same_observations_and_rewards(scenario: str) -> N
             np.testing.assert_equal(infos[agent], info)
             if mask is not None:
                 np.testing.assert_array_equal(mask, info["action_mask"])
-            action = legal(theirs.action_space(agent), mask, rng)
+            action = random_legal(theirs.action_space(agent), mask, rng)
             acted.add(agent)
             theirs.step(action)
             for name, reward in theirs.rewards.items():
@@ -128,7 +123,7 @@ def test_copies_play_on_alike(scenario: str, how: Any) -> None:
         rng, found = np.random.default_rng(seed), []
         for _ in range(15):
             mask = parts(seen["manager_0"])[1]
-            seen, rewards, *_ = one.step({"manager_0": legal(one.action_spaces["manager_0"], mask, rng)})
+            seen, rewards, *_ = one.step({"manager_0": random_legal(one.action_spaces["manager_0"], mask, rng)})
             found += [parts(seen["manager_0"])[0], rewards["manager_0"], one.laboratory.state()]
             if not one._running():
                 seen, _ = one.reset()
@@ -177,7 +172,7 @@ def test_seeds_begin_the_same_episodes() -> None:
         observations, rng, rewards, over = env.reset(seed=seed)[0], np.random.default_rng(0), [], False
         seen = [float(observations["manager_0"]["observations"].sum())]
         while not over:
-            action = legal(None, observations["manager_0"]["action_mask"], rng)
+            action = random_legal(None, observations["manager_0"]["action_mask"], rng)
             observations, reward, terminated, truncated, _ = env.step({"manager_0": action})
             rewards.append(reward["manager_0"])
             over = terminated["__all__"] or truncated["__all__"]

@@ -14,6 +14,7 @@ import pytest
 pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install ".[train]"')
 pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install ".[train]"')
 
+from helpers import weights
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
 from sb3_contrib.common.maskable.utils import is_masking_supported
@@ -47,11 +48,6 @@ class Watch(BaseCallback):
         self.steps += len(infos)
         self.ticks += [info["elapsed_ticks"] for info in infos if "elapsed_ticks" in info]
         return True
-
-
-def weights(model: Any) -> Any:
-    """All parameters in one array."""
-    return np.concatenate([one.detach().numpy().ravel() for one in model.policy.parameters()])
 
 
 def learned(model: Any, steps: int) -> Watch:

@@ -23,6 +23,7 @@ import pytest
 pytest.importorskip("supersuit", reason="SuperSuit is not installed: pip install supersuit")
 
 import supersuit as ss
+from helpers import random_legal
 from pettingzoo.test import api_test, parallel_api_test
 
 import chemlab  # noqa: F401 - registers the environments
@@ -56,9 +57,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::Deprecat
 
 def legal(env: Any, agent: str, info: dict[str, Any], rng: np.random.Generator) -> Any:
     """A random legal action of an agent."""
-    if "action_mask" in info:
-        return int(rng.choice(np.flatnonzero(info["action_mask"])))
-    return rng.random(env.action_space(agent).shape)
+    return random_legal(env.action_space(agent), info.get("action_mask"), rng)
 
 
 def seeded(env: Any) -> Any:

@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import FEATURED, mapping
+from helpers import FEATURED, mapping, random_legal
 from pettingzoo.test import api_test
 from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
@@ -25,6 +25,7 @@ from chemlab.envs.parallel import parallel_env
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.laboratory import env as laboratory_env
 from chemlab.roles.bench import channel_slices
+from chemlab.roles.manager_actions import SUBMIT
 from chemlab.roles.manager_state import CLOSED
 
 WURTZ = "wurtz_dodecane"
@@ -50,16 +51,13 @@ def end(env: raw_env) -> int:
     return int(env.action_space(env.agent_selection).n) - 1  # type: ignore[attr-defined]
 
 
-def random_legal(env: raw_env, rng: np.random.Generator, submit: bool = True) -> Any:
+def random_turn(env: raw_env, rng: np.random.Generator, submit: bool = True) -> Any:
     """A random legal action for the selected agent."""
-    mask = env.infos[env.agent_selection].get("action_mask")
-    if mask is None:
-        return rng.random(env.action_space(env.agent_selection).shape)  # type: ignore[arg-type]
-    legal = np.flatnonzero(mask)
-    if env.agent_selection == "manager_0" and not submit:
-        kinds = [env.laboratories.actions.decode(int(action))[0] for action in legal]
-        legal = legal[np.array(kinds) != "submit"]
-    return int(rng.choice(legal))
+    agent = env.agent_selection
+    mask = env.infos[agent].get("action_mask")
+    if agent == "manager_0" and not submit:
+        mask = mask & (env.laboratories.actions.table[:, 0] != SUBMIT)
+    return random_legal(env.action_space(agent), mask, rng)
 
 
 # -- PettingZoo's own tests -----------------------------------------------------------------------------------------
@@ -129,7 +127,7 @@ def test_turns_in_random_play(name: str) -> None:
         agent, number = env.agent_selection, env.possible_agents.index(env.agent_selection)
         busy = [labs.agents[1 + b] for b in np.flatnonzero(labs.busy[:, 0])]
         assert agent == "manager_0" or agent in busy, "an idle bench has no turn"
-        tick, action = int(labs.state.ticks[0]), random_legal(env, rng, submit=False)
+        tick, action = int(labs.state.ticks[0]), random_turn(env, rng, submit=False)
         waits = number == 0 and labs.actions.decode(action) == ("wait",)
         env.step(action)
         if labs.state.status[0] != 0:
@@ -179,7 +177,7 @@ def test_observations_lie_in_their_space_and_idle_benches_see_zeros(name: str) -
                     continue
                 assert goal.sum() == 1.0
                 assert goal.argmax() == env.laboratories.experiments[number - 1].goal[0]
-        env.step(random_legal(env, rng, submit=False))
+        env.step(random_turn(env, rng, submit=False))
 
 
 # -- masks ----------------------------------------------------------------------------------------------------------
@@ -203,7 +201,7 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
                 assert mask is None
                 with pytest.raises(ValueError, match=agent):
                     env.action_masks()
-                env.step(random_legal(env, rng))
+                env.step(random_turn(env, rng))
                 assert not env.infos[agent]["illegal_action"]
                 continue
             assert mask.dtype == np.int8
@@ -367,7 +365,7 @@ def test_no_reward_is_lost(name: str, policy: str) -> None:
 
     def act(inner: raw_env, agent: str, observation: Any) -> Any:
         if policy == "random":
-            return random_legal(inner, rng)
+            return random_turn(inner, rng)
         number = inner.possible_agents.index(agent)
         step = inner.laboratories.state.actions if number == 0 else inner.laboratories.experiments[number - 1].steps
         mask = inner.infos[agent].get("action_mask")
@@ -499,7 +497,7 @@ def test_rendering_as_text(name: str) -> None:
         for agent in env.scenario.bench_agents():
             assert re.search(rf"^\s*{agent}\b", text, re.MULTILINE)
         texts.append(text)
-        env.step(random_legal(env, rng, submit=False))
+        env.step(random_turn(env, rng, submit=False))
     assert "limit reached" in str(env.render()) or env.scenario.demand.order
     assert any("step " in text for text in texts)
 

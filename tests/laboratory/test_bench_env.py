@@ -20,6 +20,7 @@ import numpy.typing as npt
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
+from helpers import random_actions, random_legal
 
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
@@ -47,24 +48,6 @@ def single(name: str, **arguments: Any) -> RoleEnv:
 def batch(name: str, num_envs: int, **arguments: Any) -> RoleVectorEnv:
     """The bare batch of an id."""
     return RoleVectorEnv(num_envs, **{**gymnasium.spec(name).kwargs, **arguments})
-
-
-def plan(name: str, members: int, steps: int = STEPS, seed: int = 0) -> npt.NDArray[Any]:
-    """[steps, members, ...] random actions, legal or not; discrete experiments last a while before one ends them."""
-    space = single(name).action_space
-    rng = np.random.default_rng(seed)
-    if isinstance(space, gymnasium.spaces.Discrete):
-        actions: npt.NDArray[Any] = rng.integers(space.n - 1, size=(steps, members))
-        actions[rng.random(actions.shape) < 0.03] = space.n - 1
-        return actions
-    return rng.random((steps, members, *(space.shape or ())), dtype=np.float32)
-
-
-def random_legal(env: RoleEnv, rng: np.random.Generator) -> Any:
-    """A random legal action."""
-    if isinstance(env.action_space, gymnasium.spaces.Discrete):
-        return int(rng.choice(np.flatnonzero(env.action_masks())))
-    return rng.random(env.action_space.shape)
 
 
 def episode(env: RoleEnv, seed: int, actions: npt.NDArray[Any]) -> Iterator[tuple[Any, ...]]:
@@ -184,7 +167,7 @@ def test_a_state_of_another_environment_changes_nothing() -> None:
 @pytest.mark.parametrize("name", IDS)
 def test_members_are_single_environments(name: str) -> None:
     seed = 40
-    actions = plan(name, 20)
+    actions = random_actions(single(name).action_space, STEPS, 20)
     members = [list(episode(single(name), seed + i, actions[:, i])) for i in range(0, 20, 9)]
     # Every ninth of a batch is compared; all of them are, between batches of different sizes and threads.
     whole: list[Any] = []
@@ -214,7 +197,7 @@ def test_members_are_single_environments(name: str) -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_same_step_resets_at_once(name: str) -> None:
     """Compared with single environments that are reset by hand as soon as they end."""
-    actions = plan(name, 3)
+    actions = random_actions(single(name).action_space, STEPS, 3)
     env = batch(name, 3, autoreset_mode="SameStep")
     singles = [single(name) for _ in range(3)]
     observations, _ = env.reset(seed=7)
@@ -355,7 +338,7 @@ def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> Non
 
 @pytest.mark.parametrize("name", KINDS)
 def test_returned_arrays_are_copies_unless_asked_otherwise(name: str) -> None:
-    actions = plan(name, 2, 5)
+    actions = random_actions(single(name).action_space, 5, 2)
     keeps, reuses = batch(name, 2), batch(name, 2, copy=False)
     kept, kept_infos = keeps.reset(seed=0)
     reused, _ = reuses.reset(seed=0)
@@ -406,11 +389,11 @@ def test_an_episode_pays_its_score_and_ends(name: str) -> None:
     batch, rng = env.batch, np.random.default_rng(3)
     price = batch.scenario.safety.reward_price
     for seed in range(4):
-        env.reset(seed=seed)
+        _, info = env.reset(seed=seed)
         start = float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0])
         total, cost, over, steps = 0.0, 0.0, False, 0
         while not over:
-            _, reward, over, _, info = env.step(random_legal(env, rng))
+            _, reward, over, _, info = env.step(random_legal(env.action_space, info.get("action_mask"), rng))
             assert info["experiment_over"] == over
             assert over or info["score"] == 0.0
             total, cost, steps = total + reward, cost + info["cost"], steps + 1
@@ -426,7 +409,7 @@ def test_an_episode_pays_its_score_and_ends(name: str) -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_a_step_after_the_end_is_refused(name: str) -> None:
     env = single(name)
-    action = plan(name, 1, 1)[0, 0]
+    action = random_actions(single(name).action_space, 1, 1)[0, 0]
     with pytest.raises(ResetNeeded):
         env.step(action)
     with pytest.raises(ResetNeeded):

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import pascal
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.pairs import log_activity_coefficients, pair_table, shipped_pairs
@@ -168,15 +169,8 @@ def test_a_column_at_high_reflux_separates_as_fenske_says(stages: int) -> None:
     while glass.mol(1, "3-chlorohexane") == 0.0:
         glass.heat(20_000.0, stages=stages, reflux=100.0)
     over = glass.mol(1, "3-chlorohexane") / glass.mol(1, "1-chlorohexane")
-    materials = glass.scenario.materials
-
-    def pascal(name: str, kelvin: float) -> float:
-        real = materials[name].real
-        assert real is not None
-        assert real.vapor_pressure is not None
-        return float(real.vapor_pressure.pascal(kelvin))
-
-    alpha = pascal("3-chlorohexane", glass.rows[0, TEMPERATURE]) / pascal("1-chlorohexane", glass.rows[0, TEMPERATURE])
+    materials, kelvin = glass.scenario.materials, glass.rows[0, TEMPERATURE]
+    alpha = pascal(materials, "3-chlorohexane", kelvin) / pascal(materials, "1-chlorohexane", kelvin)
     assert np.log(over) == pytest.approx(stages * np.log(alpha), rel=0.05)
 
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers import pascal
 from scipy.integrate import solve_ivp
 from test_real import Glass
 
@@ -172,13 +173,6 @@ def test_a_wash_thins_the_liquor_in_the_cake() -> None:
 # -- drying -----------------------------------------------------------------------------------------------------------
 
 
-def pascal(name: str, kelvin: float) -> float:
-    real = MATERIALS[name].real
-    assert real is not None
-    assert real.vapor_pressure is not None
-    return float(real.vapor_pressure.pascal(kelvin))
-
-
 @pytest.mark.parametrize(("name", "kelvin"), [("water", 298.15), ("water", 330.0), ("ethanol", 310.0)])
 def test_air_leaves_saturated(name: str, kelvin: float) -> None:
     glass, air = insulated(name), 50.0
@@ -186,7 +180,7 @@ def test_air_leaves_saturated(name: str, kelvin: float) -> None:
     laws.dry(glass.rows[0], air, glass.chem, glass.waste)
     gone = 3.0 - glass.mol(0, name)
     # The vapour pressure's table has straight lines between its points.
-    assert gone == pytest.approx(pascal(name, kelvin) * 1e-3 * air / (GAS_CONSTANT * kelvin), rel=2e-3)
+    assert gone == pytest.approx(pascal(MATERIALS, name, kelvin) * 1e-3 * air / (GAS_CONSTANT * kelvin), rel=2e-3)
     assert CURVE_POINTS > 200
     assert glass.waste[glass.names.index(name)] == pytest.approx(gone, rel=1e-12)
     assert glass.rows[0, TEMPERATURE] == kelvin
@@ -197,7 +191,7 @@ def test_a_mixture_dries_as_integrated_by_scipy() -> None:
     names, kelvin, start, air = ("ethanol", "water"), 300.0, np.array([1.0, 2.0]), 400.0
     table = pair_table(names, shipped_pairs())
     tau = table.a + table.b / kelvin + table.c * math.log(kelvin / REFERENCE_K)
-    pressure = np.array([pascal(name, kelvin) for name in names]) * 1e-3
+    pressure = np.array([pascal(MATERIALS, name, kelvin) for name in names]) * 1e-3
 
     def rates(_: float, n: np.ndarray) -> np.ndarray:
         n = np.maximum(n, 1e-30)

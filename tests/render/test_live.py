@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import until
 
 from chemlab.cli.servers import _free_port
 from chemlab.config.loading import load_scenario
@@ -67,14 +68,6 @@ def served(
         found.server.should_exit = True
         found.thread.join(20)
         assert not found.thread.is_alive()
-
-
-def until(true: Callable[[], bool], seconds: float = 60.0) -> None:
-    """Wait until something is true."""
-    late = time.monotonic() + seconds
-    while not true():
-        assert time.monotonic() < late
-        time.sleep(0.02)
 
 
 @pytest.fixture
