@@ -59,8 +59,8 @@ class CampaignManager(BeliefManager[_Rates]):
 
     The outcome of a batch at every candidate rate is simulated on the public scenario beforehand. The probability of
     every rate is updated with each reading (Bayes) and carried over to the next batch. The manager measures when the
-    expected gain of the information, for this and the later batches, exceeds the price; after each experiment once at
-    most, because a later reading tells more than a repeated one.
+    expected gain of the information, for this and the later batches, exceeds the price; unless it is free, after each
+    experiment once at most, because a later reading tells more than a repeated one.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.
@@ -149,7 +149,7 @@ class CampaignManager(BeliefManager[_Rates]):
     def _measures(self, belief: _Rates, mask: MaskArray, slot: int) -> bool:
         """Return True if another measurement is worth its price."""
         runs = self._runs(belief)
-        if self._instrument is None or runs == 0 or belief.read == (slot, runs):
+        if self._instrument is None or runs == 0 or (self._price and belief.read == (slot, runs)):
             return False
         if not mask[self._actions.encode("measure", slot, self._instrument)]:
             return False
