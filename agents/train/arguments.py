@@ -182,9 +182,15 @@ class Arguments(BaseModel):
         """Return all arguments as JSON, since defaults may change; the seed stands apart."""
         return self.model_dump(mode="json", exclude={"seed"})
 
+    @staticmethod
+    def implied(values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the defaults that differ because of other values."""
+        return {}
+
     def flags(self) -> list[str]:
         """Return the options of ``chemlab train`` that give these arguments, but for the scenario."""
-        implied = {name: field.default for name, field in type(self).model_fields.items()} | PRESETS[self.preset]
+        defaults = {name: field.default for name, field in type(self).model_fields.items()}
+        implied = defaults | self.implied(self.__dict__) | PRESETS[self.preset]
         words = []
         for name in type(self).model_fields:
             value, option = getattr(self, name), f"--{name.replace('_', '-')}"
@@ -447,18 +453,18 @@ class IPPO(Clipped, Arguments, Cloning):
     notes: bool | None = None
     tied: bool | None = None
 
+    @staticmethod
+    def implied(values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the defaults of a clone, and of a run that begins from another: no help, and smaller steps."""
+        if values.get("bc") is None and values.get("begin_from") is None:
+            return {}
+        tied = {} if values.get("begin_from") is None else {"tied": False}
+        return {**dict.fromkeys(_HELP, 0.0), "learning_rate": 1e-4, "ent_coef": 0.0, **tied}
+
     @model_validator(mode="before")
     @classmethod
-    def _without_help(cls, values: dict[str, Any]) -> dict[str, Any]:
-        if values.get("bc") is None and values.get("begin_from") is None:
-            return values
-        return {
-            **dict.fromkeys(_HELP, 0.0),
-            "learning_rate": 1e-4,
-            "ent_coef": 0.0,
-            **({} if values.get("begin_from") is None else {"tied": False}),
-            **values,
-        }
+    def _add_implied(cls, values: dict[str, Any]) -> dict[str, Any]:
+        return {**cls.implied(values), **values}
 
     @model_validator(mode="after")
     def _check_weights(self) -> Self:

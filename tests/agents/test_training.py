@@ -486,6 +486,15 @@ def test_flags_say_the_same_as_arguments() -> None:
     assert "--starts" not in flags
 
 
+def test_flags_of_a_clone_say_what_only_others_have_by_default() -> None:
+    """A clone learns in smaller steps and without help unless it is told otherwise."""
+    clone = {"scenario": "rush", "roles": ["rxn"], "algo": "ippo", "bc": "scripted"}
+    flags = training_arguments({**clone, "learning_rate": 1e-3, "ent_coef": 0.03, "refund": 0.25}).flags()
+    pairs = dict(zip(flags[::2], flags[1::2], strict=True))
+    assert [pairs[f"--{name}"] for name in ("learning-rate", "ent-coef", "refund")] == ["0.001", "0.03", "0.25"]
+    assert "--learning-rate" not in training_arguments(clone).flags()
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
