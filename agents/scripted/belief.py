@@ -32,12 +32,14 @@ class Belief:
         orders: open orders.
         asked: slot of the vessel that is being measured, or None.
         running: by bench agent, the slot of its vessel.
+        read: slots of vessels that were measured after their last experiment.
     """
 
     slots: list[int]
     orders: list[int]
     asked: int | None = None
     running: dict[str, int] = field(default_factory=dict)
+    read: set[int] = field(default_factory=set)
 
 
 B = TypeVar("B", bound=Belief)
@@ -119,9 +121,11 @@ class BeliefManager(ScriptedManager[B]):
         if kind == "start":
             agent, *terms = more
             belief.running[agent] = slot
+            belief.read.discard(slot)
             self._started(belief, agent, slot, terms)
         elif kind == "measure" and more[0] == self._instrument:
             belief.asked = slot
+            belief.read.add(slot)
             self._measured(belief, slot)
         elif kind in ("submit", "discard"):
             self._removed(belief, slot)

@@ -46,12 +46,10 @@ class _Rates(Belief):
     Attributes:
         weights: [T] probability of each rate.
         runs: number of experiments of each slot's vessel.
-        read: (slot, number of experiments) of the latest reading.
     """
 
     weights: FloatArray = field(default_factory=lambda: np.full(_GRID, 1.0 / _GRID))
     runs: dict[int, int] = field(default_factory=dict)
-    read: tuple[int, int] | None = None
 
 
 class CampaignManager(BeliefManager[_Rates]):
@@ -59,8 +57,8 @@ class CampaignManager(BeliefManager[_Rates]):
 
     The outcome of a batch at every candidate rate is simulated on the public scenario beforehand. The probability of
     every rate is updated with each reading (Bayes) and carried over to the next batch. The manager measures when the
-    expected gain of the information, for this and the later batches, exceeds the price; unless it is free, after each
-    experiment once at most, because a later reading tells more than a repeated one.
+    expected gain of the information, for this and the later batches, exceeds the price. It measures
+    once after each experiment, because a later reading tells more than a repeated one; if that is free, again.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.
@@ -94,7 +92,6 @@ class CampaignManager(BeliefManager[_Rates]):
 
     def _learn(self, belief: _Rates, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
         belief.weights = self._updated(belief.weights, reading, self._runs(belief))
-        belief.read = slot, self._runs(belief)
 
     def _runs(self, belief: _Rates) -> int:
         return min(belief.runs.get(belief.slots[0], 0), _MOST_RUNS)
@@ -149,7 +146,7 @@ class CampaignManager(BeliefManager[_Rates]):
     def _measures(self, belief: _Rates, mask: MaskArray, slot: int) -> bool:
         """Return True if another measurement is worth its price."""
         runs = self._runs(belief)
-        if self._instrument is None or runs == 0 or (self._price and belief.read == (slot, runs)):
+        if self._instrument is None or runs == 0 or (self._price and slot in belief.read):
             return False
         if not mask[self._actions.encode("measure", slot, self._instrument)]:
             return False

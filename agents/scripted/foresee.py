@@ -98,21 +98,19 @@ class _Vessels(Belief):
         likelihood: [V, S, O] likelihood of all readings of each vessel.
         filled: [V, S, O] likelihood of the initial fill levels.
         stage: [V] stage of each vessel.
-        read: [V] True if a vessel was measured at its stage.
         gone: submitted vessels.
     """
 
     likelihood: FloatArray = field(default_factory=lambda: np.zeros(0))
     filled: FloatArray = field(default_factory=lambda: np.zeros(0))
     stage: list[int] = field(default_factory=list)
-    read: list[bool] = field(default_factory=list)
     gone: set[int] = field(default_factory=set)
 
 
 class ForeseeingManager(BeliefManager[_Vessels]):
     """Measures vessels, processes the most promising one, and measures again where the information is worth the price.
 
-    At each stage a vessel is measured once at most, because a later reading tells more than a repeated one.
+    It measures a vessel once after each experiment, because a later reading tells more than a repeated one.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.
@@ -156,12 +154,9 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         wanted = (*stages[belief.stage[v]], (agent, more[0]))
         belief.running = {agent: slot}
         if wanted in stages:
-            belief.stage[v], belief.read[v] = stages.index(wanted), False
+            belief.stage[v] = stages.index(wanted)
         else:
             belief.gone.add(v)  # the resulting stage was not simulated
-
-    def _measured(self, belief: _Vessels, slot: int) -> None:
-        belief.read[belief.slots.index(slot)] = True
 
     def _removed(self, belief: _Vessels, slot: int) -> None:
         belief.gone.add(belief.slots.index(slot))
@@ -194,8 +189,8 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         for v, slot in enumerate(slots):
             fill = np.array([self._value(observation, f"slot_{slot}_fill")])
             found[v] = likelihood(fill, foresight.fills[:, None], self._fill_noise, _SURPRISE).reshape(self._shape)
-        stage, read = [0] * len(slots), [False] * len(slots)
-        return _Vessels(slots, list(range(len(self._orders))), None, {}, found, found.copy(), stage, read)
+        orders = list(range(len(self._orders)))
+        return _Vessels(slots, orders, likelihood=found, filled=found.copy(), stage=[0] * len(slots))
 
     def _next_order(self, belief: _Vessels) -> int:
         return belief.orders[0] if belief.orders else len(self._orders) - 1
@@ -217,7 +212,8 @@ class ForeseeingManager(BeliefManager[_Vessels]):
                     return discard
             return self._submit_for(mask, belief, belief.slots[v], self._next_order(belief))
         belief.stage[v] = self._foresight[goal].stages.index(wanted[: len(done) + 1])
-        belief.read[v], belief.running = False, {step[0]: belief.slots[v]}
+        belief.running = {step[0]: belief.slots[v]}
+        belief.read.discard(belief.slots[v])
         return start
 
     # -- belief -----------------------------------------------------------------------------------------------
@@ -281,7 +277,7 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         best, most = None, self._price
         fresh = set[tuple[int, ...]]()
         for v, slot in enumerate(belief.slots):
-            if v in belief.gone or belief.read[v]:
+            if v in belief.gone or slot in belief.read:
                 continue
             if not mask[self._actions.encode("measure", slot, self._instrument)]:
                 continue

@@ -60,12 +60,10 @@ class Contents(Belief):
 
     Attributes:
         likelihood: [V, O, T] likelihood of the readings of each vessel, by option and titre.
-        looked: vessels that have been measured.
         chosen: chosen slots by order; empty before the decision.
     """
 
     likelihood: FloatArray = field(default_factory=lambda: np.zeros(0))
-    looked: set[int] = field(default_factory=set)
     chosen: list[int] = field(default_factory=list)
 
 
@@ -199,7 +197,6 @@ class IdentifyingManager(BeliefManager[Contents]):
 
     def _learn(self, belief: Contents, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
         v = self._vessels.index(slot)
-        belief.looked.add(v)
         # Not `base.likelihood`, which sums in another order: among identical bottles the last digit decides.
         apart = ((reading - self._expected[v]) ** 2).sum(axis=-1) / self._noise**2
         belief.likelihood[v] = np.exp(-0.5 * (apart - apart.min())) + _SURPRISE
@@ -227,7 +224,7 @@ class IdentifyingManager(BeliefManager[Contents]):
         best, gain = None, 0.0
         for v, slot in enumerate(self._vessels):
             legal = mask[self._actions.encode("measure", slot, self._instrument)]
-            if v in belief.looked or not legal:
+            if slot in belief.read or not legal:
                 continue
             own = float((posterior[v] * np.maximum(worth, now)).sum()) - now - self._price
             if own > gain:

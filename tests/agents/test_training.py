@@ -25,7 +25,7 @@ from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
 
-from helpers import weights as of_model
+from helpers import weights
 
 import chemlab.scenarios
 from chemlab.agents.episodes import play_episode
@@ -83,12 +83,12 @@ def small(algo: str, **more: Any) -> Single:
     return made
 
 
-def weights(run: Run, algo: str, kind: str = "last") -> Any:
+def weights_of(run: Run, algo: str, kind: str = "last") -> Any:
     """All parameters of a checkpoint in one array."""
     folder = run.checkpoint(kind)
     assert folder is not None
     model = load_learner(folder, algo)
-    return of_model(model)
+    return weights(model)
 
 
 class Killed(BaseException):
@@ -136,13 +136,13 @@ def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path)
     assert without_times(broken) == without_times(whole)
     assert [point.step for point in whole.curve()] == [64 * i for i in range(1, 7)]
     assert sum(point.episodes for point in whole.curve()) > 0
-    np.testing.assert_array_equal(weights(broken, algo), weights(whole, algo))
-    np.testing.assert_array_equal(weights(broken, algo, "best"), weights(whole, algo, "best"))
+    np.testing.assert_array_equal(weights_of(broken, algo), weights_of(whole, algo))
+    np.testing.assert_array_equal(weights_of(broken, algo, "best"), weights_of(whole, algo, "best"))
     left = {path.name.partition("-")[0] for path in broken.checkpoints.iterdir()}
     assert left == {"last", "best", "lock"}, "one of each, and no replay memory of a finished run"
     other = Run(tmp_path / "other")
     train(small(algo, checkpoints=3, seed=1), other.path)
-    assert not np.array_equal(weights(other, algo), weights(whole, algo))
+    assert not np.array_equal(weights_of(other, algo), weights_of(whole, algo))
 
 
 def test_a_crash_after_the_last_step(tmp_path: Path) -> None:
@@ -217,7 +217,7 @@ def test_kill_9_at_any_moment(tmp_path: Path) -> None:
     assert without_times(broken) == without_times(whole)
     seconds = [point.seconds for point in broken.curve()]
     assert seconds == sorted(seconds)
-    np.testing.assert_array_equal(weights(broken, "ppo"), weights(whole, "ppo"))
+    np.testing.assert_array_equal(weights_of(broken, "ppo"), weights_of(whole, "ppo"))
 
 
 def test_tensorboard_shows_no_gap_and_nothing_twice(tmp_path: Path) -> None:
@@ -301,7 +301,7 @@ def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pyte
     monkeypatch.setattr(checkpoints, "_renamed", renamed)
     train(arguments, run.path)
     assert without_times(run) == without_times(whole)
-    np.testing.assert_array_equal(weights(run, "sac"), weights(whole, "sac"))
+    np.testing.assert_array_equal(weights_of(run, "sac"), weights_of(whole, "sac"))
 
 
 def test_a_finished_run_is_not_run_again_and_another_is_refused(

@@ -409,7 +409,7 @@ def test_an_episode_pays_its_score_and_ends(name: str) -> None:
 @pytest.mark.parametrize("name", KINDS)
 def test_a_step_after_the_end_is_refused(name: str) -> None:
     env = single(name)
-    action = random_actions(single(name).action_space, 1, 1)[0, 0]
+    action = random_actions(env.action_space, 1, 1)[0, 0]
     with pytest.raises(ResetNeeded):
         env.step(action)
     with pytest.raises(ResetNeeded):
