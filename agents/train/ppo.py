@@ -175,7 +175,10 @@ class _Learner:
         self.columns, self.size, self.network, self.gamma, self._groups = columns, size, network, gamma, groups
         self.settings, self.critic_first = settings, 0
         self._count, self._moments, self._normalizes = 0, np.zeros((2, len(groups))), True
-        self.optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate, eps=1e-5, fused=True)
+        critic = list(network.critic.parameters())
+        actor = [one for one in network.parameters() if all(one is not other for other in critic)]
+        self._rates, self._taken = [settings.learning_rate] * 2, False
+        self.optimizer = torch.optim.Adam([{"params": part} for part in (actor, critic)], eps=1e-5, fused=True)
 
     def seen(self, whole: Arrays) -> Arrays:
         """Return its part [B, columns] of observations [B, size] of the whole scenario."""
@@ -215,8 +218,8 @@ class _Learner:
         s, policy_weight = self.settings, 0.0 if self.critic_first else 1.0
         self.critic_first = max(self.critic_first - 1, 0)
         tensors = {name: None if array is None else torch.from_numpy(array) for name, array in batch.items()}
-        for group in self.optimizer.param_groups:
-            group["lr"] = s.learning_rate * max(remaining, 0.05)
+        for group, rate in zip(self.optimizer.param_groups, self._rates, strict=True):
+            group["lr"] = rate * max(remaining, 0.05)
         count = len(tensors["advantage"])  # type: ignore[arg-type]
         self.network.train()
         for _ in range(s.epochs):
@@ -234,7 +237,8 @@ class _Learner:
     def normalize(self, seen: Arrays) -> None:
         """Take observations [B, size] of the critic into the means and standard deviations that normalize.
 
-        A policy that has been cloned or taken from elsewhere keeps the scale that it has.
+        A policy that has been cloned keeps the scale that it has. What one from elsewhere observes is normalized once,
+        and its first layer changed so that it plays as before.
         """
         if not self._normalizes:
             return
@@ -248,6 +252,12 @@ class _Learner:
         deviation = np.sqrt(np.maximum(square - mean**2, 0.0))
         self.network.mean[:] = torch.from_numpy(mean)
         self.network.scale[:] = torch.from_numpy(1.0 / np.maximum(deviation, _LEAST_DEVIATION))
+        if self._taken:
+            self._normalizes, first = False, self.network.actor[0]
+            with torch.no_grad():
+                size = first.in_features
+                first.bias += first.weight @ self.network.mean[:size]
+                first.weight /= self.network.scale[:size]
 
     def _losses(self, batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Clipped policy loss, value loss and entropy of a minibatch."""
@@ -284,7 +294,9 @@ class _Learner:
                 layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
             if LOG_STD in policy.weights:
                 self.network.log_std.copy_(torch.from_numpy(policy.weights[LOG_STD]))
-        self.critic_first, self._normalizes = _CRITIC_FIRST, False
+        # The critic is new.
+        self.critic_first, self._taken = _CRITIC_FIRST, True
+        self._rates[1] = max(self.settings.learning_rate, IPPO.model_fields["learning_rate"].default)
 
     def clone(self, batch: Mapping[str, Arrays | None], rng: np.random.Generator, least_std: float) -> float:
         """Fit the actor to the actions of a batch of turns, and the critic to their returns (``target``).

@@ -41,6 +41,8 @@ FIGURE = PAGE.parent / "images" / "from_nothing.png"
 AUDITS = PAGE.parent / "results" / "audits"
 SPLIT, EPISODES, PAIRED = "validation", 100, 1000
 MANAGERS = ("nothing", "random", "plan", "scripted")
+STAGES = "in stages"
+"""Instead of roles: of a manager that goes on learning with benches that have learned before (``stages.toml``)."""
 
 
 def means(spec: Scenario, policy: str) -> list[float]:
@@ -62,6 +64,13 @@ def gains(spec: Scenario, policy: str) -> dict[str, Any]:
     return {split: results["policies"][-1]["difference"] for split, results in found.items()}
 
 
+def alone(spec: Scenario, bench: str, policy: str) -> dict[str, Any]:
+    """Return what a bench scores in experiments of its own, and how much more than the scripted one in the same."""
+    goals = [goal for goal in spec.lab_goals if goal in spec.goals]
+    found = evaluate(Target(spec, bench, split=SPLIT), [policy], PAIRED, RESULT_SEED, goals)["policies"]
+    return {"scripted": found[0]["mean"]["value"], "learned": found[1]["mean"]["value"], "gain": found[1]["difference"]}
+
+
 def untrained(name: str, plans: int) -> dict[str, float]:
     """Return the score of each untrained manager."""
     spec = load_scenario(name)
@@ -78,7 +87,8 @@ def learned(run: Run) -> dict[str, Any]:
     assert config is not None
     assert result is not None
     scenario = config["scenario"]
-    own = {"scenario": scenario, "roles": config["bench"], "seed": result.seed, "steps": result.steps}
+    roles = config["bench"] if config["background"] == "scripted" else STAGES
+    own = {"scenario": scenario, "roles": roles, "seed": result.seed, "steps": result.steps}
     spec = load_scenario(scenario)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".*has changed since it was trained")  # the budget has
@@ -89,6 +99,8 @@ def learned(run: Run) -> dict[str, Any]:
         played = Crew(spec, budget_of("small")).run([Job("audit", "play", asked)])
         own["audited"] = statistics.mean(played["audit"]["scores"])
         own["gains"] = gains(spec, str(run.path))
+    if learners(roles) == "benches":
+        own["alone"] = {bench: alone(spec, bench, str(run.path)) for bench in roles.split(",")}
     found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
     return {**own, **found, "sampled": result.sampled, **curve(run)}
 
@@ -123,10 +135,11 @@ def table(scores: dict[str, Any]) -> list[str]:
 
 def ladder(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table of what has been learned from nothing by whom; what has not been tried is open."""
-    lines = ["| scenario | scripted | manager | benches | all roles |", "| --- | --: | --: | --: | --: |"]
+    groups = ("manager", "benches", f"all roles, {STAGES}", "all roles")
+    lines = [f"| scenario | scripted | {' | '.join(groups)} |", f"| --- |{' --: |' * (len(groups) + 1)}"]
     for scenario in (*world_scenarios(), "wurtz_dodecane"):
         cells = [f"{scores['untrained'][scenario]['scripted']:.3f}" if scenario in scores["untrained"] else ""]
-        for who in ("manager", "benches", "all roles"):
+        for who in groups:
             best = [
                 run["best"] for run in scores["runs"] if run["scenario"] == scenario and learners(run["roles"]) == who
             ]
@@ -145,8 +158,21 @@ def compared(scores: dict[str, Any]) -> list[str]:
     return lines
 
 
+def benches(scores: dict[str, Any]) -> list[str]:
+    """Return the lines of the table of benches in experiments of their own."""
+    lines = ["| scenario | bench | seed | scripted | learned | gain |", "| --- | --- | --: | --: | --: | --: |"]
+    for run in sorted(scores["runs"], key=lambda run: (run["scenario"], run["seed"])):
+        for bench, one in run.get("alone", {}).items():
+            cells = [str(run["seed"]), *(f"{one[who]:.3f}" for who in ("scripted", "learned"))]
+            gain = interval_text(one["gain"], sign="+")
+            lines.append(f"| `{run['scenario']}` | {bench} | {' | '.join(cells)} | {gain} |")
+    return lines
+
+
 def learners(roles: str) -> str:
     """Return who learned in words."""
+    if roles == STAGES:
+        return f"all roles, {STAGES}"
     return "manager" if roles == "manager" else "all roles" if "manager" in roles.split(",") else "benches"
 
 
@@ -195,6 +221,7 @@ def main() -> None:
     replace_between(PAGE, "from nothing", table(scores))
     replace_between(PAGE, "ladder", ladder(scores))
     replace_between(PAGE, "gains", compared(scores))
+    replace_between(PAGE, "benches alone", benches(scores))
     draw(scores, FIGURE)
 
 

@@ -460,6 +460,28 @@ def test_a_policy_to_begin_from_has_no_shared_weights() -> None:
         IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
 
 
+def test_a_policy_to_begin_from_plays_as_before_when_its_observation_is_normalized() -> None:
+    """Its critic is new, and learns at the rate of learning from nothing."""
+    learner = managers("rush", tied=False, learning_rate=1e-4, net_arch=(256, 256)).learners["manager"]
+    learner.take(load_pretrained("rush_manager"))
+    seen = 1.0 + 0.1 * torch.rand(64, len(learner.columns))
+    with torch.no_grad():
+        before = learner.network.logits(seen, None)
+        for _ in range(2):
+            learner.normalize(seen.numpy())
+            assert learner.network.logits(seen, None).numpy() == pytest.approx(before.numpy(), abs=1e-3)
+            assert learner.network._normalized(seen).mean(dim=0).abs().max() < 1e-3
+    count, actions = len(seen), before.shape[1]
+    zeros, rng = np.zeros(count, dtype=np.float32), np.random.default_rng(0)
+    batch: dict[str, Any] = {"observed": seen.numpy(), "seen": None, "mask": np.ones((count, actions), dtype=np.bool_)}
+    batch |= {"action": zeros.astype(np.int64), "log_probability": zeros, "advantage": zeros, "target": zeros + 1.0}
+    learner.update(batch, 1.0, rng)
+    assert [group["lr"] for group in learner.optimizer.param_groups] == [1e-4, 1e-3]
+    with torch.no_grad():
+        assert learner.network.logits(seen, None).numpy() == pytest.approx(before.numpy(), abs=1e-3)
+        assert learner.network.value(seen).mean() > 0.0
+
+
 def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
     """By the score of its run, whoever plays it; without notes it observes less."""
     made = IPPO(scenario="failing", roles=("manager",), steps=200, play="greedy", **QUICK)

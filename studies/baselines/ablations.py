@@ -1,0 +1,55 @@
+"""Managers that learn from nothing, with one help left out.
+
+``python studies/baselines/ablations.py RESULTS`` takes the finished runs below RESULTS (``ablations.toml``) into
+``results/ablations.json``; without RESULTS, the table of docs/training.md is written from that file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+from pathlib import Path
+from typing import Any
+
+from chemlab.agents.runs import find_runs
+from chemlab.config.files import replace_between, write_text
+
+SCORES = Path(__file__).parent / "results" / "ablations.json"
+PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
+
+
+def table(runs: list[dict[str, Any]]) -> list[str]:
+    """Return the lines of the table: medians over seeds of the best checkpoints, the range, and how many seeds."""
+    scenarios, helps = sorted({run["scenario"] for run in runs}), list(dict.fromkeys(run["help"] for run in runs))
+    helps.sort(key=lambda name: (name == "none", name != "all"))
+    lines = [f"| help | {' | '.join(f'`{one}`' for one in scenarios)} |", f"| --- |{' --: |' * len(scenarios)}"]
+    for name in helps:
+        cells = []
+        for scenario in scenarios:
+            found = [run["score"] for run in runs if (run["help"], run["scenario"]) == (name, scenario)]
+            spread = f" ({min(found):.3f} to {max(found):.3f}, {len(found)})" if len(found) > 1 else " (1)"
+            cells.append(f"{statistics.median(found):.3f}{spread}" if found else "")
+        lines.append(f"| {name.replace('-', ' ')} | {' | '.join(cells)} |")
+    return lines
+
+
+def main() -> None:
+    """Take the scores of runs, if asked, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("results", nargs="?", type=Path, help="finished runs")
+    asked = parser.parse_args()
+    scores = json.loads(SCORES.read_text(encoding="utf-8")) if SCORES.exists() else []
+    for run in [] if asked.results is None else find_runs(asked.results):
+        result, config = run.result(), run.config()
+        if result is None or config is None:
+            continue
+        key = {"scenario": config["scenario"], "help": run.path.parent.name, "seed": result.seed}
+        scores = [old for old in scores if any(old[name] != value for name, value in key.items())]
+        scores.append({**key, "steps": result.steps, "score": result.mean, "last": result.last_mean})
+    write_text(SCORES, json.dumps(scores, indent=1) + "\n")
+    replace_between(PAGE, "ablations", table(scores))
+
+
+if __name__ == "__main__":
+    main()
