@@ -254,6 +254,7 @@ class _Learner:
         self.network.scale[:] = torch.from_numpy(1.0 / np.maximum(deviation, _LEAST_DEVIATION))
         if self._taken:
             self._normalizes, first = False, self.network.actor[0]
+            assert isinstance(first, nn.Linear)  # no weights are shared
             with torch.no_grad():
                 size = first.in_features
                 first.bias += first.weight @ self.network.mean[:size]
