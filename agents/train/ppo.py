@@ -257,8 +257,8 @@ class _Learner:
             assert isinstance(first, nn.Linear)  # no weights are shared
             with torch.no_grad():
                 size = first.in_features
-                first.bias += first.weight @ self.network.mean[:size]
-                first.weight /= self.network.scale[:size]
+                first.bias.add_(first.weight @ self.network.mean[:size])
+                first.weight.div_(self.network.scale[:size])
 
     def _losses(self, batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Clipped policy loss, value loss and entropy of a minibatch."""
