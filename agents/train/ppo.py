@@ -26,6 +26,7 @@ from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import goals_met
 from chemlab.physics.chemistry import PRESENT
 from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import DISCARD, FIRST, MEASURE, SECOND, START, SUBMIT
@@ -535,7 +536,8 @@ class _Practice:
     """
 
     def __init__(self, scenario: Scenario, bench: str, learner: _Learner, settings: IPPO, state: int) -> None:
-        goals = [goal for goal in scenario.lab_goals if goal in scenario.goals]
+        met = goals_met(scenario, bench)
+        goals = [goal for goal in scenario.lab_goals if goal in met] or met  # it may make what others go on with
         self.learner, self.settings, self.scores = learner, settings, list[float]()
         self.batch = RoleVectorEnv(
             settings.envs,

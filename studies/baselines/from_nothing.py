@@ -32,6 +32,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Policy, as_policy
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import goals_met
 from chemlab.openchem.difficulty import waiting
 from chemlab.render.figure import new_figure, save_figure
 
@@ -66,8 +67,7 @@ def gains(spec: Scenario, policy: str) -> dict[str, Any]:
 
 def alone(spec: Scenario, bench: str, policy: str) -> dict[str, Any]:
     """Return what a bench scores in experiments of its own, and how much more than the scripted one in the same."""
-    goals = [goal for goal in spec.lab_goals if goal in spec.goals]
-    found = evaluate(Target(spec, bench, split=SPLIT), [policy], PAIRED, RESULT_SEED, goals)["policies"]
+    found = evaluate(Target(spec, bench, split=SPLIT), [policy], PAIRED, RESULT_SEED, goals_met(spec, bench))["policies"]
     return {"scripted": found[0]["mean"]["value"], "learned": found[1]["mean"]["value"], "gain": found[1]["difference"]}
 
 

@@ -175,6 +175,20 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
             export_run(tmp_path / "run", tmp_path / "other", role)
 
 
+@pytest.mark.parametrize(
+    ("scenario", "expected"),
+    [("relay", {"rxn": {"F"}, "fin": {"E"}}), ("wurtz_dodecane_direct", {"rxn": {"dodecane"}, "dit": {"dodecane"}})],
+)
+def test_benches_practise_what_a_laboratory_asks_of_them(scenario: str, expected: dict[str, set[str]]) -> None:
+    """A bench may make what another goes on with; it would never earn anything for the laboratory's own goal."""
+    team = team_of(IPPO(scenario=scenario, roles=tuple(expected), envs=16, rollout=16))
+    names = team.labs.scenario.goals
+    practised = {
+        role: {names[goal] for goal in practice.batch.batch.experiments.goal} for role, practice in team.practices.items()
+    }
+    assert practised == expected
+
+
 def test_benches_that_have_practised_are_greedy_under_a_sampled_manager() -> None:
     run = joint.Team(IPPO(scenario="wurtz_dodecane_direct", roles=("all",), envs=4, rollout=16))
     run.make()
