@@ -67,7 +67,9 @@ def gains(spec: Scenario, policy: str) -> dict[str, Any]:
 
 def alone(spec: Scenario, bench: str, policy: str) -> dict[str, Any]:
     """Return what a bench scores in experiments of its own, and how much more than the scripted one in the same."""
-    found = evaluate(Target(spec, bench, split=SPLIT), [policy], PAIRED, RESULT_SEED, goals_met(spec, bench))["policies"]
+    found = evaluate(Target(spec, bench, split=SPLIT), [policy], PAIRED, RESULT_SEED, goals_met(spec, bench))[
+        "policies"
+    ]
     return {"scripted": found[0]["mean"]["value"], "learned": found[1]["mean"]["value"], "gain": found[1]["difference"]}
 
 

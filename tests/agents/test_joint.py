@@ -184,7 +184,8 @@ def test_benches_practise_what_a_laboratory_asks_of_them(scenario: str, expected
     team = team_of(IPPO(scenario=scenario, roles=tuple(expected), envs=16, rollout=16))
     names = team.labs.scenario.goals
     practised = {
-        role: {names[goal] for goal in practice.batch.batch.experiments.goal} for role, practice in team.practices.items()
+        role: {names[goal] for goal in practice.batch.batch.experiments.goal}
+        for role, practice in team.practices.items()
     }
     assert practised == expected
 
