@@ -47,7 +47,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
-__all__ = ["PPOTeam", "compact", "joined", "wide_columns"]
+__all__ = ["PPOTeam", "compact", "joined", "practised_goals", "wide_columns"]
 
 _LEAST_DEVIATION = 0.02
 """Least standard deviation of what is observed, by which it is normalized."""
@@ -527,6 +527,12 @@ class _Best:
             learner.optimizer.step()
 
 
+def practised_goals(scenario: Scenario, bench: str) -> list[str]:
+    """Return the laboratory's goals that a bench is asked for, or else its own, with which others go on."""
+    met = goals_met(scenario, bench)
+    return [goal for goal in scenario.lab_goals if goal in met] or met
+
+
 class _Practice:
     """Experiments of one bench on its own, where its learner begins.
 
@@ -536,14 +542,12 @@ class _Practice:
     """
 
     def __init__(self, scenario: Scenario, bench: str, learner: _Learner, settings: IPPO, state: int) -> None:
-        met = goals_met(scenario, bench)
-        goals = [goal for goal in scenario.lab_goals if goal in met] or met  # it may make what others go on with
         self.learner, self.settings, self.scores = learner, settings, list[float]()
         self.batch = RoleVectorEnv(
             settings.envs,
             scenario,
             bench=bench,
-            goals=goals,
+            goals=practised_goals(scenario, bench),
             autoreset_mode="SameStep",
             copy=False,
             split=settings.split,
