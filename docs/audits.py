@@ -81,7 +81,8 @@ def tasks() -> list[str]:
             continue
         zero, one = (audit[name]["score"] for name in ("random", "oracle"))
         most, value = -math.inf, ""
-        for roles, words in (("manager", ""), (",".join([MANAGER_ROLE, *scenario.benches]), ", team")):
+        teams = (",".join([MANAGER_ROLE, *scenario.benches]), "in stages")
+        for roles, words in (("manager", ""), *((team, ", team") for team in teams)):
             own = [run for run in runs if (run["scenario"], run["roles"]) == (scenario.name, roles)]
             reached = statistics.median(run["best"] for run in own) if own else -math.inf
             if reached > most:

@@ -17,12 +17,14 @@ from chemlab.config.files import replace_between, write_text
 
 SCORES = Path(__file__).parent / "results" / "ablations.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
+WORDS = {"all": "all of them", "none": "none of them"}
 
 
 def table(runs: list[dict[str, Any]]) -> list[str]:
     """Return the lines of the table: medians over seeds of the best checkpoints, the range, and how many seeds."""
     scenarios, helps = sorted({run["scenario"] for run in runs}), list(dict.fromkeys(run["help"] for run in runs))
-    helps.sort(key=lambda name: (name == "none", name != "all"))
+    last = ("none", "without-notes", "without-tied")
+    helps.sort(key=lambda name: (name in last and 1 + last.index(name), name != "all"))
     lines = [f"| help | {' | '.join(f'`{one}`' for one in scenarios)} |", f"| --- |{' --: |' * len(scenarios)}"]
     for name in helps:
         cells = []
@@ -30,7 +32,7 @@ def table(runs: list[dict[str, Any]]) -> list[str]:
             found = [run["score"] for run in runs if (run["help"], run["scenario"]) == (name, scenario)]
             spread = f" ({min(found):.3f} to {max(found):.3f}, {len(found)})" if len(found) > 1 else " (1)"
             cells.append(f"{statistics.median(found):.3f}{spread}" if found else "")
-        lines.append(f"| {name.replace('-', ' ')} | {' | '.join(cells)} |")
+        lines.append(f"| {WORDS.get(name, name.replace('-', ' '))} | {' | '.join(cells)} |")
     return lines
 
 
