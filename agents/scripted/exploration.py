@@ -57,8 +57,8 @@ class CampaignManager(BeliefManager[_Rates]):
 
     The outcome of a batch at every candidate rate is simulated on the public scenario beforehand. The probability of
     every rate is updated with each reading (Bayes) and carried over to the next batch. The manager measures when the
-    expected gain of the information, for this and the later batches, exceeds the price. It measures
-    once after each experiment, because a later reading tells more than a repeated one; if that is free, again.
+    expected gain of the information, for this and the later batches, exceeds the price. It measures a vessel once after
+    each experiment, because a later reading tells more than a repeated one; free readings may be repeated.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.

@@ -26,7 +26,7 @@ from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.starts import goals_met
+from chemlab.lab.starts import goals_practised
 from chemlab.physics.chemistry import PRESENT
 from chemlab.roles.bench import Channel, channel_slices
 from chemlab.roles.manager_actions import DISCARD, FIRST, MEASURE, SECOND, START, SUBMIT
@@ -47,7 +47,7 @@ try:
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
-__all__ = ["PPOTeam", "compact", "joined", "practised_goals", "wide_columns"]
+__all__ = ["PPOTeam", "compact", "joined", "wide_columns"]
 
 _LEAST_DEVIATION = 0.02
 """Least standard deviation of what is observed, by which it is normalized."""
@@ -176,10 +176,10 @@ class _Learner:
         self.columns, self.size, self.network, self.gamma, self._groups = columns, size, network, gamma, groups
         self.settings, self.critic_first = settings, 0
         self._count, self._moments, self._normalizes = 0, np.zeros((2, len(groups))), True
-        critic = list(network.critic.parameters())
-        actor = [one for one in network.parameters() if all(one is not other for other in critic)]
-        self._rates, self._taken = [settings.learning_rate] * 2, False
-        self.optimizer = torch.optim.Adam([{"params": part} for part in (actor, critic)], eps=1e-5, fused=True)
+        self._taken = False
+        actor = [one for name, one in network.named_parameters() if not name.startswith("critic.")]
+        parts = [{"params": own, "rate": settings.learning_rate} for own in (actor, [*network.critic.parameters()])]
+        self.optimizer = torch.optim.Adam(parts, eps=1e-5, fused=True)
 
     def seen(self, whole: Arrays) -> Arrays:
         """Return its part [B, columns] of observations [B, size] of the whole scenario."""
@@ -219,8 +219,8 @@ class _Learner:
         s, policy_weight = self.settings, 0.0 if self.critic_first else 1.0
         self.critic_first = max(self.critic_first - 1, 0)
         tensors = {name: None if array is None else torch.from_numpy(array) for name, array in batch.items()}
-        for group, rate in zip(self.optimizer.param_groups, self._rates, strict=True):
-            group["lr"] = rate * max(remaining, 0.05)
+        for group in self.optimizer.param_groups:
+            group["lr"] = group["rate"] * max(remaining, 0.05)
         count = len(tensors["advantage"])  # type: ignore[arg-type]
         self.network.train()
         for _ in range(s.epochs):
@@ -238,8 +238,8 @@ class _Learner:
     def normalize(self, seen: Arrays) -> None:
         """Take observations [B, size] of the critic into the means and standard deviations that normalize.
 
-        A policy that has been cloned keeps the scale that it has. What one from elsewhere observes is normalized once,
-        and its first layer changed so that it plays as before.
+        The scale of a cloned policy is fixed. For a policy from elsewhere it is set once, and the first layer is
+        rescaled so that the policy plays as before.
         """
         if not self._normalizes:
             return
@@ -296,9 +296,9 @@ class _Learner:
                 layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
             if LOG_STD in policy.weights:
                 self.network.log_std.copy_(torch.from_numpy(policy.weights[LOG_STD]))
-        # The critic is new.
         self.critic_first, self._taken = _CRITIC_FIRST, True
-        self._rates[1] = max(self.settings.learning_rate, IPPO.model_fields["learning_rate"].default)
+        critic = self.optimizer.param_groups[1]  # which is new
+        critic["rate"] = max(self.settings.learning_rate, IPPO.model_fields["learning_rate"].default)
 
     def clone(self, batch: Mapping[str, Arrays | None], rng: np.random.Generator, least_std: float) -> float:
         """Fit the actor to the actions of a batch of turns, and the critic to their returns (``target``).
@@ -527,12 +527,6 @@ class _Best:
             learner.optimizer.step()
 
 
-def practised_goals(scenario: Scenario, bench: str) -> list[str]:
-    """Return the laboratory's goals that a bench is asked for, or else its own, with which others go on."""
-    met = goals_met(scenario, bench)
-    return [goal for goal in scenario.lab_goals if goal in met] or met
-
-
 class _Practice:
     """Experiments of one bench on its own, where its learner begins.
 
@@ -547,7 +541,7 @@ class _Practice:
             settings.envs,
             scenario,
             bench=bench,
-            goals=practised_goals(scenario, bench),
+            goals=goals_practised(scenario, bench),
             autoreset_mode="SameStep",
             copy=False,
             split=settings.split,

@@ -172,6 +172,12 @@ def goals_met(scenario: Scenario, bench: str) -> list[str]:
     return [goal for goal in scenario.goals if goal in met]
 
 
+def goals_practised(scenario: Scenario, bench: str) -> list[str]:
+    """Return the goals that a bench practises: the laboratory's among :func:`goals_met`, or all of those."""
+    met = goals_met(scenario, bench)
+    return [goal for goal in scenario.lab_goals if goal in met] or met
+
+
 def write_starts(path: Path, scenario: Scenario, vessels: dict[str, list[Start]]) -> None:
     """Write recorded vessels by bench: each distinct vessel once, and its indices by bench and goal in order."""
     numbers: dict[str, int] = {}

@@ -17,7 +17,7 @@ from chemlab.config.files import replace_between, write_text
 
 SCORES = Path(__file__).parent / "results" / "ablations.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
-WORDS = {"all": "all of them", "none": "none of them"}
+WORDS = {"all": "nothing", "none": "all of these"}
 
 
 def table(runs: list[dict[str, Any]]) -> list[str]:
@@ -25,15 +25,20 @@ def table(runs: list[dict[str, Any]]) -> list[str]:
     scenarios, helps = sorted({run["scenario"] for run in runs}), list(dict.fromkeys(run["help"] for run in runs))
     last = ("none", "without-notes", "without-tied")
     helps.sort(key=lambda name: (name in last and 1 + last.index(name), name != "all"))
-    lines = [f"| help | {' | '.join(f'`{one}`' for one in scenarios)} |", f"| --- |{' --: |' * len(scenarios)}"]
+    lines = [f"| left out | {' | '.join(f'`{one}`' for one in scenarios)} |", f"| --- |{' --: |' * len(scenarios)}"]
     for name in helps:
         cells = []
         for scenario in scenarios:
             found = [run["score"] for run in runs if (run["help"], run["scenario"]) == (name, scenario)]
             spread = f" ({min(found):.3f} to {max(found):.3f}, {len(found)})" if len(found) > 1 else " (1)"
             cells.append(f"{statistics.median(found):.3f}{spread}" if found else "")
-        lines.append(f"| {WORDS.get(name, name.replace('-', ' '))} | {' | '.join(cells)} |")
+        lines.append(f"| {words(name)} | {' | '.join(cells)} |")
     return lines
+
+
+def words(name: str) -> str:
+    """Return what is left out in the runs of a name."""
+    return WORDS[name] if name in WORDS else f"`--{name.removeprefix('without-')}`"
 
 
 def main() -> None:

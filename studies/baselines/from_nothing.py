@@ -27,12 +27,12 @@ from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.evaluate.statistics import interval_text
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
-from chemlab.agents.train.ppo import practised_goals
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Policy, as_policy
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import goals_practised
 from chemlab.openchem.difficulty import waiting
 from chemlab.render.figure import new_figure, save_figure
 
@@ -43,7 +43,7 @@ AUDITS = PAGE.parent / "results" / "audits"
 SPLIT, EPISODES, PAIRED = "validation", 100, 1000
 MANAGERS = ("nothing", "random", "plan", "scripted")
 STAGES = "in stages"
-"""Instead of roles: of a manager that goes on learning with benches that have learned before (``stages.toml``)."""
+"""Stands for the roles of a manager that was trained over benches trained before (``stages.toml``)."""
 
 
 def means(spec: Scenario, policy: str) -> list[float]:
@@ -67,7 +67,7 @@ def gains(spec: Scenario, policy: str) -> dict[str, Any]:
 
 def alone(spec: Scenario, bench: str, policy: str) -> dict[str, Any]:
     """Return what a bench scores in experiments of its own, and how much more than the scripted one in the same."""
-    target, goals = Target(spec, bench, split=SPLIT), practised_goals(spec, bench)
+    target, goals = Target(spec, bench, split=SPLIT), goals_practised(spec, bench)
     found = evaluate(target, [policy], PAIRED, RESULT_SEED, goals)["policies"]
     return {"scripted": found[0]["mean"]["value"], "learned": found[1]["mean"]["value"], "gain": found[1]["difference"]}
 
