@@ -86,7 +86,8 @@ def play_bench(
         env: batch of N with ``autoreset_mode="SameStep"``.
         policy: policy of all members.
         goal: goal of the experiments, or one for each member.
-        seed: seed of member 0, with consecutive seeds for the others; or one for each member.
+        seed: seed of member 0, with consecutive seeds for the others; or one for each member. What a policy draws
+            follows from them, too.
         record: whether to keep the actions.
 
     Returns:
@@ -100,6 +101,8 @@ def play_bench(
         only = goals == one if i else np.ones(n, dtype=np.bool_)
         observations, _ = env.reset(seed=seeds, options={"goal": one, "reset_mask": only})
     cases = [_case(env, one, member) for member, one in enumerate(goals.tolist())]
+    for member, one in enumerate(seeds if hasattr(policy, "seed") else []):
+        policy.seed(member, one)
     played = Played(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n, dtype=np.int64), cases, {}, None)
     running, step, members = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.arange(n)
     rows: list[npt.NDArray[Any]] = []
@@ -131,16 +134,13 @@ def _unsafe(labs: Laboratories) -> npt.NDArray[np.bool_]:
 
 
 def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str | None, seed: int) -> Played:
-    """Play one episode in each of N laboratories, the one of seed + i in laboratory i.
-
-    It is what :func:`play_episode` plays with that seed, unless a policy draws its actions: its draws depend on its own
-    seed and on the laboratory's index.
+    """Play one episode in each of N laboratories: in laboratory i what :func:`play_episode` plays with seed + i.
 
     Args:
         labs: N laboratories.
         policies: one for every agent, by its id.
         goal: the laboratory's goal; None: drawn, as in any episode.
-        seed: of laboratory 0.
+        seed: of laboratory 0. What policies draw follows from the seeds, too.
 
     Returns:
         N episodes: the manager's scores; measures ``submitted_mol``, ``purity`` (0 where nothing was submitted),
@@ -157,7 +157,10 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         cost[members] += labs.cost[members].sum(axis=1)
         illegal[members] += labs.illegal(number)[members]
 
-    Players(labs, [policies[agent] for agent in labs.agents]).play_on(labs.members, count)
+    players = Players(labs, [policies[agent] for agent in labs.agents])
+    for member in labs.members.tolist():
+        players.seed(member, seed + member)
+    players.play_on(labs.members, count)
     mol, purity = labs.state.submitted[:, :, 0], labs.state.submitted[:, :, 1]
     whole = mol.sum(axis=1)
     measures = {
@@ -229,7 +232,7 @@ def play_episode(
     Args:
         env: the laboratory, without wrappers.
         policies: a policy for every agent.
-        seed: the episode's seed.
+        seed: the episode's seed. What policies draw follows from it, too.
         policy_name: what to call the policies in the result.
         watch: called after every turn.
         options: passed to ``env.reset``.
@@ -255,7 +258,9 @@ def play_episode(
         if watch is not None:
             watch(PlayedTurn(agent, tick, action, env.rewards[agent], env.infos[agent]))
 
-    Players(labs, [policies[agent] for agent in labs.agents], act).play_on(labs.members)
+    players = Players(labs, [policies[agent] for agent in labs.agents], act)
+    players.seed(0, seed)
+    players.play_on(labs.members)
     outcome, state = labs.outcome(), labs.state
     totals = zip(labs.scenario.safety_events, labs.safety_totals[0].tolist(), strict=True)
     return EpisodeResult(

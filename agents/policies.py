@@ -88,7 +88,7 @@ class LapsingPolicy:
         self._lapses, self._random = RandomPolicy(1, first), RandomPolicy(size, second)
 
     def _parts(self) -> tuple[Any, ...]:
-        return self._policy, self._lapses, self._random
+        return self._lapses, self._random, self._policy
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Restart the streams of one member."""

@@ -38,7 +38,7 @@ class RandomPolicy:
 
     Args:
         size: size of a continuous action; ignored with a mask.
-        seed: seed of the members' streams; :meth:`seed` restarts one of them.
+        seed: seed of the members' streams, until :meth:`seed` gives one of them its own.
     """
 
     def __init__(self, size: int, seed: int | np.random.SeedSequence | None = None) -> None:
@@ -54,10 +54,11 @@ class RandomPolicy:
             self._stream = np.concatenate([self._stream, states])
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Restart the stream of one member."""
+        """Restart the stream of one member, whatever its place: as in place 0 of a policy that was made with the seed."""
         self._provide(member + 1)
-        sequence = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        self._stream[member] = sequence.generate_state(1, np.uint64)
+        own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        first = np.random.SeedSequence(own.entropy, spawn_key=(*own.spawn_key, 0))
+        self._stream[member] = first.generate_state(1, np.uint64)
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray

@@ -86,7 +86,7 @@ def record_starts(
     for g, goal in enumerate(scenario.goals):
         for episode in range(episodes):
             number = seed + g * episodes + episode
-            policies = make_policies(f"scripted{lapses}", labs, number)
+            policies = make_policies(f"scripted{lapses}", labs)
             policies[manager] = _Recording(ways[episode % len(ways)], labs, found)
             play_episode(env, policies, number, options={"goal": goal})
             if progress is not None:

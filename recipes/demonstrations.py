@@ -48,7 +48,7 @@ def dataset(folder: Path, episodes: int, seed: int) -> Any:
     records = [folder / f"{seed + i}.jsonl" for i in range(episodes)]
     for i, path in enumerate(records):
         with Recorder(path, labs, policies=dict.fromkeys(labs.agents, "scripted")) as recorder:
-            play_episode(env, make_policies("scripted", labs, seed + i), seed + i, recorder=recorder)
+            play_episode(env, make_policies("scripted", labs), seed + i, recorder=recorder)
     os.environ["MINARI_DATASETS_PATH"] = str(folder)
     (written,) = write_datasets(records, "recipe/scripted", [MANAGER_AGENT])
     return minari.load_dataset(written.id)
@@ -73,7 +73,7 @@ def begun(budget: Budget) -> Any:
 def played(budget: Budget, manager: Any = None) -> Outcome:
     """Score a manager, or the scripted one, over scripted benches."""
     labs = Laboratories(SCENARIO, budget.episodes)
-    policies = make_policies("scripted", labs, AUDIT_SEED)
+    policies = make_policies("scripted", labs)
     if manager is not None:
         policies[MANAGER_AGENT] = as_policy(manager)
     return Outcome.of(play_laboratory(labs, policies, GOAL, AUDIT_SEED), getattr(manager, "num_timesteps", 0))

@@ -607,7 +607,7 @@ def _recorded(
                 path = place / f"{seed}{_RECORD}"
                 env = raw_env(spec, split=found["split"])
                 labs = env.laboratories
-                policies = make_policies(row.policies[0], labs, seed)
+                policies = make_policies(row.policies[0], labs)
                 if row.name == "plan":
                     plans = {tuple(c): tuple(p) for c, p in found["scenarios"][spec.name]["plans"]}
                     policies[MANAGER_AGENT] = ConstantPlan(spec, labs.channels, labs.actions, plans)

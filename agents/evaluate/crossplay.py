@@ -98,7 +98,7 @@ def find_players(
                     missing = True
     for manager in sides[MANAGER_ROLE]:
         for crew in sides["benches"]:
-            make_policies(_together(manager, crew), labs, 0)
+            make_policies(_together(manager, crew), labs)
     return sides[MANAGER_ROLE], sides["benches"]
 
 
@@ -129,7 +129,7 @@ def _policies(name: str, labs: Laboratories, side: str) -> list[Policy]:
         ValueError: there are none of that name, or they do not fit.
     """
     numbers = [role.index for role in ([labs.manager] if side == MANAGER_ROLE else labs.bench_roles)]
-    return [agent_policy(name, labs, number, 0) for number in numbers]
+    return [agent_policy(name, labs, number) for number in numbers]
 
 
 def _partner(name: str, backgrounds: set[str | None], labs: Laboratories, side: str) -> str | None:

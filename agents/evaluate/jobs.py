@@ -134,7 +134,7 @@ def _play(
         with warnings.catch_warnings():
             if not (instruments and reports):  # that the scenario is not the one they were trained in is the point
                 warnings.simplefilter("ignore", UserWarning)
-            found = make_policies(policy, labs, seed)
+            found = make_policies(policy, labs)
         if without:
             found[MANAGER_AGENT] = scripted_manager(labs, policy != "scripted:unsafe", [without])
         if contended:
@@ -255,7 +255,7 @@ def _apart(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, An
     scores = np.zeros(goals.shape)
     for goal in np.unique(goals):
         one = Laboratories(alone, budget.episodes, split="test")
-        returns = play_laboratory(one, make_policies(policy, one, AUDIT_SEED), str(goal), AUDIT_SEED).returns
+        returns = play_laboratory(one, make_policies(policy, one), str(goal), AUDIT_SEED).returns
         scores += (goals == goal) * returns[:, None]
     return {"scores": scores.mean(axis=1).tolist()}
 

@@ -120,7 +120,7 @@ class PlanSearch:
         """
         labs = Laboratories(self.scenario, episodes, split=split)
         if not any(one.benches for one in self.found):
-            return play_laboratory(labs, self.policies(labs, seed), None, seed).returns
+            return play_laboratory(labs, self.policies(labs), None, seed).returns
         scores = np.empty(episodes)
         for context, own in drawn_contexts(labs, seed).items():
             trials = Trials(self.scenario, context, [seed + i for i in own], 1, split)
@@ -132,10 +132,10 @@ class PlanSearch:
         """By context, with the benches' tapes."""
         return {one.context: one.team for one in self.found}
 
-    def policies(self, labs: Laboratories, seed: int | None = None) -> dict[str, Policy]:
+    def policies(self, labs: Laboratories) -> dict[str, Policy]:
         """The manager that plays them, and who operates the benches."""
         manager = ConstantPlan(labs.scenario, labs.channels, labs.actions, self.plans)
-        return {**make_policies(self.benches, labs, seed), MANAGER_AGENT: manager}
+        return {**make_policies(self.benches, labs), MANAGER_AGENT: manager}
 
     def as_file(self, command: str, episodes: int = 100, seed: int = 0) -> PlanFile:
         """As it is stored, with the score from seeds of its own."""
@@ -383,8 +383,8 @@ def replay_actions(
     return scores
 
 
-def _players(policy: str | PlanSearch, labs: Laboratories, seed: int | None = None) -> dict[str, Policy]:
-    return make_policies(policy, labs, seed) if isinstance(policy, str) else policy.policies(labs, seed)
+def _players(policy: str | PlanSearch, labs: Laboratories) -> dict[str, Policy]:
+    return make_policies(policy, labs) if isinstance(policy, str) else policy.policies(labs)
 
 
 def recorded_tapes(trials: Trials, policies: Mapping[str, Policy]) -> list[list[list[list[Any]]]]:

@@ -97,7 +97,7 @@ class Target:
             make_policies(policy, Laboratories(self.scenario, 1, split=self.split))
 
     def play(self, policy: str, goal: str, episodes: int, seed: int) -> Played:
-        """Play episodes of a policy given by name; episode i has seed + i, a policy that draws that of its batch."""
+        """Play episodes of a policy given by name; episode i has seed + i."""
         parts = []
         for first in range(0, episodes, BATCH):
             parts.append(self._batch(policy, goal, min(BATCH, episodes - first), seed + first))
@@ -106,9 +106,9 @@ class Target:
     def _batch(self, policy: str, goal: str, count: int, seed: int) -> Played:
         if self.bench:
             env = self.environment(count)
-            return play_bench(env, bench_policy(policy, env.bench, seed), goal, seed)
+            return play_bench(env, bench_policy(policy, env.bench), goal, seed)
         labs = Laboratories(self.scenario, count, split=self.split)
-        return play_laboratory(labs, make_policies(policy, labs, seed), None if goal == DRAWN else goal, seed)
+        return play_laboratory(labs, make_policies(policy, labs), None if goal == DRAWN else goal, seed)
 
 
 def find_target(name: str, bench: str | None = None, starts: str = "paper", split: str = "train") -> Target:

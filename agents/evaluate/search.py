@@ -226,7 +226,7 @@ class Search:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("ignore", UserWarning)  # of policies trained in another version
-                    policies = make_policies(name, trials.labs, 0)
+                    policies = make_policies(name, trials.labs)
             except ValueError:
                 continue
             if not self._moves.free:

@@ -155,7 +155,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
     policy = PretrainedPolicy(
         policy.card.model_copy(update={"name": path.name, "masked": True}), policy.weights
-    ).as_played(way, RESULT_SEED)
+    ).as_played(way)
     episodes = arguments.final_episodes
     found = task.by_goal(task.trained(policy), episodes, RESULT_SEED)
     scripted = task.scripted(episodes, RESULT_SEED)

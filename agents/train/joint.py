@@ -170,20 +170,19 @@ class Team(Trainee):
     def _played(
         self, learned: Mapping[str, PretrainedPolicy], episodes: int, seed: int, way: str = GREEDY
     ) -> dict[str, float]:
-        """Play what :func:`~chemlab.agents.policies.make_policies` with the same seed would play."""
+        """Return mean scores by goal of what has been learned, among the background's policies."""
         labs = Laboratories(self.scenario, episodes, split=self.arguments.evaluation_split)
         found = {}
         for goal in self.scenario.lab_goals:
-            seeds = np.random.SeedSequence(seed).spawn(len(labs.agents))
             policies: dict[str, Policy] = {}
-            for number, (agent, own) in enumerate(zip(labs.agents, seeds, strict=True)):
+            for number, agent in enumerate(labs.agents):
                 mine = learned.get(role_of(agent))
                 other = self._background
                 how = GREEDY if role_of(agent) in self.team.fixed else way
                 if mine is None:
-                    policies[agent] = agent_policy(other, labs, number, own)
+                    policies[agent] = agent_policy(other, labs, number)
                 else:
-                    policies[agent] = as_trained(mine.as_played(how, own), labs, number)
+                    policies[agent] = as_trained(mine.as_played(how), labs, number)
             found[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())
         return found
 

@@ -163,7 +163,7 @@ class Agent(Trainee):
             player = self._player
         else:
             policy = self._taken or self._policy(0, None)
-            player = self._task.advised(policy.as_played(SAMPLED if sampled else GREEDY, seed), self._hints)
+            player = self._task.advised(policy.as_played(SAMPLED if sampled else GREEDY), self._hints)
         return self._task.by_goal(player, episodes, seed)
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:

@@ -152,7 +152,7 @@ def _play(
     from ..agents.policies import make_policies
 
     for seed in seeds:
-        policies = make_policies(policy, env.laboratories, seed)
+        policies = make_policies(policy, env.laboratories)
         with (recorders or {}).get(seed) or nullcontext() as recorder:
             yield play_episode(env, policies, seed, policy, watch, recorder=recorder)
 

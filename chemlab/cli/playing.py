@@ -30,17 +30,17 @@ if TYPE_CHECKING:
 # -- play -------------------------------------------------------------------------------------------------------------
 
 
-def _background(name: str, labs: Laboratories, people: Sequence[str], seed: int) -> dict[str, tuple[str, Policy]]:
+def _background(name: str, labs: Laboratories, people: Sequence[str]) -> dict[str, tuple[str, Policy]]:
     """Return (name, policy) of the other roles."""
     from ..agents.policies import agent_policy, make_policies
 
     pretrained = name == "pretrained"
-    made = make_policies("scripted" if pretrained else name, labs, seed)
+    made = make_policies("scripted" if pretrained else name, labs)
     chosen = {agent: ("scripted" if pretrained else name, made[agent]) for agent in labs.agents if agent not in people}
     for agent in chosen if pretrained else ():
         learned = "trained" if agent == labs.manager.name else "pretrained"
         try:
-            chosen[agent] = (name, agent_policy(learned, labs, labs.agents.index(agent), seed))
+            chosen[agent] = (name, agent_policy(learned, labs, labs.agents.index(agent)))
         except ValueError as error:
             err.print(f"{agent} is played by the scripted policy: {plain(error)}")
     return chosen
@@ -129,7 +129,7 @@ def play(
     if goal is not None:
         labs.goal_index(goal)
     people = chosen_agents(labs.agents, role or ["manager"], "--role")
-    others = _background(background, labs, people, seed)
+    others = _background(background, labs, people)
     policies: dict[str, Policy] = {agent: policy for agent, (_, policy) in others.items()}
     names = {agent: "human" if agent in people else others[agent][0] for agent in labs.agents}
     recorder = None if record is None else Recorder(record, labs, policies=names, force=force)

@@ -359,7 +359,7 @@ class LaboratoryEpisodes(RoleEpisodes):
 
     Raises:
         ValueError: the agent is unknown, or an agent has no policy.
-        TypeError: an object is not a policy.
+        TypeError: policies are not given by agent, or an object is not a policy.
     """
 
     def __init__(
@@ -372,6 +372,11 @@ class LaboratoryEpisodes(RoleEpisodes):
         self.focal = labs.agents.index(agent)
         self._manages = self.focal == labs.manager.index
         given = policies(labs) if callable(policies) else policies or {}
+        if not isinstance(given, Mapping):
+            raise TypeError(
+                f"policies: must be a dict of policies by agent, or a function that makes one; given {given!r:.200}; "
+                "for policies by name: gymnasium.make('chemlab/LabAgent-v1', agent=..., background=...)"
+            )
         unknown = [name for name in given if name not in labs.agents]
         if unknown:
             raise ValueError(f"policies: {scenario.name} has {', '.join(labs.agents)}; given {', '.join(unknown)}")

@@ -219,11 +219,11 @@ def difficulty(
     rows = []
     for goal in spec.lab_goals:
         labs = Laboratories(spec, episodes)
-        scripted = play_laboratory(labs, make_policies("scripted", labs, seed), goal, seed).returns
+        scripted = play_laboratory(labs, make_policies("scripted", labs), goal, seed).returns
         apart = _boils_next(spec, goal)
         wide = Laboratories(spec, explored)
-        drawn = play_laboratory(wide, make_policies("scripted,manager=random", wide, seed), goal, seed)
-        idle = make_policies("scripted", labs, seed) | {MANAGER_AGENT: as_policy(waiting(labs))}
+        drawn = play_laboratory(wide, make_policies("scripted,manager=random", wide), goal, seed)
+        idle = make_policies("scripted", labs) | {MANAGER_AGENT: as_policy(waiting(labs))}
         rows.append(
             GoalDifficulty(
                 goal=goal,

@@ -47,7 +47,7 @@ Note = Callable[[int, float], None]
 def score(policy: Any, episodes: int = 20) -> float:
     """Return the team's mean score; `policy` is a name, or a function of observations and masks for the bench."""
     labs = Laboratories(SCENARIO, episodes)
-    team = make_policies(policy if isinstance(policy, str) else "scripted", labs, 0)
+    team = make_policies(policy if isinstance(policy, str) else "scripted", labs)
     if not isinstance(policy, str):
         team["rxn_0"] = as_policy(policy)
     return float(play_laboratory(labs, team, "dodecane", AUDIT_SEED).returns.mean())

@@ -53,7 +53,7 @@ def means(spec: Scenario, policy: str) -> list[float]:
     if policy == "nothing":
         policies = {**make_policies("scripted", labs), MANAGER_AGENT: as_policy(waiting(labs))}
     else:
-        policies = make_policies(policy, labs, RESULT_SEED)
+        policies = make_policies(policy, labs)
     return [float(play_laboratory(labs, policies, goal, RESULT_SEED).returns.mean()) for goal in spec.lab_goals]
 
 

@@ -62,7 +62,7 @@ def played(scenario: str, manager: Policy | None) -> float:
     """Return the mean score of a manager over scripted benches, of the scripted one where none is given."""
     spec = load_scenario(scenario)
     labs = Laboratories(spec, EPISODES, split=SPLIT)
-    policies = make_policies("scripted", labs, EVALUATION_SEED)
+    policies = make_policies("scripted", labs)
     if manager is not None:
         policies[MANAGER_AGENT] = manager
     goals = [play_laboratory(labs, policies, goal, EVALUATION_SEED).returns.mean() for goal in spec.lab_goals]

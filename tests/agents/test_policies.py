@@ -13,7 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from chemlab.agents import policies as policies_module
-from chemlab.agents.episodes import play_episode
+from chemlab.agents.background import role_env
+from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.policies import make_policies, policy_names
 from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.loading import load_scenario
@@ -125,6 +126,31 @@ def test_random_policies_are_seeded_and_independent() -> None:
     assert (ext, dit) == (ext_again, dit_again)
     assert ext != dit
     assert ext != ext_other
+
+
+@pytest.mark.parametrize("policy", ["random", "scripted@0.3", "scripted,manager=random", "trained:sampled@0.1"])
+def test_what_a_policy_draws_depends_on_the_episode_s_seed_alone(policy: str) -> None:
+    """The same episode by itself, in a batch whatever its place, and in the manager's own environment."""
+    env, together = raw_env("rush"), [Laboratories("rush", 3), Laboratories("rush", 2)]
+    alone = [play_episode(env, make_policies(policy, env.laboratories), seed).score for seed in (40, 41, 42)]
+    first, second = (
+        play_laboratory(labs, make_policies(policy, labs), None, seed).returns.tolist()
+        for labs, seed in zip(together, (40, 41), strict=True)
+    )
+    assert first == alone
+    assert second == alone[1:]
+    manager = make_policies(policy, env.laboratories)["manager_0"]
+    view = role_env("rush", background=policy)
+    seen, _ = view.reset(seed=41)
+    # The view has no policy for the manager; its stream is that of the first agent.
+    manager.seed(0, np.random.SeedSequence(41).spawn(1)[0])  # type: ignore[attr-defined]
+    turn, over = 0, False
+    while not over:
+        mask, number = view.action_masks()[None].astype(np.int8), np.array([turn])
+        (action,) = manager.act(seen[None], mask, number, np.array([0]))
+        seen, _, terminated, truncated, info = view.step(int(action))
+        turn, over = turn + 1, terminated or truncated
+    assert info["score"] == pytest.approx(alone[1])
 
 
 def test_an_unknown_policy_is_refused() -> None:

@@ -374,14 +374,15 @@ def test_a_run_is_played_sampled_and_greedy_by_name(tmp_path: Path) -> None:
     assert sampled.evaluation["mean"] != greedy.evaluation["mean"]
     target = find_target("wurtz_dodecane_direct")
     names = [f"{out}:sampled", f"{tmp_path / 'greedy'}:sampled", str(tmp_path / "greedy"), f"{out}:greedy"]
-    returns = [target.play(name, "dodecane", 4, 11).returns.tolist() for name in names]
+    returns = [target.play(name, "dodecane", 4, 10).returns.tolist() for name in names]
     assert returns[0] == returns[1] != returns[2] == returns[3]
     env = raw_env("wurtz_dodecane_direct")
     with Recorder(tmp_path / "record.jsonl", env.laboratories) as recorder:
-        policies = make_policies(names[0], env.laboratories, 11)
+        policies = make_policies(names[0], env.laboratories)
         score = play_episode(env, policies, 11, names[0], recorder=recorder).score
     proof = verify_record(read_record(tmp_path / "record.jsonl"))
     assert (proof.status, proof.score) == ("ok", pytest.approx(score))
+    assert score == pytest.approx(returns[0][1])  # the second episode of the batch
     with pytest.raises(ValueError, match="scripted:sampled: only learned policies are greedy or sampled"):
         make_policies("scripted:sampled", env.laboratories)
 

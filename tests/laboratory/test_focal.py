@@ -470,6 +470,7 @@ def test_masked_actions_of_the_background_are_lost_turns() -> None:
         ({"agent": ""}, ValueError, ["''", "manager_0"]),
         ({"starts": "paper", "goals": "dodecane"}, ValueError, ["goals, starts", "bench"]),
         ({"bench": "rxn", "agent": "rxn_0"}, ValueError, ["agent, policies", "bench alone"]),
+        ({"policies": "scripted"}, TypeError, ["dict of policies by agent", "'scripted'", "background="]),
         ({"policies": None}, ValueError, ["missing for rxn_0, ext_0, dit_0", "none"]),
         ({"policies": {"rxn_0": anything}}, ValueError, ["missing for ext_0, dit_0", "given rxn_0"]),
         (
