@@ -449,14 +449,17 @@ def test_the_manager_learns_by_it_unless_told_otherwise() -> None:
 @pytest.mark.slow
 def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
     """Without a clone or hints it comes past the scripted manager over the same scripted benches."""
-    made = IPPO(scenario="wurtz_dodecane", roles=("manager",), steps=150_000, evaluations=5, checkpoints=5)
+    made = IPPO(scenario="wurtz_dodecane", roles=("manager",), steps=100_000, evaluations=5, checkpoints=5)
     result = train(made, tmp_path / "run")
     assert result.scripted_mean is not None
     assert result.mean > result.scripted_mean > 0.7
 
 
-def test_a_policy_to_begin_from_has_no_shared_weights() -> None:
-    assert IPPO(scenario="rush", roles=("manager",), begin_from="runs/first").tied is False
+def test_a_policy_to_begin_from_has_no_shared_weights_and_learns_in_small_steps() -> None:
+    begun, new = (IPPO(scenario="rush", roles=("manager",), begin_from=policy) for policy in ("runs/first", None))
+    assert begun.tied is False
+    assert (begun.learning_rate, begun.ent_coef) < (new.learning_rate, new.ent_coef)
+    assert (begun.rollout, begun.batch_size) == (4 * new.rollout, 4 * new.batch_size)
     with pytest.raises(ValueError, match="tied: the policy of begin_from has weights of its own for each slot"):
         IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
 
