@@ -101,8 +101,9 @@ def play_bench(
         only = goals == one if i else np.ones(n, dtype=np.bool_)
         observations, _ = env.reset(seed=seeds, options={"goal": one, "reset_mask": only})
     cases = [_case(env, one, member) for member, one in enumerate(goals.tolist())]
-    for member, one in enumerate(seeds if hasattr(policy, "seed") else []):
-        policy.seed(member, one)
+    start = getattr(policy, "seed", lambda member, own: None)
+    for member, own in enumerate(seeds):
+        start(member, own)
     played = Played(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n, dtype=np.int64), cases, {}, None)
     running, step, members = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.arange(n)
     rows: list[npt.NDArray[Any]] = []

@@ -54,7 +54,7 @@ class RandomPolicy:
             self._stream = np.concatenate([self._stream, states])
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Restart the stream of one member, whatever its place: as in place 0 of a policy that was made with the seed."""
+        """Restart the stream of one member, as that of member 0 of a policy that was made with this seed."""
         self._provide(member + 1)
         own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
         first = np.random.SeedSequence(own.entropy, spawn_key=(*own.spawn_key, 0))

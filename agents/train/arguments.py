@@ -455,7 +455,7 @@ class IPPO(Clipped, Arguments, Cloning):
 
     @staticmethod
     def implied(values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the defaults of a clone, and of a run that begins from another: no help, and fewer and smaller steps."""
+        """Return the defaults of a clone, and of a run that begins from another: no help, fewer and smaller steps."""
         if values.get("bc") is None and values.get("begin_from") is None:
             return {}
         tied = {} if values.get("begin_from") is None else {"tied": False}
