@@ -58,7 +58,7 @@ def learned_scores(
 
     spec = scenario.configured(rewards="cooperative")
     # Without notes, which are memory. A team that begins from a policy has no help.
-    settings = IPPO(notes=False, batch_size=1024, begin_from=None if begin is None else "open loop")
+    settings = IPPO(notes=False, rollout=128, batch_size=1024, begin_from=None if begin is None else "open loop")
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
     if begin is not None:
         _clone(team, spec, begin, settings.bc_std)

@@ -418,9 +418,9 @@ class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
 
     The options of ``_HELP`` help to learn from nothing, in training alone. A team that begins from policies or clones
-    has none of it unless it is asked for, no entropy bonus, a tenth of the learning rate, and four times as large
-    minibatches; from policies, it shares no weights. Rollouts and traces are nearly as long as episodes: a manager has
-    few turns in a short rollout, where its critic's errors count for more than what it earns.
+    has none of it unless it is asked for, no entropy bonus, a tenth of the learning rate, and rollouts and minibatches
+    four times as large; from policies, it shares no weights. Small ones make more of every turn from nothing, but cost
+    a policy that training begins from some of its score at first.
     """
 
     algo: Literal["ippo"] = "ippo"
@@ -431,7 +431,7 @@ class IPPO(Clipped, Arguments, Cloning):
     begin_from: str | None = None
     steps: Many = 250_000
     envs: Count = 256
-    rollout: Turns = 128
+    rollout: Turns = 32
     learning_rate: Positive = 1e-3
     net_arch: Layers = (128, 128)
     manager_gamma: Share = 1.0
@@ -459,7 +459,7 @@ class IPPO(Clipped, Arguments, Cloning):
         if values.get("bc") is None and values.get("begin_from") is None:
             return {}
         tied = {} if values.get("begin_from") is None else {"tied": False}
-        steps = {"batch_size": 1024, "learning_rate": 1e-4}
+        steps = {"rollout": 128, "batch_size": 1024, "learning_rate": 1e-4}
         return {**dict.fromkeys(_HELP, 0.0), **steps, "ent_coef": 0.0, **tied}
 
     @model_validator(mode="before")

@@ -459,7 +459,7 @@ def test_a_policy_to_begin_from_has_no_shared_weights_and_learns_in_small_steps(
     begun, new = (IPPO(scenario="rush", roles=("manager",), begin_from=policy) for policy in ("runs/first", None))
     assert begun.tied is False
     assert (begun.learning_rate, begun.ent_coef) < (new.learning_rate, new.ent_coef)
-    assert begun.batch_size > new.batch_size
+    assert (begun.rollout, begun.batch_size) == (4 * new.rollout, 4 * new.batch_size)
     with pytest.raises(ValueError, match="tied: the policy of begin_from has weights of its own for each slot"):
         IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
 
