@@ -147,7 +147,7 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
               trained on single benches; ``trained``: a bundled manager as well, with the benches of its training
             * ``plan``: the manager plays the best stored constant plan for these benches, or that in ``plan:FILE``
         laboratories: whose agents they are for.
-        seed: seed of random policies.
+        seed: of what policies draw, where no episode's seed sets it (:meth:`chemlab.envs.players.Players.seed`).
 
     Raises:
         ValueError: unknown name, or nothing that fits.
