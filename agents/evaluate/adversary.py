@@ -57,9 +57,10 @@ def learned_scores(
     from ..train.ppo import PPOTeam
 
     spec = scenario.configured(rewards="cooperative")
-    # Without notes, which are memory. A team that begins from a policy has no help. Rollouts and minibatches are those
-    # of the stored audits.
-    settings = IPPO(notes=False, rollout=128, batch_size=1024, begin_from=None if begin is None else "open loop")
+    # Without notes, which are memory. A team that begins from a policy has no help. Other values are those of the
+    # stored audits.
+    start = None if begin is None else "open loop"
+    settings = IPPO(notes=False, rollout=128, batch_size=1024, narrow=0.0, begin_from=start)
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
     if begin is not None:
         _clone(team, spec, begin, settings.bc_std)

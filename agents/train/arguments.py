@@ -68,7 +68,7 @@ ABOUT: dict[str, str] = {
     "steps": "Steps in all environments together; rounded up to whole rollouts.",
     "seed": "Seed of networks, exploration and environments.",
     "envs": "Environments side by side.",
-    "rollout": "Steps in each environment before each update.",
+    "rollout": "Steps in each environment before each update. ippo, mappo: half of a manager's actions, 32 to 128.",
     "learning_rate": "Learning rate.",
     "gamma": "Discount.",
     "net_arch": "Sizes of hidden layers; repeat the option.",
@@ -113,6 +113,7 @@ ABOUT: dict[str, str] = {
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
     "own_goals": "Share of training over which half of the laboratories, ever fewer, start for goals of orders alone.",
     "shown_readings": "Share of training over which instruments read vessels unasked, ever fewer of them.",
+    "narrow": "Share of training over which hidden parameters vary less, in ever fewer laboratories.",
     "partial": "Share of training over which submissions that fail their specification are paid in part, ever less.",
     "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",
     "self_imitation": "Weight of the manager's own turns that went better than expected.",
@@ -410,7 +411,17 @@ class TD3(Replay):
     action_noise: Weight = 0.1
 
 
-_HELP = ("practice", "refund", "processed", "own_goals", "shown_readings", "partial", "free_readings", "self_imitation")
+_HELP = (
+    "practice",
+    "refund",
+    "processed",
+    "own_goals",
+    "narrow",
+    "shown_readings",
+    "partial",
+    "free_readings",
+    "self_imitation",
+)
 """Options that help to learn from nothing."""
 
 
@@ -418,9 +429,9 @@ class IPPO(Clipped, Arguments, Cloning):
     """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
 
     The options of ``_HELP`` help to learn from nothing, in training alone. A team that begins from policies or clones
-    has none of it unless it is asked for, no entropy bonus, a tenth of the learning rate, and rollouts and minibatches
-    four times as large; from policies, it shares no weights. Small ones make more of every turn from nothing, but cost
-    a policy that training begins from some of its score at first.
+    has none of it unless it is asked for, no entropy bonus, a tenth of the learning rate, long rollouts and minibatches
+    four times as large; from policies, it shares no weights. Small minibatches make more of every turn from nothing,
+    but cost a policy that training begins from some of its score at first.
     """
 
     algo: Literal["ippo"] = "ippo"
@@ -431,7 +442,7 @@ class IPPO(Clipped, Arguments, Cloning):
     begin_from: str | None = None
     steps: Many = 250_000
     envs: Count = 256
-    rollout: Turns = 32
+    rollout: Turns | None = None  # type: ignore[assignment]
     learning_rate: Positive = 1e-3
     net_arch: Layers = (128, 128)
     manager_gamma: Share = 1.0
@@ -446,6 +457,7 @@ class IPPO(Clipped, Arguments, Cloning):
     refund: Share = 0.25
     processed: Share = 0.15
     own_goals: Share = 0.25
+    narrow: Share = 0.2
     shown_readings: Share = 0.35
     partial: Share = 0.3
     free_readings: Share = 0.4

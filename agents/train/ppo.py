@@ -53,6 +53,8 @@ _LEAST_DEVIATION = 0.02
 """Least standard deviation of what is observed, by which it is normalized."""
 _FORBIDDEN = -1e9
 """Logit of an action that the mask forbids."""
+_ROUNDS = 32, 128
+"""Least and most rounds of a rollout, which otherwise are half of the manager's actions in an episode."""
 _PRACTICE = 20
 """Steps in each environment before each update while benches learn on their own."""
 _REMEMBERED = 1 << 16
@@ -588,6 +590,7 @@ class PPOTeam:
         wide: whether the manager observes readings of many numbers, too.
 
     Attributes:
+        rounds: of a rollout.
         turns: by role, how many turns there have been.
         fixed: roles that have learned and do not go on.
         notes: of the manager, if it learns and takes any.
@@ -613,6 +616,9 @@ class PPOTeam:
         self._background: dict[str, Policy] = {}
         self._tracks: dict[str, _Track] = {}
         state = self.batch.state_space.shape[0] if isinstance(settings, MAPPO) else 0
+        # Rollouts much shorter than an episode lose what a long workflow is worth; longer ones only delay updates.
+        half = scenario.limits.manager_actions // 2
+        self.rounds = settings.rollout or min(max(half, _ROUNDS[0]), _ROUNDS[1])
         # Where a bench earns by its own experiments alone, its episode is the experiment.
         self._own_episodes = labs.scenario.rewards.bench_team == 0.0
         for number, agent in enumerate(self.agents):
@@ -639,7 +645,7 @@ class PPOTeam:
                 self.learners[role] = _Learner(columns, whole, network, settings, gamma, groups)
             seen = len(self.learners[role].columns)
             self._tracks[agent] = _Track(
-                settings.rollout, settings.envs, seen, seen + state, () if count else tuple(space.shape or ()), count
+                self.rounds, settings.envs, seen, seen + state, () if count else tuple(space.shape or ()), count
             )
         self.practices = {
             role: _Practice(scenario, role, learner, settings, state)
@@ -647,6 +653,7 @@ class PPOTeam:
             if role != MANAGER_ROLE and settings.practice
         }
         self.fixed: set[str] = set()
+        self._places = (np.arange(settings.envs) + 0.5) / settings.envs
         self._teachers: dict[str, Advisor] = {}
         self._tried = False
         self._restart()
@@ -681,6 +688,8 @@ class PPOTeam:
         # Under a manager that starts them at random, benches would forget what they have learned.
         self.fixed = set(self.practices) if MANAGER_ROLE in self.learners else set()
         roles = [role for role in self.learners if role not in self.fixed]
+        if MANAGER_ROLE in self.learners and s.narrow:
+            self.labs.worlds.spread[:] = np.minimum((1.0 - remaining) / (s.narrow * self._places), 1.0)
         self.collect(remaining)
         learning = roles if s.regime == "together" else [roles[rounds // s.period % len(roles)]]
         return max(self.update(remaining, 1.0 - done, learning), 1)
@@ -696,8 +705,7 @@ class PPOTeam:
 
     def _helps(self, share: float, done: float) -> BoolArray:
         """Return [N] in which laboratories a help goes on that is given for a share of training."""
-        places = np.arange(self.settings.envs) + 0.5
-        return done * self.settings.envs < share * places
+        return done < share * self._places
 
     def _read(self, done: float, over: BoolArray) -> None:
         """Let instruments read vessels on the shelf unasked: each once, with a probability that falls to 0.
@@ -732,7 +740,7 @@ class PPOTeam:
         near = _fading(self.settings.partial, remaining)
         for learner in self.learners.values():
             learner.network.eval()
-        for t in range(1, self.settings.rollout + 1):
+        for t in range(1, self.rounds + 1):
             actions = {
                 agent: action for agent in self.agents if (action := self._chosen(agent, t, remaining)) is not None
             }

@@ -100,12 +100,13 @@ class TiedLinear(nn.Module):
     @property
     def weight(self) -> torch.Tensor:
         """Weights [out, in]."""
-        return self.values[self.index] * self.share
+        # Faster than values[index], above all in the gradient.
+        return self.values.index_select(0, self.index.flatten()).view(self.share.shape) * self.share
 
     @property
     def bias(self) -> torch.Tensor:
         """Biases [out]."""
-        return self.biases[self.rows]
+        return self.biases.index_select(0, self.rows)
 
     def train(self, mode: bool = True) -> TiedLinear:
         """See :meth:`torch.nn.Module.train`; for evaluation, the whole matrix is made once."""

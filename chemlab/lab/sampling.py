@@ -17,6 +17,8 @@ from ..kernels.rng import normal, random_bits, uniform
 from ..kernels.tables import Table
 
 _TRIES = 10_000
+_NARROW_TRIES = 100
+"""After so many tries outside test regions, a narrower range is given up: it may lie in one."""
 
 _LEAST_KEPT = 0.05
 """Minimum probability of the prior outside test regions; training worlds inside them are redrawn."""
@@ -188,7 +190,7 @@ def _permuted(k: int, share: float, values: FloatArray, variables: Variables) ->
 
 
 @kernel
-def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bool) -> None:
+def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bool, spread: FloatArray) -> None:
     """Draw all numbers of the worlds of ``members`` from the worlds' numbers.
 
     Args:
@@ -196,6 +198,7 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
         declared: the declared draws (:class:`Variables`).
         drawn: receives the draws (:class:`WorldDraws`); ``work`` holds the worlds' numbers.
         anywhere: whether worlds may lie in test regions; otherwise they are redrawn until they do not.
+        spread: [N] factor of numbers' distances from the middle of their distribution, in standard deviations.
     """
     variables, state = opened(Variables, declared), opened(WorldDraws, drawn)
     for i in range(members.shape[0]):
@@ -206,6 +209,7 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
         while again and tries < _TRIES:
             again = False
             tries += 1
+            width = spread[n] if tries < _NARROW_TRIES else 1.0
             for g in range(scores.shape[0]):
                 scores[g] = normal(stream)
             for k in range(values.shape[0]):
@@ -217,7 +221,7 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
                     score, g, common = normal(stream), variables.group[k], variables.common[k]
                     if g >= 0:
                         score = common * scores[g] + math.sqrt(1.0 - common * common) * score
-                    values[k] = _number(k, score, 0.0, variables)
+                    values[k] = _number(k, width * score, 0.0, variables)
                 for z in range(variables.first_region[k], variables.first_region[k + 1]):
                     inside = variables.regions[z, 0] <= values[k] <= variables.regions[z, 1]
                     again = again or (inside and not anywhere)

@@ -196,6 +196,26 @@ def test_instruments_read_ever_fewer_vessels_unasked() -> None:
     assert (blind.labs.state.age == -1).all()
 
 
+def test_hidden_parameters_vary_less_at_first_in_ever_fewer_laboratories() -> None:
+    made, spreads = managers("campaign", narrow=0.5), []
+    for done in (0.0, 0.25, 0.5):
+        made.learn(done, 0)
+        spreads.append(made.labs.worlds.spread.tolist())
+    assert spreads[0] == [0.0] * 8
+    assert spreads[1] == pytest.approx([1.0] * 4 + [8.0 / 9.0, 8.0 / 11.0, 8.0 / 13.0, 8.0 / 15.0])
+    assert spreads[2] == [1.0] * 8
+    benches = PPOTeam(load_scenario("campaign"), ["rxn"], IPPO(scenario="campaign", **QUICK), "scripted")
+    benches.learn(0.0, 0)
+    assert (benches.labs.worlds.spread == 1.0).all(), "under a scripted manager, benches learn for worlds as they are"
+
+
+def test_a_rollout_is_as_long_as_half_of_the_manager_s_actions() -> None:
+    names = {"wurtz_dodecane": 32, "runaway": 40, "rush": 100, "campaign": 128}
+    found = {name: PPOTeam(load_scenario(name), ["manager"], IPPO(envs=2), "scripted").rounds for name in names}
+    assert found == names
+    assert team().rounds == QUICK["rollout"]
+
+
 def test_failing_submissions_are_paid_in_part() -> None:
     """Half of the worth, by the share of amount and purity; never in a score."""
     labs = managers("failing").labs
@@ -261,7 +281,9 @@ def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> N
 @pytest.mark.parametrize("scenario", ["failing", "crude", "rush"])
 def test_credit_comes_at_once_and_adds_up_to_the_score(scenario: str) -> None:
     """Without help, the rewards of an episode are its score, less what its vessels were nearly worth at first."""
-    none = dict.fromkeys(("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0)
+    none = dict.fromkeys(
+        ("refund", "processed", "own_goals", "narrow", "shown_readings", "partial", "free_readings"), 0.0
+    )
     made = managers(scenario, **{**none, "rollout": 600, "envs": 2, "self_imitation": 0.0})
     before = made._earned.copy()
     made.collect(1.0)
@@ -459,7 +481,7 @@ def test_a_policy_to_begin_from_has_no_shared_weights_and_learns_in_small_steps(
     begun, new = (IPPO(scenario="rush", roles=("manager",), begin_from=policy) for policy in ("runs/first", None))
     assert begun.tied is False
     assert (begun.learning_rate, begun.ent_coef) < (new.learning_rate, new.ent_coef)
-    assert (begun.rollout, begun.batch_size) == (4 * new.rollout, 4 * new.batch_size)
+    assert (new.rollout, begun.rollout, begun.batch_size) == (None, 128, 4 * new.batch_size)
     with pytest.raises(ValueError, match="tied: the policy of begin_from has weights of its own for each slot"):
         IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
 
