@@ -16,6 +16,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.roles import MANAGER_ROLE
 from chemlab.config.files import replace_between
 from chemlab.config.inherit import scenario_names
@@ -61,9 +62,8 @@ def _cells(audit: dict[str, Any]) -> list[str]:
 
 def table() -> list[str]:
     """Return the committed audits as a Markdown table."""
-    heads = ["scenario", *_NUMBERS.values(), "not met"]
-    rows = [heads, ["---"] + ["--:"] * len(_NUMBERS) + ["---"], *(_cells(audit) for audit in audits())]
-    return [f"| {' | '.join(row)} |" for row in rows]
+    heads = {"scenario": False, **dict.fromkeys(_NUMBERS.values(), True), "not met": False}
+    return markdown_table(heads, map(_cells, audits()))
 
 
 def tasks() -> list[str]:
@@ -72,8 +72,7 @@ def tasks() -> list[str]:
     The best policy is that of the audit. Of what learned from nothing, a manager or a team, the table has the better in
     validation, on the scale of the audit: where it scores above the oracle's mean, it has 1.
     """
-    heads = ["scenario", "benches", "what is hidden", "open-loop", "scripted", "from nothing", "best in audit"]
-    rows = [f"| {' | '.join(heads)} |", "| --- | --- | --- | --: | --: | --: | --- |"]
+    rows, numbers = [], ("open-loop", "scripted", "from nothing")
     runs = json.loads(LEARNED.read_text(encoding="utf-8"))["runs"]
     for audit in audits():
         scenario = load_scenario(audit["scenario"])
@@ -90,16 +89,11 @@ def tasks() -> list[str]:
                 most, value = reached, f"{min((score - zero) / (one - zero), 1.0):.2f}{words}"
         scores = [f"{audit[name]['value']:.2f}" for name in ("open_loop", "reference")]
         best = f"{audit['best']['value']:.2f}, {audit['best']['way']}"
-        cells = [
-            f"`{scenario.name}`",
-            ", ".join(scenario.benches),
-            "; ".join(hidden_words(scenario)),
-            *scores,
-            value,
-            best,
-        ]
-        rows.append(f"| {' | '.join(cells)} |")
-    return rows
+        hidden = "; ".join(hidden_words(scenario))
+        rows.append([f"`{scenario.name}`", ", ".join(scenario.benches), hidden, *scores, value, best])
+    said = ("scenario", "benches", "what is hidden")
+    heads = {**dict.fromkeys(said, False), **dict.fromkeys(numbers, True), "best in audit": False}
+    return markdown_table(heads, rows)
 
 
 def stale() -> list[str]:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.evaluate.benchmark import world_scenarios
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.evaluate.leaderboard import leaderboard_lines
 from chemlab.agents.evaluate.statistics import interval_text, mean
 from chemlab.agents.runs import find_runs
@@ -69,20 +70,14 @@ def _cell(line: dict[str, Any] | None) -> str:
     return interval_text(line, 2) + (f" ({line['runs']})" if line["runs"] > 1 else "")
 
 
-def _markdown(rows: list[list[str]]) -> list[str]:
-    """Return the lines of a table; the first row is the head, the first column text, the others numbers."""
-    head, *body = rows
-    return [f"| {' | '.join(row)} |" for row in [head, ["---"] + ["--:"] * (len(head) - 1), *body]]
-
-
 def table() -> list[str]:
     """Return the committed baselines as a Markdown table, with each learner's best checkpoint in validation."""
     lines = _lines()
-    rows = [["scenario", _ENDS[0], *_NAMES.values(), _ENDS[1]]]
+    rows, numbers = [], (_ENDS[0], *_NAMES.values(), _ENDS[1])
     for scenario in sorted({scenario for scenario, _ in lines}):
         low, high = (f"{lines[scenario, name]['value']:.0f} ({lines[scenario, name]['score']:.3f})" for name in _ENDS)
         rows.append([f"`{scenario}`", low, *(_cell(lines.get((scenario, name))) for name in _NAMES), high])
-    return _markdown(rows)
+    return markdown_table({"scenario": False, **dict.fromkeys(numbers, True)}, rows)
 
 
 def clones() -> list[str]:
@@ -90,7 +85,7 @@ def clones() -> list[str]:
     lines = _lines()
     begun = sorted({scenario for scenario, name in lines if name in _CLONES})
     rows = [[f"`{scenario}`", *(_cell(lines.get((scenario, name))) for name in _CLONES)] for scenario in begun]
-    return _markdown([["scenario", *_CLONES.values()], *rows])
+    return markdown_table({"scenario": False, **dict.fromkeys(_CLONES.values(), True)}, rows)
 
 
 def standings() -> dict[str, list[tuple[str, float, str]]]:
@@ -119,12 +114,13 @@ def matrices() -> list[str]:
     for one in crossplays():
         cells = {(cell["manager"], cell["benches"]): cell for cell in one["cells"]}
         managers, benches = ([player["name"] for player in one[side]] for side in ("managers", "benches"))
-        rows = [[f"`{one['scenario']}`: manager, by benches", *map(_called, benches)]]
+        heads = {f"`{one['scenario']}`: manager, by benches": False, **dict.fromkeys(map(_called, benches), True)}
+        rows = []
         for name in managers:
             marks = ["**" * cells[name, other]["together"] for other in benches]
             texts = [interval_text(cells[name, other], 2) for other in benches]
             rows.append([_called(name), *(mark + text + mark for mark, text in zip(marks, texts, strict=True))])
-        lines += [*([""] if lines else []), *_markdown(rows)]
+        lines += [*([""] if lines else []), *markdown_table(heads, rows)]
     return lines
 
 

@@ -73,14 +73,16 @@ def _first_plot(page: str) -> float:
 
 def times() -> list[str]:
     """Return the table of times to the first plot: with kernels compiled, in a new process, and once more in it."""
-    lines = ["| page | computing (s) | again (s) |", "| --- | --: | --: |"]
+    from chemlab.agents.evaluate.csv_tables import markdown_table
+
+    rows = []
     for name in PAGES[1:]:
         command = [sys.executable, __file__, "--first-plot", name]
         # The first process compiles kernels if they are not in the cache.
         _, said = (subprocess.run(command, check=True, capture_output=True, text=True).stdout for _ in range(2))
         title = (HERE / name).read_text(encoding="utf-8").partition("\n")[0].removeprefix("# ")
-        lines.append(f"| {title} | {' | '.join(said.split())} |")
-    return lines
+        rows.append([title, *said.split()])
+    return markdown_table({"page": False, "computing (s)": True, "again (s)": True}, rows)
 
 
 def main(arguments: list[str]) -> None:

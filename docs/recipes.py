@@ -10,6 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.config.files import replace_between
 
 __all__ = ["PAGE", "RECIPES", "recipes", "table"]
@@ -74,9 +75,8 @@ def _gain(outcomes: dict[str, Any]) -> str:
 
 def table() -> list[str]:
     """Return the recipes' results as a Markdown table."""
-    heads = ["recipe", "where", "scored", *_LAST, "gained over PPO", "steps; seeds x episodes"]
-    rows = [heads, ["---"] * 3 + ["--:"] * (len(heads) - 3), *(_rows(path) for path in recipes())]
-    return [f"| {' | '.join(row)} |" for row in rows]
+    words, numbers = ("recipe", "where", "scored"), (*_LAST, "gained over PPO", "steps; seeds x episodes")
+    return markdown_table({**dict.fromkeys(words, False), **dict.fromkeys(numbers, True)}, map(_rows, recipes()))
 
 
 if __name__ == "__main__":

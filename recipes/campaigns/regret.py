@@ -23,6 +23,7 @@ import numpy as np
 from random_search import drawn
 from scipy import stats
 
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.campaign import Campaign, Choice
 from chemlab.config.files import replace_between
 
@@ -112,8 +113,8 @@ def fixed_table(found: dict[str, Any]) -> list[str]:
         **{f"the 24 recipes that `{name}` chose in another world": found["fixed"][name] for name in _TRAINED},
         f"`{best}`, 24 measured experiments": ends[best],
     }
-    rows = ["| recipes | regret |", "| --- | --: |"]
-    return rows + ["| {} | {:.2f} ({:.2f} to {:.2f}) |".format(name, *interval(x)) for name, x in named.items()]
+    rows = [(name, "{:.2f} ({:.2f} to {:.2f})".format(*interval(x))) for name, x in named.items()]
+    return markdown_table({"recipes": False, "regret": True}, rows)
 
 
 def interval(values: Any) -> tuple[float, float, float]:
@@ -125,18 +126,18 @@ def interval(values: Any) -> tuple[float, float, float]:
 
 def table(found: dict[str, Any]) -> list[str]:
     """Return the results as a Markdown table."""
-    rows = ["| optimizer | worlds | regret after 8 | after 16 | after 24 | better than random search by | raw score |"]
-    rows += ["| --- | --: | --: | --: | --: | --: | --: |"]
+    numbers = ("worlds", "regret after 8", "after 16", "after 24", "better than random search by", "raw score")
+    rows = []
     random = np.array(found["regret"]["random_search"])[:, -1]
     for name, curves in found["regret"].items():
         curve = np.array(curves)
-        cells = [str(len(curve))]
+        cells = [f"`{name}`", str(len(curve))]
         cells += ["{:.2f} ({:.2f} to {:.2f})".format(*interval(curve[:, n - 1])) for n in (8, 16, 24)]
         gain = "{:+.2f} ({:+.2f} to {:+.2f})".format(*interval(random[: len(curve)] - curve[:, -1]))
         cells.append("" if name == "random_search" else gain)
         cells.append("{:.2f} ({:.2f} to {:.2f})".format(*interval(found["score"][name])))
-        rows.append(f"| `{name}` | {' | '.join(cells)} |")
-    return rows
+        rows.append(cells)
+    return markdown_table({"optimizer": False, **dict.fromkeys(numbers, True)}, rows)
 
 
 def figure(found: dict[str, Any], path: Path) -> None:

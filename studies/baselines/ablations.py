@@ -12,6 +12,7 @@ import statistics
 from pathlib import Path
 from typing import Any
 
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.runs import find_runs
 from chemlab.config.files import replace_between, write_text
 
@@ -25,15 +26,15 @@ def table(runs: list[dict[str, Any]]) -> list[str]:
     scenarios, helps = sorted({run["scenario"] for run in runs}), list(dict.fromkeys(run["help"] for run in runs))
     last = ("none", "without-notes", "without-tied")
     helps.sort(key=lambda name: (name in last and 1 + last.index(name), name != "all"))
-    lines = [f"| left out | {' | '.join(f'`{one}`' for one in scenarios)} |", f"| --- |{' --: |' * len(scenarios)}"]
+    rows = []
     for name in helps:
         cells = []
         for scenario in scenarios:
             found = [run["score"] for run in runs if (run["help"], run["scenario"]) == (name, scenario)]
             spread = f" ({min(found):.3f} to {max(found):.3f}, {len(found)})" if len(found) > 1 else " (1)"
             cells.append(f"{statistics.median(found):.3f}{spread}" if found else "")
-        lines.append(f"| {words(name)} | {' | '.join(cells)} |")
-    return lines
+        rows.append([words(name), *cells])
+    return markdown_table({"left out": False, **{f"`{one}`": True for one in scenarios}}, rows)
 
 
 def words(name: str) -> str:

@@ -21,6 +21,7 @@ from typing import Any
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.benchmark import world_scenarios
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of, without_instruments
 from chemlab.agents.evaluate.play import Target, evaluate
 from chemlab.agents.evaluate.search import search_plan
@@ -115,10 +116,7 @@ def curve(run: Run) -> dict[str, Any]:
 
 def table(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table: medians over the seeds of training, and the worst where there are several."""
-    lines = [
-        f"| scenario | learners | {' | '.join(MANAGERS)} | learned | unpaid | last | steps of best, of all | seeds |",
-        f"| --- | --- |{' --: |' * (len(MANAGERS) + 5)}",
-    ]
+    rows, numbers = [], (*MANAGERS, "learned", "unpaid", "last", "steps of best, of all", "seeds")
     keys = sorted({(run["scenario"], len(run["roles"]), run["roles"]) for run in scores["runs"]})
     for scenario, _, roles in keys:
         runs = [run for run in scores["runs"] if (run["scenario"], run["roles"]) == (scenario, roles)]
@@ -128,16 +126,13 @@ def table(scores: dict[str, Any]) -> list[str]:
             worst = f" ({min(values):.3f})" if len(values) > 1 else ""
             cells.append(f"{statistics.median(values):.3f}{worst}" if values else "")
         best, steps = (statistics.median(run[name] for run in runs) for name in ("best_step", "steps"))
-        lines.append(
-            f"| `{scenario}` | {learners(roles)} | {' | '.join(cells)} | {best:,.0f} of {steps:,.0f} | {len(runs)} |"
-        )
-    return lines
+        rows.append([f"`{scenario}`", learners(roles), *cells, f"{best:,.0f} of {steps:,.0f}", str(len(runs))])
+    return markdown_table({"scenario": False, "learners": False, **dict.fromkeys(numbers, True)}, rows)
 
 
 def ladder(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table of what has been learned from nothing by whom; what has not been tried is open."""
-    groups = ("manager", "benches", f"all roles, {STAGES}", "all roles")
-    lines = [f"| scenario | scripted | {' | '.join(groups)} |", f"| --- |{' --: |' * (len(groups) + 1)}"]
+    groups, rows = ("manager", "benches", f"all roles, {STAGES}", "all roles"), []
     for scenario in (*world_scenarios(), "wurtz_dodecane"):
         cells = [f"{scores['untrained'][scenario]['scripted']:.3f}" if scenario in scores["untrained"] else ""]
         for who in groups:
@@ -145,29 +140,29 @@ def ladder(scores: dict[str, Any]) -> list[str]:
                 run["best"] for run in scores["runs"] if run["scenario"] == scenario and learners(run["roles"]) == who
             ]
             cells.append(f"{statistics.median(best):.3f}" if best else "open")
-        lines.append(f"| `{scenario}` | {' | '.join(cells)} |")
-    return lines
+        rows.append([f"`{scenario}`", *cells])
+    return markdown_table({"scenario": False, **dict.fromkeys(("scripted", *groups), True)}, rows)
 
 
 def compared(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table of gains over the scripted agents."""
-    lines = ["| scenario | learners | seed | `validation` | `test` |", "| --- | --- | --: | --: | --: |"]
+    rows, numbers = [], ("seed", "`validation`", "`test`")
     runs = [run for run in scores["runs"] if "gains" in run]
     for run in sorted(runs, key=lambda run: (run["scenario"], len(run["roles"]), run["seed"])):
         cells = [interval_text(run["gains"][split], sign="+") for split in ("validation", "test")]
-        lines.append(f"| `{run['scenario']}` | {learners(run['roles'])} | {run['seed']} | {' | '.join(cells)} |")
-    return lines
+        rows.append([f"`{run['scenario']}`", learners(run["roles"]), str(run["seed"]), *cells])
+    return markdown_table({"scenario": False, "learners": False, **dict.fromkeys(numbers, True)}, rows)
 
 
 def benches(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table of benches in experiments of their own."""
-    lines = ["| scenario | bench | seed | scripted | learned | gain |", "| --- | --- | --: | --: | --: | --: |"]
+    rows = []
     for run in sorted(scores["runs"], key=lambda run: (run["scenario"], run["seed"])):
         for bench, one in run.get("alone", {}).items():
             cells = [str(run["seed"]), *(f"{one[who]:.3f}" for who in ("scripted", "learned"))]
-            gain = interval_text(one["gain"], sign="+")
-            lines.append(f"| `{run['scenario']}` | {bench} | {' | '.join(cells)} | {gain} |")
-    return lines
+            rows.append([f"`{run['scenario']}`", bench, *cells, interval_text(one["gain"], sign="+")])
+    numbers = ("seed", "scripted", "learned", "gain")
+    return markdown_table({"scenario": False, "bench": False, **dict.fromkeys(numbers, True)}, rows)
 
 
 def learners(roles: str) -> str:

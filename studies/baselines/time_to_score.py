@@ -28,6 +28,7 @@ import torch
 from stable_baselines3.common.logger import Logger
 
 from chemlab.agents.episodes import play_laboratory
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
 from chemlab.agents.train.arguments import IPPO, training_arguments
@@ -197,8 +198,7 @@ def measure(learner: str, settings: dict[str, Any], scenario: str, seed: int, ca
 
 def table(runs: list[dict[str, Any]]) -> list[str]:
     """Return the lines of the table: medians over seeds, of which those count as longest that have not reached it."""
-    lines = ["| scenario, raw score | learner | seconds | of seeds | steps | best until then | reached |"]
-    lines.append("| --- | --- | --: | --: | --: | --: | --: |")
+    rows, numbers = [], ("seconds", "of seeds", "steps", "best until then", "reached")
     for scenario, learner in itertools.product(STEPS, LEARNERS):
         own = [run for run in runs if (run["scenario"], run["learner"]) == (scenario, learner)]
         if not own:
@@ -213,8 +213,8 @@ def table(runs: list[dict[str, Any]]) -> list[str]:
         cells = [f"`{scenario}`, {own[0]['target']:.3f}", learner, middle]
         cells += [f"{least} to {most}" if len(own) > 1 else "", f"{statistics.median(steps):,.0f}" if steps else ""]
         cells += [f"{statistics.median(run['best'] for run in own):.3f}", f"{len(steps)} of {len(own)}"]
-        lines.append(f"| {' | '.join(cells)} |")
-    return lines
+        rows.append(cells)
+    return markdown_table({"scenario, raw score": False, "learner": False, **dict.fromkeys(numbers, True)}, rows)
 
 
 def main() -> None:

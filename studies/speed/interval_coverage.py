@@ -16,6 +16,7 @@ import numpy as np
 from scipy import integrate, optimize, stats
 
 from chemlab.agents.evaluate import statistics
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.evaluate.scale import Scale, interval
 from chemlab.config.files import replace_between
 from chemlab.kernels.arrays import FloatArray
@@ -101,12 +102,11 @@ def coverage(tries: int) -> list[str]:
                     low, high = ends(rng)
                     hits += low is not None and high is not None and low <= true <= high
                 found.setdefault((name, k), {})[n] = hits / tries
-    head = ["statistic", "strata", *(f"n = {n}" for n in SIZES)]
     rows = [
         [name, str(k), *(f"{hits[n]:.3f}" for n in SIZES)]
         for (name, k), hits in sorted(found.items(), key=lambda i: i[0])
     ]
-    return [f"| {' | '.join(row)} |" for row in (head, ["---"] + ["--:"] * (len(head) - 1), *rows)]
+    return markdown_table({"statistic": False, "strata": True, **{f"n = {n}": True for n in SIZES}}, rows)
 
 
 if __name__ == "__main__":
