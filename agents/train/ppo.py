@@ -28,7 +28,7 @@ from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import goals_practised
 from chemlab.physics.chemistry import PRESENT
-from chemlab.roles.bench import Channel, channel_slices
+from chemlab.roles.bench import Bench, Channel, channel_slices
 from chemlab.roles.manager_actions import DISCARD, FIRST, MEASURE, SECOND, START, SUBMIT
 from chemlab.roles.manager_state import INSTRUMENTS
 
@@ -53,6 +53,8 @@ _LEAST_DEVIATION = 0.02
 """Least standard deviation of what is observed, by which it is normalized."""
 _FORBIDDEN = -1e9
 """Logit of an action that the mask forbids."""
+_BEYOND = 0.25
+"""How far beyond a bound a continuous action begins whose number changes nothing at that bound."""
 _ROUNDS = 32, 128
 """Least and most rounds of a rollout, which otherwise are half of the manager's actions in an episode."""
 _PRACTICE = 20
@@ -75,7 +77,15 @@ Arrays = npt.NDArray[Any]
 
 
 class _Network(nn.Module):
-    """Actor and critic of one role."""
+    """Actor and critic of one role.
+
+    Args:
+        observed, state, actions: how many numbers the actor observes, the critic besides, and the actor returns.
+        rest: the continuous action that changes nothing; None: actions are discrete.
+        hidden: sizes of the hidden layers.
+        tied: laboratories whose slots, and orders, share weights; None: weights are not shared.
+        units: what the actor observes, if weights are shared.
+    """
 
     mean: torch.Tensor
     scale: torch.Tensor
@@ -85,13 +95,13 @@ class _Network(nn.Module):
         observed: int,
         state: int,
         actions: int,
-        discrete: bool,
+        rest: Arrays | None,
         hidden: Sequence[int],
         tied: Laboratories | None = None,
         units: Sequence[Unit] = (),
     ) -> None:
         super().__init__()
-        self.discrete = discrete
+        self.discrete = rest is None
         # Values begin at 0: with others and no discount, it can seem better never to end an episode.
         if tied is None:
             self.actor = _layers(observed, hidden, actions, 0.01)
@@ -103,9 +113,12 @@ class _Network(nn.Module):
         # What is observed is normalized: a reading of a hundredth can matter as much as one of a half.
         self.register_buffer("mean", torch.zeros(observed + state))
         self.register_buffer("scale", torch.ones(observed + state))
-        if not discrete:
+        if rest is not None:
             self.log_std = nn.Parameter(torch.full((actions,), -1.0))
-            nn.init.constant_(self.actor[-1].bias, 0.5)  # type: ignore[arg-type]
+            # At first nothing is changed. Where reagents do not matter to the bench, a little of them would be poured.
+            first = rest + _BEYOND * (1.0 * (rest >= 1.0) - (rest <= 0.0))
+            with torch.no_grad():
+                self.actor[-1].bias.copy_(torch.from_numpy(first))  # type: ignore[operator]
 
     def logits(self, observed: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
         """Logits [B, actions] of discrete actions, or means [B, n] of continuous ones."""
@@ -638,7 +651,9 @@ class PPOTeam:
                     columns = np.concatenate([columns, whole + np.arange(self.notes.size)])
                     whole += self.notes.size
                     units += notes_units(labs) if tied else []
-                network = _Network(len(columns), state, size, bool(count), settings.net_arch, tied, units)
+                bench = labs.roles[number].workplace
+                rest = bench.representative_actions()[-1][1] if isinstance(bench, Bench) and not count else None
+                network = _Network(len(columns), state, size, rest, settings.net_arch, tied, units)
                 gamma = settings.manager_gamma if role == MANAGER_ROLE else settings.gamma
                 kinds = [unit[0] for unit in units] if tied else range(len(columns))
                 groups = numbered([*kinds, *(("state", k) for k in range(state))])

@@ -209,6 +209,16 @@ def test_hidden_parameters_vary_less_at_first_in_ever_fewer_laboratories() -> No
     assert (benches.labs.worlds.spread == 1.0).all(), "under a scripted manager, benches learn for worlds as they are"
 
 
+def test_a_bench_begins_with_the_action_that_changes_nothing() -> None:
+    """Reagents that do not matter to its own score are not poured later either, since their numbers begin below 0."""
+    learner = PPOTeam(load_scenario("failing"), ["east"], IPPO(scenario="failing", **QUICK), "scripted").learners[
+        "east"
+    ]
+    action, _ = learner.act(np.random.default_rng(0).random((20, len(learner.columns)), dtype=np.float32), None, True)
+    assert action[:, :2] == pytest.approx(np.full((20, 2), 0.5), abs=0.1)
+    assert (action[:, 2:] < -0.1).all()
+
+
 def test_a_rollout_is_as_long_as_half_of_the_manager_s_actions() -> None:
     names = {"wurtz_dodecane": 32, "runaway": 40, "rush": 100, "campaign": 128}
     found = {name: PPOTeam(load_scenario(name), ["manager"], IPPO(envs=2), "scripted").rounds for name in names}
