@@ -54,7 +54,7 @@ _LEAST_DEVIATION = 0.02
 _FORBIDDEN = -1e9
 """Logit of an action that the mask forbids."""
 _BEYOND = 0.25
-"""How far beyond a bound a continuous action begins whose number changes nothing at that bound."""
+"""Distance beyond a bound at which a number of a continuous action begins if it changes nothing at that bound."""
 _ROUNDS = 32, 128
 """Least and most rounds of a rollout, which otherwise are half of the manager's actions in an episode."""
 _PRACTICE = 20
