@@ -10,7 +10,18 @@ from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from ..config.draws import CHOICE, LOGNORMAL, NORMAL, PERMUTATION, UNIFORM, Draw, WorldSpec, numbers_of, options_of
+from ..config.draws import (
+    CHOICE,
+    LOGNORMAL,
+    NORMAL,
+    ORDER_QUANTITIES,
+    PERMUTATION,
+    UNIFORM,
+    Draw,
+    WorldSpec,
+    numbers_of,
+    options_of,
+)
 from ..kernels.arrays import Field, FloatArray, Handle, IntArray, StreamArray
 from ..kernels.jit import inner, kernel, opened
 from ..kernels.rng import normal, random_bits, uniform
@@ -40,6 +51,8 @@ class Variables(NamedTuple):
     """[K] weight of the group's score in the number's own; the rest has the weight sqrt(1 - weight^2)"""
     block: Annotated[IntArray, Field("K")]
     """[K] for a permutation, index of its first number"""
+    of_order: Annotated[IntArray, Field("K")]
+    """[K] whether it is of an order, which always comes as declared"""
     first_option: Annotated[IntArray, Field("K+1")]
     options: Annotated[FloatArray, Field("Q")]
     """[Q] numbers, or indices of materials"""
@@ -92,7 +105,7 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
             groups.append(draw.group)
         row = (*numbers_of(draw), -1 if draw.group is None else groups.index(draw.group), math.sqrt(draw.correlation))
         block = len(rows)
-        rows += [(*row, block)] * draw.variables
+        rows += [(*row, block, draw.what in ORDER_QUANTITIES)] * draw.variables
         options += [own] * draw.variables
         reached += [np.cumsum(weights) / weights.sum() if own else np.zeros(0)] * draw.variables
         regions += [reserved] * draw.variables
@@ -101,7 +114,7 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
             raise ValueError(
                 f"world.draws.{name}.test: leaves {kept:.2g} of all worlds to training; at least {_LEAST_KEPT:g}"
             )
-    columns = np.array(rows, dtype=np.float64).reshape(len(rows), 8).T
+    columns = np.array(rows, dtype=np.float64).reshape(len(rows), 9).T
     return Table(
         Variables(
             kind=columns[0].astype(np.int64),
@@ -112,6 +125,7 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
             group=columns[5].astype(np.int64),
             common=columns[6].copy(),
             block=columns[7].astype(np.int64),
+            of_order=columns[8].astype(np.int64),
             first_option=np.cumsum([0, *map(len, options)]),
             options=np.concatenate([np.zeros(0), *map(np.array, options)]),
             reached=np.concatenate([np.zeros(0), *reached]),
@@ -198,7 +212,7 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
         declared: the declared draws (:class:`Variables`).
         drawn: receives the draws (:class:`WorldDraws`); ``work`` holds the worlds' numbers.
         anywhere: whether worlds may lie in test regions; otherwise they are redrawn until they do not.
-        spread: [N] factor of numbers' distances from the middle of their distribution, in standard deviations.
+        spread: [N] factor of the distances, in standard deviations, of numbers but those of orders from their middle.
     """
     variables, state = opened(Variables, declared), opened(WorldDraws, drawn)
     for i in range(members.shape[0]):
@@ -221,7 +235,7 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
                     score, g, common = normal(stream), variables.group[k], variables.common[k]
                     if g >= 0:
                         score = common * scores[g] + math.sqrt(1.0 - common * common) * score
-                    values[k] = _number(k, width * score, 0.0, variables)
+                    values[k] = _number(k, score if variables.of_order[k] else width * score, 0.0, variables)
                 for z in range(variables.first_region[k], variables.first_region[k + 1]):
                     inside = variables.regions[z, 0] <= values[k] <= variables.regions[z, 1]
                     again = again or (inside and not anywhere)

@@ -160,6 +160,12 @@ def test_a_narrower_range_is_around_the_middle_and_outside_test_regions() -> Non
     reserved.worlds.spread[:] = 0.0
     reserved.begin()
     assert not any(1.9 <= reserved.worlds.values(member)["rate"] <= 2.1 for member in range(300))
+    orders = Laboratories(load_scenario("rush"), 2)
+    orders.worlds.spread[:] = 0.0
+    orders.begin()
+    drawn = orders.worlds.values(0)
+    assert list(drawn["titre"].values()) == pytest.approx([0.55] * 9)
+    assert len(set(drawn["arrives"].values())) == 8, "orders come as the scenario says"
 
 
 # -- what a world does ------------------------------------------------------------------------------------------------
