@@ -53,6 +53,7 @@ EVERY = {"wurtz_dodecane": 2.0, "rush": 10.0}
 _COMMON = {"envs": 256, "rollout": 16, "batch_size": 256, "ent_coef": 0.01}
 LEARNERS: dict[str, dict[str, Any]] = {
     "ippo": {"algo": "ippo"},
+    "ippo --narrow 0": {"algo": "ippo", "narrow": 0.0},
     "maskable-ppo": _COMMON | {"algo": "maskable-ppo", "gamma": 1.0},
     "BenchMARL IPPO": _COMMON
     | {"algorithm": "Ippo", "gamma": 0.999, "gae_lambda": 0.95, "learning_rate": 3e-4, "epochs": 10},
