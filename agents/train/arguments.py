@@ -68,7 +68,7 @@ ABOUT: dict[str, str] = {
     "steps": "Steps in all environments together; rounded up to whole rollouts.",
     "seed": "Seed of networks, exploration and environments.",
     "envs": "Environments side by side.",
-    "rollout": "Steps in each environment before each update (ippo, mappo: half of a manager's actions, 32 to 128).",
+    "rollout": "Steps in each environment before each update (ippo, mappo: half a manager's action limit, 32 to 128).",
     "learning_rate": "Learning rate.",
     "gamma": "Discount.",
     "net_arch": "Sizes of hidden layers; repeat the option.",

@@ -56,7 +56,7 @@ _FORBIDDEN = -1e9
 _BEYOND = 0.25
 """Distance beyond a bound at which a number of a continuous action begins if it changes nothing at that bound."""
 _ROUNDS = 32, 128
-"""Least and most rounds of a rollout, which otherwise are half of the manager's actions in an episode."""
+"""Least and most rounds of a rollout, which otherwise are half of the manager's action limit."""
 _PRACTICE = 20
 """Steps in each environment before each update while benches learn on their own."""
 _REMEMBERED = 1 << 16
@@ -115,7 +115,8 @@ class _Network(nn.Module):
         self.register_buffer("scale", torch.ones(observed + state))
         if rest is not None:
             self.log_std = nn.Parameter(torch.full((actions,), -1.0))
-            # At first nothing is changed. Where reagents do not matter to the bench, a little of them would be poured.
+            # A bench begins by changing nothing. From the bound itself, it would come to pour a little of the reagents
+            # that do not matter to its own score.
             first = rest + _BEYOND * (1.0 * (rest >= 1.0) - (rest <= 0.0))
             with torch.no_grad():
                 self.actor[-1].bias.copy_(torch.from_numpy(first))  # type: ignore[operator]
@@ -630,8 +631,8 @@ class PPOTeam:
         self._tracks: dict[str, _Track] = {}
         state = self.batch.state_space.shape[0] if isinstance(settings, MAPPO) else 0
         # Rollouts much shorter than an episode lose what a long workflow is worth; longer ones only delay updates.
-        half = scenario.limits.manager_actions // 2
-        self.rounds = settings.rollout or min(max(half, _ROUNDS[0]), _ROUNDS[1])
+        fitting = min(max(scenario.limits.manager_actions // 2, _ROUNDS[0]), _ROUNDS[1])
+        self.rounds = settings.rollout or fitting
         # Where a bench earns by its own experiments alone, its episode is the experiment.
         self._own_episodes = labs.scenario.rewards.bench_team == 0.0
         for number, agent in enumerate(self.agents):

@@ -52,7 +52,7 @@ class Variables(NamedTuple):
     block: Annotated[IntArray, Field("K")]
     """[K] for a permutation, index of its first number"""
     of_order: Annotated[IntArray, Field("K")]
-    """[K] whether it is of an order, which always comes as declared"""
+    """[K] whether it is a term of an order: those are not drawn from a narrower range"""
     first_option: Annotated[IntArray, Field("K+1")]
     options: Annotated[FloatArray, Field("Q")]
     """[Q] numbers, or indices of materials"""
@@ -212,7 +212,8 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
         declared: the declared draws (:class:`Variables`).
         drawn: receives the draws (:class:`WorldDraws`); ``work`` holds the worlds' numbers.
         anywhere: whether worlds may lie in test regions; otherwise they are redrawn until they do not.
-        spread: [N] factor of the distances, in standard deviations, of numbers but those of orders from their middle.
+        spread: [N] factor of the standard deviations by which a number differs from the middle; orders are left as they
+            are.
     """
     variables, state = opened(Variables, declared), opened(WorldDraws, drawn)
     for i in range(members.shape[0]):

@@ -211,9 +211,8 @@ def test_hidden_parameters_vary_less_at_first_in_ever_fewer_laboratories() -> No
 
 def test_a_bench_begins_with_the_action_that_changes_nothing() -> None:
     """Reagents that do not matter to its own score are not poured later either, since their numbers begin below 0."""
-    learner = PPOTeam(load_scenario("failing"), ["east"], IPPO(scenario="failing", **QUICK), "scripted").learners[
-        "east"
-    ]
+    benches = PPOTeam(load_scenario("failing"), ["east"], IPPO(scenario="failing", **QUICK), "scripted")
+    learner = benches.learners["east"]
     action, _ = learner.act(np.random.default_rng(0).random((20, len(learner.columns)), dtype=np.float32), None, True)
     assert action[:, :2] == pytest.approx(np.full((20, 2), 0.5), abs=0.1)
     assert (action[:, 2:] < -0.1).all()
