@@ -727,7 +727,11 @@ def _interface() -> dict[str, str]:
     for name in modules:
         found[name] = "\n".join(
             [
+                # In the sidebar of every page, hundreds of modules would double the time of a build.
+                "---\norphan: true\n---",
                 f"# {name}",
+                "",
+                "[All modules](index.md)",
                 "",
                 f"```{{py:currentmodule}} {name}",
                 "```",
@@ -759,8 +763,7 @@ def _interface() -> dict[str, str]:
     ]
     for title, members in packages.items():
         rows = [(f"[`{name}`]({name}.md)", _first_sentence(name)) for name in members]
-        lines += [f"## {title}", "", _table(("module", "description"), rows)]
-        lines += ["```{toctree}", ":hidden:", "", *members, "```", ""]
+        lines += [f"## {title}", "", _table(("module", "description"), rows), ""]
     found["index"] = "\n".join(lines)
     return found
 

@@ -23,7 +23,7 @@ from chemlab.agents.saved import find_saved
 from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
-from chemlab.agents.train.ppo import PPOTeam, _Track
+from chemlab.agents.train.ppo import PPOTeam, _drawn, _Track
 from chemlab.agents.train.tied import TiedLinear, Unit, action_units, notes_units, observed_units
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -84,6 +84,17 @@ def test_a_turn_without_its_next_waits_for_it() -> None:
     assert found["advantage"] == pytest.approx([0.1 + 0.2 + 0.4 + 0.8 - 0.3], rel=1e-5)
     assert found["observed"] == pytest.approx(np.array([[7.0]]))
     assert len(track.finished(nothing, no_turn, 1.0, 0.95)["advantage"]) == 0  # type: ignore[arg-type]
+
+
+def test_actions_are_drawn_by_their_probabilities() -> None:
+    """Those of probability 0 are not, also not where all before or after them are impossible."""
+    torch.manual_seed(3)
+    rows = torch.tensor([[0.0, 0.3, 0.0, 0.7, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]]).repeat(5000, 1)
+    drawn = _drawn(rows)
+    assert drawn.shape == (10_000, 1)
+    assert drawn[1::2].unique().tolist() == [4]
+    assert drawn[::2].unique().tolist() == [1, 3]
+    assert float((drawn[::2] == 3).float().mean()) == pytest.approx(0.7, abs=0.03)
 
 
 def team(**given: Any) -> PPOTeam:
@@ -204,6 +215,9 @@ def test_hidden_parameters_vary_less_at_first_in_ever_fewer_laboratories() -> No
     assert spreads[0] == [0.0] * 8
     assert spreads[1] == pytest.approx([1.0] * 4 + [8.0 / 9.0, 8.0 / 11.0, 8.0 / 13.0, 8.0 / 15.0])
     assert spreads[2] == [1.0] * 8
+    made = managers("campaign", narrow=0.5, steps=6_000_000)
+    made.learn(0.125, 0)
+    assert made.labs.worlds.spread.tolist() == [1.0] * 8, "as after half of 1.5 million steps"
     benches = PPOTeam(load_scenario("campaign"), ["rxn"], IPPO(scenario="campaign", **QUICK), "scripted")
     benches.learn(0.0, 0)
     assert (benches.labs.worlds.spread == 1.0).all(), "under a scripted manager, benches learn for worlds as they are"
