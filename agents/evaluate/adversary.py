@@ -60,7 +60,7 @@ def learned_scores(
     # Without notes, which are memory. A team that begins from a policy has no help. Other values are those of the
     # stored audits.
     start = None if begin is None else "open loop"
-    settings = IPPO(notes=False, rollout=128, batch_size=1024, narrow=0.0, begin_from=start)
+    settings = IPPO(notes=False, rollout=128, batch_size=1024, begin_from=start)
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
     if begin is not None:
         _clone(team, spec, begin, settings.bc_std)

@@ -457,7 +457,7 @@ class IPPO(Clipped, Arguments, Cloning):
     refund: Share = 0.25
     processed: Share = 0.15
     own_goals: Share = 0.25
-    narrow: Share = 0.2
+    narrow: Share = 0.0
     shown_readings: Share = 0.35
     partial: Share = 0.3
     free_readings: Share = 0.4

@@ -57,8 +57,6 @@ _BEYOND = 0.25
 """Distance beyond a bound at which a number of a continuous action begins if it changes nothing at that bound."""
 _ROUNDS = 32, 128
 """Least and most rounds of a rollout, which otherwise are half of the manager's action limit."""
-_HELPED = 1_500_000
-"""Most steps that help is a share of: longer runs give no more of it."""
 _PRACTICE = 20
 """Steps in each environment before each update while benches learn on their own."""
 _REMEMBERED = 1 << 16
@@ -707,16 +705,14 @@ class PPOTeam:
         s = self.settings
         if self.practices and done < s.practice:
             return self._practise(1.0 - done)
-        # What fades in the laboratory fades from its own beginning.
-        share = 1.0 - (s.practice if self.practices else 0.0)
-        remaining = (1.0 - done) / share
-        helped = min((1.0 - remaining) * max(share * s.steps / _HELPED, 1.0), 1.0)
+        # The help in the laboratory fades from its own beginning.
+        remaining = (1.0 - done) / (1.0 - (s.practice if self.practices else 0.0))
         # Under a manager that starts them at random, benches would forget what they have learned.
         self.fixed = set(self.practices) if MANAGER_ROLE in self.learners else set()
         roles = [role for role in self.learners if role not in self.fixed]
         if MANAGER_ROLE in self.learners and s.narrow:
-            self.labs.worlds.spread[:] = np.minimum(helped / (s.narrow * self._places), 1.0)
-        self.collect(1.0 - helped)
+            self.labs.worlds.spread[:] = np.minimum((1.0 - remaining) / (s.narrow * self._places), 1.0)
+        self.collect(remaining)
         learning = roles if s.regime == "together" else [roles[rounds // s.period % len(roles)]]
         return max(self.update(remaining, 1.0 - done, learning), 1)
 
@@ -760,7 +756,7 @@ class PPOTeam:
             labs.observe(labs.manager.index, rows, self._observed[MANAGER_AGENT], rows)
 
     def collect(self, remaining: float) -> None:
-        """Play a rollout, with the help that is due where a share ``remaining`` of its steps is left."""
+        """Play a rollout, with the help that is due where a share ``remaining`` of training is left."""
         done, refund = 1.0 - remaining, _fading(self.settings.refund, remaining)
         free = _fading(self.settings.free_readings, remaining) if self._hides else 0.0
         near = _fading(self.settings.partial, remaining)
