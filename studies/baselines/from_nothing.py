@@ -59,11 +59,12 @@ def means(spec: Scenario, policy: str) -> list[float]:
 
 
 def gains(spec: Scenario, policy: str) -> dict[str, Any]:
-    """Return how much higher a policy scores than the scripted agents in the same episodes, by split."""
-    found = {
-        split: evaluate(Target(spec, split=split), [policy], PAIRED, RESULT_SEED) for split in ("validation", "test")
-    }
-    return {split: results["policies"][-1]["difference"] for split, results in found.items()}
+    """Return, by split, what the scripted agents score, and how much higher a policy scores in the same episodes."""
+    found = {}
+    for split in ("validation", "test"):
+        scripted, own = evaluate(Target(spec, split=split), [policy], PAIRED, RESULT_SEED)["policies"]
+        found[split] = {"scripted": scripted["mean"]["value"], **own["difference"]}
+    return found
 
 
 def alone(spec: Scenario, bench: str, policy: str) -> dict[str, Any]:
@@ -146,11 +147,12 @@ def ladder(scores: dict[str, Any]) -> list[str]:
 
 def compared(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table of gains over the scripted agents."""
-    rows, numbers = [], ("seed", "`validation`", "`test`")
+    rows, numbers = [], ("seed", "scripted", "gain in `validation`", "in `test`")
     runs = [run for run in scores["runs"] if "gains" in run]
     for run in sorted(runs, key=lambda run: (run["scenario"], len(run["roles"]), run["seed"])):
         cells = [interval_text(run["gains"][split], sign="+") for split in ("validation", "test")]
-        rows.append([f"`{run['scenario']}`", learners(run["roles"]), str(run["seed"]), *cells])
+        cells = [str(run["seed"]), f"{run['gains']['validation']['scripted']:.3f}", *cells]
+        rows.append([f"`{run['scenario']}`", learners(run["roles"]), *cells])
     return markdown_table({"scenario": False, "learners": False, **dict.fromkeys(numbers, True)}, rows)
 
 
