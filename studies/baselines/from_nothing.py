@@ -150,8 +150,9 @@ def compared(scores: dict[str, Any]) -> list[str]:
     rows, numbers = [], ("seed", "scripted", "gain in `validation`", "in `test`")
     runs = [run for run in scores["runs"] if "gains" in run]
     for run in sorted(runs, key=lambda run: (run["scenario"], len(run["roles"]), run["seed"])):
-        cells = [interval_text(run["gains"][split], sign="+") for split in ("validation", "test")]
-        cells = [str(run["seed"]), f"{run['gains']['validation']['scripted']:.3f}", *cells]
+        found = run["gains"]
+        cells = [str(run["seed"]), f"{found['validation']['scripted']:.3f}"]
+        cells += [interval_text(found[split], sign="+") for split in ("validation", "test")]
         rows.append([f"`{run['scenario']}`", learners(run["roles"]), *cells])
     return markdown_table({"scenario": False, "learners": False, **dict.fromkeys(numbers, True)}, rows)
 

@@ -87,7 +87,7 @@ def test_a_turn_without_its_next_waits_for_it() -> None:
 
 
 def test_actions_are_drawn_by_their_probabilities() -> None:
-    """Those of probability 0 are not, also not where all before or after them are impossible."""
+    """Actions of probability 0 never are, at either end of a row, too."""
     torch.manual_seed(3)
     rows = torch.tensor([[0.0, 0.3, 0.0, 0.7, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]]).repeat(5000, 1)
     drawn = _drawn(rows)
