@@ -4,7 +4,7 @@
 ``sandbox.md``.
 
 A ``text`` block right after a ``python`` block is the output of that block. Figures that it saves are copied to
-``images``. Tests run the same code and compare (tests/test_sandbox.py, tests/test_catalogue.py).
+``images``. A test runs the same code and compares (tests/test_docs.py).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __all__ = ["PAGES", "printed"]
 HERE = Path(__file__).resolve().parent
 PAGES = ("sandbox.md", *(f"chemist/{path.name}" for path in sorted((HERE / "chemist").glob("*.md"))))
 """Pages of this folder with such blocks."""
-_BLOCKS = re.compile(r"(?P<code>```python\n(?P<source>(?:(?!```).)*)```\n\n```text\n)(?:(?!```).)*```", re.S)
+_BLOCKS = re.compile(r"(```python\n(?P<source>(?:(?!```).)*)```\n)(?P<text>\n```text\n(?:(?!```).)*```)?", re.S)
 _FILES = re.compile(r"```\w+\n# file: (?P<name>\S+)\n(?:(?!```).)*```", re.S)
 
 
@@ -35,6 +35,11 @@ def _run(source: str) -> str:
     with contextlib.redirect_stdout(said):
         exec(compile(source, "<page>", "exec"), {"__name__": "__main__"})
     return said.getvalue()
+
+
+def _with_output(block: re.Match[str]) -> str:
+    said = _run(block["source"])
+    return f"{block[1]}\n```text\n{said}```" if block["text"] else block[1]
 
 
 @contextlib.contextmanager
@@ -54,7 +59,7 @@ def _folder(page: str) -> Iterator[Path]:
 def printed(page: str, images: Path | None = None) -> str:
     """Return the text of a page with the current output of its code; copy the figures that it saves to ``images``."""
     with _folder(page) as folder:
-        text = _BLOCKS.sub(lambda found: f"{found['code']}{_run(found['source'])}```", page)
+        text = _BLOCKS.sub(_with_output, page)
         for picture in folder.glob("*.png") if images else ():
             shutil.copy(picture, images or "")
     return text

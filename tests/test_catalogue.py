@@ -267,14 +267,3 @@ def test_other_compounds_are_looked_up_once(tmp_path: Path) -> None:
     assert (tmp_path / "kept" / "pairs.csv").read_text(encoding="utf-8").splitlines() == rows
     with pytest.raises(ValueError, match="a mixture of hydrocarbons"):
         Flask.material("petroleum ether")
-
-
-# -- the pages --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "chemist").glob("*.md")), ids=lambda page: page.stem)
-def test_the_pages_show_what_their_code_prints(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    pytest.importorskip("matplotlib").use("Agg")
-    text = page.read_text(encoding="utf-8")
-    assert script("docs/printed.py").printed(text) == text
-    assert (ROOT / "docs" / "images" / f"{page.stem}.png").stat().st_size < 120_000

@@ -148,7 +148,8 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 LONG = DOCS / "how-to" / "physics-tier.md"  # compiles a tier of its own
-PLAYED = slow_but(PAGES, *(page for page in PAGES if page != LONG))
+EXACT = [page for page in PAGES if page.name == "sandbox.md" or page.parent.name == "chemist"]
+PLAYED = slow_but([page for page in PAGES if page not in EXACT], *(page for page in PAGES if page != LONG))
 
 
 @pytest.mark.parametrize("page", PLAYED, ids=lambda page: str(page.relative_to(DOCS).with_suffix("")))
@@ -174,6 +175,17 @@ def test_code_runs(page: Path, folder: Path) -> None:
             not_made += makes(block)
     if left_out:
         pytest.skip(f"everything else runs; {'; '.join(left_out)}")
+
+
+@pytest.mark.parametrize("page", EXACT, ids=lambda page: page.stem)
+def test_pages_show_exactly_what_their_code_prints(page: Path) -> None:
+    pytest.importorskip("matplotlib").use("Agg")
+    made = script("docs/printed.py")
+    assert [DOCS / name for name in made.PAGES] == sorted(EXACT, key=lambda one: one.name != "sandbox.md")
+    text = page.read_text(encoding="utf-8")
+    assert made.printed(text) == text, f"run: python docs/printed.py {page.relative_to(DOCS)}"
+    if page.name != "sandbox.md":
+        assert (DOCS / "images" / f"{page.stem}.png").stat().st_size < 120_000
 
 
 def not_said(shown: str, said: str) -> str:

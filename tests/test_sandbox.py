@@ -6,7 +6,6 @@ import doctest
 import itertools
 import math
 import re
-import sys
 import warnings
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -718,19 +717,6 @@ def test_docstrings() -> None:
     found = doctest.testmod(chemlab.sandbox)
     assert found.attempted >= 4
     assert found.failed == 0
-
-
-@pytest.mark.skipif(not (ROOT / "docs").is_dir(), reason="not a checkout")
-def test_the_page_says_what_its_code_prints(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of docs/printed.py, which writes it there."""
-    monkeypatch.syspath_prepend(str(ROOT / "docs"))
-    from printed import printed
-
-    for name in ("sandbox.md",):
-        text = (ROOT / "docs" / name).read_text(encoding="utf-8")
-        assert text.count("```text\n") >= 5
-        assert printed(text) == text, f"run: python docs/printed.py {name}"
-    sys.modules.pop("printed")
 
 
 def test_what_a_runaway_boils_off_does_not_depend_on_how_long_one_looks_away() -> None:

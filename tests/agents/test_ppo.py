@@ -20,7 +20,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import RESULT_SEED, Run
 from chemlab.agents.saved import find_saved
-from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
+from chemlab.agents.train.arguments import IPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _drawn, _Track
@@ -452,32 +452,6 @@ def make_laboratories() -> Any:
     labs = Laboratories(load_scenario("wurtz_dodecane"), 3)
     labs.begin()
     return labs
-
-
-@pytest.mark.parametrize("central", [False, True])
-def test_a_stopped_run_goes_on_alike(central: bool, tmp_path: Path) -> None:
-    """Killed after its first checkpoint, a run ends as one that was left alone."""
-    given = {"scenario": "fictitious", "roles": ("all",), "steps": 600, "checkpoints": 4}
-    arguments = (MAPPO if central else IPPO)(**{**QUICK, **given})  # type: ignore[arg-type]
-    whole = train(arguments, tmp_path / "whole")
-
-    class Stop(Exception):
-        pass
-
-    from chemlab.agents.train.loop import Watcher
-
-    class Stopping(Watcher):
-        def advanced(self, step: int, mean: float | None, note: str = "") -> None:
-            if step >= 300:
-                raise Stop
-
-    with pytest.raises(Stop):
-        train(arguments, tmp_path / "stopped", Stopping())
-    torch.manual_seed(99)
-    again = train(arguments, tmp_path / "stopped")
-    assert (again.mean, again.last_mean, again.steps) == (whole.mean, whole.last_mean, whole.steps)
-    one, other = (load_pretrained(find_best(tmp_path / name) / "rxn") for name in ("whole", "stopped"))
-    assert all(np.array_equal(one.weights[name], other.weights[name]) for name in one.weights)
 
 
 def test_the_manager_learns_by_it_unless_told_otherwise() -> None:

@@ -15,12 +15,12 @@ import sys
 import threading
 import time
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from run_files import without_times
 from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
@@ -111,13 +111,6 @@ class Stop(Watcher):
             raise Killed
 
 
-def without_times(run: Run) -> list[Any]:
-    """Everything a run writes but how long it took."""
-    curve = [{**asdict(point), "seconds": 0} for point in run.curve()]
-    result = asdict(run.result())  # type: ignore[arg-type]
-    return [curve, run.evaluations(), {**result, "seconds": 0, "frames_per_second": 0}]
-
-
 @pytest.mark.parametrize("algo", ["ppo", "dqn", "sac", "td3", "maskable-recurrent-ppo"])
 def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path) -> None:
     # Checkpoints at rollouts 2, 4 and 6, so that the first stop loses a rollout.
@@ -189,35 +182,6 @@ def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> N
         assert process.poll() is None, process.communicate()[0]
         assert time.monotonic() < deadline
         time.sleep(0.005)
-
-
-@pytest.mark.slow
-def test_kill_9_at_any_moment(tmp_path: Path) -> None:
-    """Killed twice by the system, at moments nobody chose, it still says where it goes on and ends the same."""
-    arguments = small("ppo", steps=24 * 64, checkpoints=24, evaluations=2)
-    whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
-    train(arguments, whole.path)
-
-    def step() -> int:
-        last = broken.checkpoint("last")
-        return 0 if last is None else int(last.name.partition("-")[2])
-
-    for least in (4 * 64, 8 * 64):
-        process = start(arguments, broken.path)
-        wait_for(lambda least=least: step() >= least, process)  # type: ignore[misc]
-        process.kill()
-        said = process.communicate()[0]
-        assert broken.result() is None
-        assert ("resuming at step" in said) == (least > 4 * 64)
-    reached = step()
-    process = start(arguments, broken.path)
-    said = process.communicate()[0]
-    assert process.returncode == 0, said
-    assert f"resuming at step {reached:,} of 1,536" in said
-    assert without_times(broken) == without_times(whole)
-    seconds = [point.seconds for point in broken.curve()]
-    assert seconds == sorted(seconds)
-    np.testing.assert_array_equal(weights_of(broken, "ppo"), weights_of(whole, "ppo"))
 
 
 def test_tensorboard_shows_no_gap_and_nothing_twice(tmp_path: Path) -> None:
