@@ -31,10 +31,10 @@ import numpy as np
 import numpy.typing as npt
 
 from .config.catalogue import (
-    ACIDS,
     FAMILY,
     REAGENTS,
     SALTS,
+    acids_and_bases,
     catalogue_material,
     catalogue_pairs,
     closest,
@@ -45,7 +45,7 @@ from .config.catalogue import (
     spellings,
     wrong_cas,
 )
-from .config.datafile import DataError, read_text
+from .config.datafile import DataError, read_text, read_toml
 from .config.loading import load_scenario
 from .config.materials import COLDEST_K, HOTTEST_K, Material, load_materials, shipped_materials
 from .config.pairs import Pair, log_activity_coefficients, pair_table
@@ -54,7 +54,7 @@ from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario
 from .kernels.arrays import FloatArray, Handle
 from .physics import backends as laws
 from .physics import transfer
-from .physics.chemistry import AMOUNTS, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
+from .physics.chemistry import AMOUNTS, CAPACITY, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
 from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
 from .physics.shelf import CLOCK_SETTLED, T_MIX, Shelf, Vessel
@@ -218,11 +218,13 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
         )
     listed = sorted(names) or ["water"]
     own = _materials(setting.material_files, setting.content)
-    found = {name: known for name in listed if name not in own and (known := catalogue_material(name))}
+    used = {*listed, *_reacting(setting.reactions)}
+    found = {name: known for name in sorted(used) if name not in own and (known := catalogue_material(name))}
     files, reactions = {path for path, _ in found.values()}, setting.reactions
     if reactions == EVERYDAY:
         # Acids and the catalogue's salts need more materials than are in the flask: read only where there are some.
-        ionic = setting.physics == "real" and (SALTS in files or ("water" in names and not ACIDS.isdisjoint(names)))
+        ionic = SALTS in files or ("water" in names and not acids_and_bases().isdisjoint(names))
+        ionic = ionic and setting.physics == "real"
         reactions = str(FAMILY) if ionic else "sodium_salts"
         files |= {SALTS} if ionic else set()
     values = {
@@ -250,6 +252,13 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
         return _Known(scenario, build_chemistry(scenario))
     except DataError as error:
         raise DataError(str(error).replace("(scenario given as a mapping)", "flask")) from error
+
+
+def _reacting(reactions: str) -> set[str]:
+    """Return what the materials of a reaction file may be: all names in its reactions; none for a shipped family."""
+    tables = read_toml(Path(reactions)).get("reaction", []) if reactions.endswith(".toml") else []
+    sides = [table.get(key) for table in tables if isinstance(table, dict) for key in ("reactants", "products")]
+    return {name for side in sides if isinstance(side, dict) for name in side}
 
 
 def _pairs_of(scenario: Scenario, own: set[str]) -> dict[frozenset[str], Pair]:
@@ -355,7 +364,8 @@ class Flask:
         capacity_l: capacity in L; the excess overflows.
         temperature_k: temperature of the contents, molten above their melting points; default: the room's.
         reactions: what can happen: a shipped family's name or the path of a reaction file. By default salts dissolve,
-            acids ionize in water, and nothing else.
+            acids ionize in water, and nothing else. A family replaces these: in it, only its own salts dissolve, and
+            only its own acids ionize. Materials of the catalogue may be in a reaction file.
         material_files: files with your own materials.
         pair_files: files with activity coefficients of your own pairs of liquids (``real``).
         room_k, room_kpa: temperature and pressure around it.
@@ -375,14 +385,16 @@ class Flask:
         physics: str = "real",
         capacity_l: float = 1.0,
         temperature_k: float | None = None,
-        reactions: str = EVERYDAY,
-        material_files: Iterable[str] = (),
-        pair_files: Iterable[str] = (),
+        reactions: str | os.PathLike[str] = EVERYDAY,
+        material_files: Iterable[str | os.PathLike[str]] = (),
+        pair_files: Iterable[str | os.PathLike[str]] = (),
         room_k: float = 298.15,
         room_kpa: float = 101.325,
     ) -> None:
-        own = [tuple(os.path.abspath(file) for file in files) for files in (material_files, pair_files)]
-        family = os.path.abspath(reactions) if reactions.endswith(".toml") else reactions
+        given = [[files] if isinstance(files, (str, os.PathLike)) else files for files in (material_files, pair_files)]
+        own = [tuple(os.path.abspath(file) for file in files) for files in given]
+        family = os.fspath(reactions)
+        family = os.path.abspath(family) if family.endswith(".toml") else family
         setting = _Setting(physics, family, own[0], own[1], room_k, room_kpa, "")
         self._fill(setting._replace(content=setting.read()), dict(contents or {}), capacity_l, temperature_k)
 
@@ -499,7 +511,7 @@ class Flask:
         capacity.
         """
         other = Flask.__new__(Flask)
-        other._fill(self._setting, dict(contents or {}), capacity_l or self.capacity_l, None)
+        other._fill(self._setting, dict(contents or {}), self.capacity_l if capacity_l is None else capacity_l, None)
         return other
 
     def copy(self) -> Flask:
@@ -531,6 +543,10 @@ class Flask:
             raise ValueError(
                 f"add: {name!r} is an ion; pour a neutral mixture: flask.another({{{name!r}: ..., ...}}).pour(flask, 1)"
             )
+        melts = self._material(key).melting_point_k
+        if melts is not None and self._setting.room_k < melts < warm:  # it is molten
+            self._pour_in({key: mol}, warm)
+            return
         self._learn(self._names | {key})
         material = self._shelf.layout.index(key)
         transfer.add(self._row, material, mol, warm, self._chem, self._shelf.waste[0], self._events)
@@ -558,7 +574,8 @@ class Flask:
             The heat balance in J.
         """
         joules = _number("joules", joules, 0.0)
-        stages = int(_number("stages", stages, 1, 16))
+        if int(_number("stages", stages, 1, 16)) != stages:
+            raise ValueError(f"stages: must be a whole number, given {stages!r}")
         if stages > 1 and self._setting.physics == "paper":
             raise ValueError(f"stages = {stages}: a column needs physics='real'")
         limits = np.array(
@@ -678,10 +695,12 @@ class Flask:
         columns = self._shelf.layout.fluid_columns
         layers, shares = np.zeros(columns + 1, dtype=np.int64), np.zeros((columns, _PIXELS))
         work = np.zeros((columns + 9, max(columns + 1, _PIXELS)))
+        lost, events, capacity_l = receiver._shelf.waste[0], receiver._events, self.capacity_l
+        # Heights are those of a funnel that the contents fill, so that little is drained as exactly as much.
+        self._row[CAPACITY] = max(min(self.volume_l, capacity_l), 1e-9)
         profile(self._row, self._chem, layers, shares, work)
-        pixels = share * min(self.volume_l / self.capacity_l, 1.0) * _PIXELS
-        lost, events = receiver._shelf.waste[0], receiver._events
-        transfer.drain(self._row, receiver._row, pixels, shares, layers, self._chem, lost, events)
+        transfer.drain(self._row, receiver._row, share * _PIXELS, shares, layers, self._chem, lost, events)
+        self._row[CAPACITY] = capacity_l
         self._after()
         receiver._after()
 
@@ -744,11 +763,14 @@ class Flask:
         readings, first = np.zeros((1, 1, channel.size)), np.zeros(1, dtype=np.int64)
         # Only the assignment of layers to pixels is random.
         table.read(self._shelf, readings, np.zeros((1, 1), dtype=np.uint64), first, first, first)
+        words = table.words(0, readings[0, 0])
+        if channel.size == 1 and readings[0, 0, 0] >= 1.0 and re.search(r"\d", words):
+            words += " or more, the end of its range"
         return Measurement(
             channel.low + readings[0, 0] * (channel.high - channel.low),
             channel.unit,
             (*table.analytes[0], instrument.rest) if instrument.picture == "bars" else (),
-            table.words(0, readings[0, 0]),
+            words,
         )
 
     # -- what flasks know ---------------------------------------------------------------------------------------------
@@ -922,7 +944,8 @@ class Flask:
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         raise DataError(
             f"unknown material {name!r}; {hint}Flask.known() lists all names; Flask.material({name!r}) looks another "
-            "compound up (needs pip install '.[chem]'); files of your own go into material_files"
+            "molecule up (needs pip install '.[chem]'); other salts, and what is not found, need material_files of your "
+            "own"
         )
 
     def _sorted_out(self, contents: Mapping[str, float]) -> dict[str, float]:
@@ -943,10 +966,14 @@ class Flask:
         """Add a strong acid as its ions."""
         if self.amounts.get("water", 0.0) <= 0.0:
             raise ValueError(f"add: {key!r} is known as its ions in water only; add water first")
-        ions = Flask.__new__(Flask)
-        ions._fill(self._setting, {part: mol * number for part, number in REAGENTS[key].items()}, 100.0, temperature_k)
-        ions._join(self)
-        transfer.pour(ions._row, self._row, 1.0, ions._chem, self._shelf.waste[0], self._events)
+        self._pour_in({part: mol * number for part, number in REAGENTS[key].items()}, temperature_k)
+
+    def _pour_in(self, contents: dict[str, float], temperature_k: float) -> None:
+        """Add contents that another flask has at a temperature."""
+        other = Flask.__new__(Flask)
+        other._fill(self._setting, contents, 100.0, temperature_k)
+        other._join(self)
+        transfer.pour(other._row, self._row, 1.0, other._chem, self._shelf.waste[0], self._events)
         self._after()
 
     def _note_head(self, distilled: FloatArray, stages: int) -> None:
@@ -1013,6 +1040,8 @@ class Flask:
 
     def _join(self, other: Flask) -> None:
         """Check that material can pass to another flask."""
+        if not isinstance(other, Flask):
+            raise TypeError(f"receiver: must be a Flask, given {other!r:.100}; make one: flask.another()")
         if other is self:
             raise ValueError("receiver: is the flask itself; make another one: flask.another()")
         if other._setting != self._setting:

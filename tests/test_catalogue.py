@@ -77,7 +77,7 @@ def test_other_names_find_an_amount() -> None:
     ("made", "message"),
     [
         (lambda: Flask({"acetonne": 1.0}), "did you mean 'acetone'"),
-        (lambda: Flask({"unobtainium": 1.0}), r"Flask\.material\('unobtainium'\) looks another compound up"),
+        (lambda: Flask({"unobtainium": 1.0}), r"Flask\.material\('unobtainium'\) looks another molecule up"),
         (lambda: Flask({"C8H10": 1.0}), "may be .*'o-xylene'.*give one of these names"),
         (lambda: Flask({"xylene": 1.0}), "did you mean .*-xylene"),
         (lambda: Flask({"67-64-2": 1.0}), "its check digit is wrong"),

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from .datafile import read_toml
 from .files import write_text
 from .materials import Material, load_materials
 from .pairs import Pair
@@ -40,8 +41,13 @@ REAGENTS: dict[str, dict[str, float]] = {
     "sulfuric acid": {"H+": 1.0, "HSO4-": 1.0},
 }
 """Strong acids, which are ions in water: mol of each ion in a mol of the acid."""
-ACIDS = frozenset(("acetic_acid", "benzoic_acid", "salicylic_acid", "acetylsalicylic_acid", "HSO4-"))
-"""Acids of ``_reactions.toml``."""
+
+@functools.lru_cache(maxsize=1)
+def acids_and_bases() -> frozenset[str]:
+    """Return the acids of ``_reactions.toml``, their bases, and the salts of these."""
+    family = read_toml(FAMILY)
+    species = {name for acid in family["acid"] for name in acid["species"]}
+    return frozenset(species | {salt["solid"] for salt in family["salt"] if salt["anion"] in species})
 
 
 class CataloguePair(NamedTuple):

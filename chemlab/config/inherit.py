@@ -90,13 +90,14 @@ def completed(values: Mapping[str, Any], where: str, folder: Path, level: int | 
 
     Raises:
         DataError: the base is unknown or inherits from this file; a key to be removed does not exist; an empty table
-            has no effect; the level is not declared.
+            has no effect; the level is not declared; a bench is of an unknown kind.
     """
     content = _at_level(_inherited(values, where, folder, ()), where, level)
     benches = content.get("benches")
     if isinstance(benches, Mapping):
         content["benches"] = {
-            key: _whole(bench) if isinstance(bench, Mapping) else bench for key, bench in benches.items()
+            key: _whole(bench, f"{where}: benches.{key}") if isinstance(bench, Mapping) else bench
+            for key, bench in benches.items()
         }
     return content
 
@@ -121,8 +122,14 @@ def _at_level(content: dict[str, Any], where: str, level: int | None) -> dict[st
     return {**content, "name": f"{content.get('name')}@{level}"}
 
 
-def _whole(bench: Mapping[str, Any]) -> dict[str, Any]:
-    more = {key: value for key, value in bench_defaults(bench.get("kind")).items() if key not in bench}
+def _whole(bench: Mapping[str, Any], where: str) -> dict[str, Any]:
+    kind = bench.get("kind")
+    if isinstance(kind, str) and ":" not in kind and kind not in _shipped_benches():
+        raise DataError(
+            f"{where}.kind: unknown kind {kind!r:.200}; choose from {', '.join(_shipped_benches())}, or your own, "
+            "'file.py:NAME'"
+        )
+    more = {key: value for key, value in bench_defaults(kind).items() if key not in bench}
     return {**bench, **copy.deepcopy(more)}
 
 

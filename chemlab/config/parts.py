@@ -122,7 +122,7 @@ def load_part(
         DataError: it cannot be loaded, or is of another type.
     """
     known = known or {}
-    if name not in known and not may_run(otherwise=True):
+    if name not in known and ":" in name and not may_run(otherwise=True):
         raise DataError(
             f"{scenario.origin}: {key}: needs the untrusted code {name!r:.500}, which is imported only if you "
             "allow it: --trust"

@@ -256,9 +256,9 @@ def expand(
         before = set(ready)
         for number, template in enumerate(templates):
             for step in _applied(template, ready, pool):
-                fruitful.add(number)
                 mark = (frozenset(step.reactants.items()), frozenset(step.products.items()))
                 if step.reactants != step.products:
+                    fruitful.add(number)
                     found.setdefault(mark, step)
                 if len(found) > _MOST_REACTIONS:
                     raise DataError(
@@ -272,7 +272,7 @@ def expand(
     for number, template in enumerate(templates):
         if number not in fruitful:
             raise DataError(
-                f"template {template.smarts!r}: fits none of {', '.join(pool.species[key].key for key in ready)}; "
+                f"template {template.smarts!r}: changes none of {', '.join(pool.species[key].key for key in ready)}; "
                 "check its atoms, bonds and hydrogens"
             )
     return list(found.values()), list(pool.species.values())

@@ -17,8 +17,8 @@ from ...events import BOILED_DRY, DRY_HEATING
 from ...transfer import add, heat_capacity, within_range
 from .column import LADDER, MOST_STAGES, overhead
 from .heats import add_heat
-from .liquids import Liquids, clear_liquids, gather, on_curve
-from .partition import crystallizes
+from .liquids import Liquids, clear_liquids, count_ions, gather, on_curve
+from .partition import melt, melting_point
 from .real_chemistry import MOST_FLUIDS, RealChemistry
 from .salts import let_salts_fall_out
 from .vapor import bubble_point, latent_heat, write_back
@@ -129,6 +129,29 @@ def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: floa
 
 
 @helper
+def _collect(
+    receiver: FloatArray,
+    n: int,
+    distilled: FloatArray,
+    chem: Handle,
+    liquids: Liquids,
+    waste: FloatArray,
+    events: FloatArray,
+) -> float:
+    """Move the distillate into the receiver; return J of the heat of fusion of what is solid at room temperature."""
+    chemistry = opened(RealChemistry, chem)
+    solidified = 0.0
+    for a in range(n):
+        if distilled[a] > 0.0:
+            i = int(liquids.who[a])
+            add(receiver, i, distilled[a], chemistry.ambient_temperature, chem, waste, events)
+            solidified += distilled[a] * chemistry.fusion[i]
+    for a in range(MOST_FLUIDS):
+        distilled[a] = 0.0
+    return solidified
+
+
+@helper
 def heat(
     row: FloatArray,
     receiver: FloatArray,
@@ -160,11 +183,21 @@ def heat(
         everything = 0.0
         for a in range(n):
             everything += liquids.mol[a]
-        if everything <= 10.0 * n * TRACE_MOL:
-            dry = True
-            break
-        boiling = bubble_point(n, chemistry.ambient_pressure, row[TEMPERATURE], chem, liquids, partial)
-        if boiling > hottest:
+        dry = everything <= 10.0 * n * TRACE_MOL
+        boiling = math.inf
+        if not dry:
+            boiling = bubble_point(n, chemistry.ambient_pressure, row[TEMPERATURE], chem, liquids, partial)
+        melting = melting_point(row, chem)
+        if melting <= min(boiling, hottest):
+            needed = heat_capacity(row, chem) * (melting - row[TEMPERATURE])
+            if left < needed:
+                break
+            row[TEMPERATURE] = melting
+            left -= needed + melt(row, melting, left - needed, chem)
+            condenser += _collect(receiver, n, distilled, chem, liquids, waste, events)
+            n = gather(row, chem, liquids)
+            continue
+        if dry or boiling > hottest:
             break
         needed = heat_capacity(row, chem) * (boiling - row[TEMPERATURE])
         if left < needed:
@@ -193,13 +226,9 @@ def heat(
         if capacity <= LEAST_CAPACITY:
             dry = True
             break
-        let_salts_fall_out(row, chem)
-    if boiled:
-        for a in range(n):
-            i = int(liquids.who[a])
-            add(receiver, i, distilled[a], chemistry.ambient_temperature, chem, waste, events)
-            if crystallizes(receiver, chem, i):
-                condenser += distilled[a] * chemistry.fusion[i]  # it solidifies in the receiver
+        if let_salts_fall_out(row, chem):
+            count_ions(row, chem, liquids)
+    condenser += _collect(receiver, n, distilled, chem, liquids, waste, events)
     if dry:
         events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
     if left > 0.0:

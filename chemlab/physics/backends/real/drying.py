@@ -7,7 +7,7 @@ from ....kernels.jit import helper, scratch
 from ...chemistry import TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .boiling import evaporate
-from .liquids import clear_liquids, gather, partial_pressures, split, vapor_mol
+from .liquids import clear_liquids, count_ions, gather, partial_pressures, split, vapor_mol
 from .real_chemistry import MOST_FLUIDS
 from .salts import settle_salts
 from .vapor import write_back
@@ -53,6 +53,10 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
             waste[int(liquids.who[a])] += before[a] - liquids.mol[a]
             gone += before[a] - liquids.mol[a]
         left -= gone / rate
+        if liquids.ions[0] > 0.0:
+            write_back(row, n, chem, liquids)
+            settle_salts(row, chem)  # at constant temperature, because air and room supply the required heat
+            count_ions(row, chem, liquids)
     for a in range(n):
         if liquids.mol[a] <= TRACE_MOL:  # the remainder of this liquid
             waste[int(liquids.who[a])] += liquids.mol[a]

@@ -23,6 +23,10 @@ _SETSCHENOW = 0.2
 
 Xie, Shiu, Mackay, Mar. Environ. Res. 44 (1997) 429.
 """
+_MOST_SALT = 10.0
+"""Maximum concentration of salt in mol/L to which the rule is applied."""
+_WET = 0.1
+"""Minimum mole fraction of water in a single liquid in which salts dissolve."""
 _MOST_ROUNDS = 200
 _FORESIGHT, _STEADY = 3, 0.95
 """Interval of extrapolation in iterations, and maximum contraction factor for which it is used."""
@@ -58,7 +62,7 @@ class Liquids(NamedTuple):
     dimers
     """
     ions: FloatArray
-    """[2] mol of ions; increase of ln gamma of a molecule in water by them"""
+    """[2] mol of ions; mol of undissolved salts"""
 
 
 @inner
@@ -85,7 +89,7 @@ def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
     """
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
-    n, ions, litres = 0, 0.0, 0.0
+    n = 0
     for k in range(chemistry.dissolved.shape[0]):
         i = chemistry.dissolved[k]
         at = AMOUNTS + m + 2 * k
@@ -93,17 +97,37 @@ def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
         if mol <= TRACE_MOL:
             continue
         if chemistry.liquid[i] == 2:
-            ions += mol
             continue
-        litres += row[at + AQUEOUS] * chemistry.molar_volume[i]
         liquids.who[n] = i
         liquids.mol[n] = mol
         liquids.share[n] = row[at + ORGANIC] / mol
         n += 1
-    liquids.ions[0] = ions
-    salts = 0.5 * ions / litres if litres > 0.0 else 0.0
-    liquids.ions[1] = math.log(10.0) * _SETSCHENOW * min(salts, 10.0)
+    count_ions(row, chem, liquids)
     return n
+
+
+@helper
+def count_ions(row: FloatArray, chem: Handle, liquids: Liquids) -> None:
+    """Update the ions and undissolved salts among the contents of a vessel."""
+    chemistry = opened(RealChemistry, chem)
+    m = chemistry.role.shape[0]
+    liquids.ions[0] = 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        at = AMOUNTS + m + 2 * k
+        mol = row[at + AQUEOUS] + row[at + ORGANIC]
+        if chemistry.liquid[chemistry.dissolved[k]] == 2 and mol > TRACE_MOL:
+            liquids.ions[0] += mol
+    liquids.ions[1] = undissolved_salts(row, chem)
+
+
+@helper
+def undissolved_salts(row: FloatArray, chem: Handle) -> float:
+    """Return mol of undissolved salts in a vessel."""
+    chemistry = opened(RealChemistry, chem)
+    total = 0.0
+    for s in range(chemistry.salts.shape[0]):
+        total += row[AMOUNTS + chemistry.salts[s, 0]]
+    return total
 
 
 @helper
@@ -170,13 +194,19 @@ def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> No
 
 @helper
 def _salt(n: int, aqueous: float, chem: Handle, liquids: Liquids) -> None:
-    """Apply the effect of ions on the activities in water."""
-    water = opened(RealChemistry, chem).water
+    """Apply the effect of ions on the activities in water, of ``aqueous`` mol of molecules."""
+    if liquids.ions[0] <= 0.0 or aqueous <= 0.0:
+        return
+    chemistry = opened(RealChemistry, chem)
+    litres = 0.0
     for a in range(n):
-        if int(liquids.who[a]) == water:
-            liquids.log_gamma[a] += math.log(aqueous / (aqueous + liquids.ions[0])) if aqueous > 0.0 else 0.0
+        litres += liquids.x[a] * aqueous * chemistry.molar_volume[int(liquids.who[a])]
+    salted = math.log(10.0) * _SETSCHENOW * min(0.5 * liquids.ions[0] / litres, _MOST_SALT)
+    for a in range(n):
+        if int(liquids.who[a]) == chemistry.water:
+            liquids.log_gamma[a] += math.log(aqueous / (aqueous + liquids.ions[0]))
         else:
-            liquids.log_gamma[a] += liquids.ions[1]
+            liquids.log_gamma[a] += salted
 
 
 @inner
@@ -291,8 +321,9 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
 
 @helper
 def _one_phase(n: int, water: float, total: float, temperature: float, chem: Handle, liquids: Liquids) -> None:
-    """Put everything into one phase: water if most molecules are water, or if there are ions."""
-    wet = water > 0.5 * total or liquids.ions[0] > TRACE_MOL
+    """Put everything into one phase: water if most molecules are water, or for ions, or salts that may dissolve."""
+    salty = liquids.ions[1] > TRACE_MOL and water > _WET * total
+    wet = water > 0.5 * total or liquids.ions[0] > TRACE_MOL or salty
     for a in range(n):
         liquids.share[a] = 0.0 if wet else 1.0
     activities(n, temperature, chem, liquids)

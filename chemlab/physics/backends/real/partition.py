@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, opened
 from ...chemistry import AMOUNTS, CLOCK, CLOCK_WAS, TEMPERATURE
@@ -9,13 +11,15 @@ from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...shelf import CLOCK_SETTLED, T_MIX
 from ...transfer import heat_capacity, within_range
 from .acids import settle_acids
-from .liquids import clear_liquids, gather, split
+from .heats import crystals
+from .liquids import clear_liquids, gather, split, undissolved_salts
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
+from .salts import let_salts_fall_out
 
 _STIRRED = 0.99
 """Share of the way to equilibrium from which acids and bases equilibrate across the layers."""
 _MOST_ROUNDS, _CLOSE = 60, 1e-7
-"""Iteration limit of that equilibrium, and share of all molecules that may still be moving."""
+"""Iteration limit of that equilibrium, and share of all molecules, and mol of salts, that may still be moving."""
 _LEAST_SHARE = 1e-9
 """Share of a fluid below which its location does not determine the distribution of the rest."""
 
@@ -28,7 +32,7 @@ def crystallizes(row: FloatArray, chem: Handle, material: int) -> bool:
 
 
 @helper
-def _melted(row: FloatArray, chem: Handle, material: int, crystals: float) -> float:
+def _melted(row: FloatArray, chem: Handle, material: int, solid: float) -> float:
     """Return mol of a fluid's crystals that melt, cooling the contents to the melting point at most.
 
     All of a fluid that never crystallizes melts.
@@ -36,12 +40,12 @@ def _melted(row: FloatArray, chem: Handle, material: int, crystals: float) -> fl
     chemistry = opened(RealChemistry, chem)
     fusion = chemistry.fusion[material]
     if fusion <= 0.0:
-        return crystals
+        return solid
     capacity = heat_capacity(row, chem)
     if capacity <= LEAST_CAPACITY:
-        return crystals
+        return solid
     excess = capacity * (row[TEMPERATURE] - chemistry.melting[material])
-    melted = min(crystals, excess / fusion)
+    melted = min(solid, excess / fusion)
     row[TEMPERATURE] -= melted * fusion / capacity
     return float(melted)
 
@@ -66,16 +70,65 @@ def place_new(row: FloatArray, chem: Handle) -> float:
             row[at + AQUEOUS] *= scale
             row[at + ORGANIC] *= scale
         elif placed < total and not crystallizes(row, chem, i):
-            total = placed + _melted(row, chem, i, total - placed)
-            if placed > _LEAST_SHARE * total:
-                row[at + AQUEOUS] *= total / placed
-                row[at + ORGANIC] = max(total - row[at + AQUEOUS], 0.0)
-            else:
-                home = AQUEOUS if i == chemistry.water or chemistry.liquid[i] == 2 else ORGANIC
-                row[at + home] = total
-                row[at + AQUEOUS + ORGANIC - home] = 0.0
-            moved += total - placed
+            melted = _melted(row, chem, i, total - placed)
+            _liquefy(row, chem, k, melted)
+            moved += placed + melted - placed
     return moved
+
+
+@helper
+def _liquefy(row: FloatArray, chem: Handle, k: int, mol: float) -> None:
+    """Move mol of fluid ``k`` that is in no liquid into the liquids."""
+    chemistry = opened(RealChemistry, chem)
+    i, at = chemistry.dissolved[k], AMOUNTS + chemistry.role.shape[0] + 2 * k
+    placed = row[at + AQUEOUS] + row[at + ORGANIC]
+    total = placed + mol
+    if placed > _LEAST_SHARE * total:
+        row[at + AQUEOUS] *= total / placed
+        row[at + ORGANIC] = max(total - row[at + AQUEOUS], 0.0)
+    else:
+        home = AQUEOUS if i == chemistry.water or chemistry.liquid[i] == 2 else ORGANIC
+        row[at + home] = total
+        row[at + AQUEOUS + ORGANIC - home] = 0.0
+
+
+@helper
+def melting_point(row: FloatArray, chem: Handle) -> float:
+    """Return the lowest melting point (K) of the crystals in a vessel; infinity without crystals."""
+    chemistry = opened(RealChemistry, chem)
+    lowest = math.inf
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        if chemistry.fusion[i] > 0.0 and crystals(row, chem, k) > TRACE_MOL:
+            lowest = min(lowest, chemistry.melting[i])
+    return lowest
+
+
+@helper
+def melting_heat(row: FloatArray, temperature: float, chem: Handle) -> float:
+    """Return the heat of fusion (J) of all crystals whose melting point is at most ``temperature`` (K)."""
+    chemistry = opened(RealChemistry, chem)
+    total = 0.0
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        if chemistry.fusion[i] > 0.0 and chemistry.melting[i] <= temperature:
+            total += crystals(row, chem, k) * chemistry.fusion[i]
+    return total
+
+
+@helper
+def melt(row: FloatArray, temperature: float, joules: float, chem: Handle) -> float:
+    """Melt crystals whose melting point is at most ``temperature`` (K) with at most ``joules``; return those used."""
+    chemistry = opened(RealChemistry, chem)
+    left = joules
+    for k in range(chemistry.dissolved.shape[0]):
+        i = chemistry.dissolved[k]
+        solid = crystals(row, chem, k)
+        if chemistry.fusion[i] > 0.0 and chemistry.melting[i] <= temperature and solid > TRACE_MOL:
+            melted = min(solid, left / chemistry.fusion[i])
+            _liquefy(row, chem, k, melted)
+            left -= melted * chemistry.fusion[i]
+    return joules - left
 
 
 @helper
@@ -103,16 +156,20 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     if way <= 1e-12 and fresh <= TRACE_MOL:
         return
     moved = _share_out(row, way, fresh, 1.0, chem)
-    if way < _STIRRED or chemistry.ionization[0] < 0:
+    if way < _STIRRED:
         return
-    # Ions formed in the water make room for more of the acid, as long as there is base.
-    push = 1.0
+    # Ions formed in the water make room for more of the acid, as long as there is base, and drive out other molecules.
+    acids, push = chemistry.ionization[0] >= 0, 1.0
     for _ in range(_MOST_ROUNDS):
-        settle_acids(row, chem, work)
-        row[TEMPERATURE] = within_range(row[TEMPERATURE])
+        undissolved = undissolved_salts(row, chem)
+        if not let_salts_fall_out(row, chem) and not acids:
+            return
+        if acids:
+            settle_acids(row, chem, work)
+            row[TEMPERATURE] = within_range(row[TEMPERATURE])
         before = moved
         moved = _share_out(row, way, 0.0, push, chem)
-        if abs(moved) < _CLOSE:
+        if max(abs(moved), abs(undissolved_salts(row, chem) - undissolved)) < _CLOSE:
             return
         push = 2.0 * push if moved * before > 0.0 else 1.0
 

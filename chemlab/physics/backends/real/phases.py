@@ -18,7 +18,7 @@ from .heats import enthalpy, set_enthalpy
 from .kinetics import react_work_size
 from .partition import place_new
 from .real_chemistry import RealChemistry
-from .salts import change_amount, settle_salts
+from .salts import change_amount, settle_with_heat
 from .vapor import flash_off
 
 _RTOL, _ATOL = 1e-3, 1e-9
@@ -81,10 +81,10 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     if chemistry.ionization[0] >= 0:
         settle_acids(row, chem, work)
         row[TEMPERATURE] = within_range(row[TEMPERATURE])
-    if settle_salts(row, chem):
-        changed = True
     if changed:
         set_enthalpy(row, before, chem)
+    if settle_with_heat(row, before, chem):
+        changed = True
     if row[AIR] > 0.0:
         return  # sealed
     _let_out(row, chem, waste)

@@ -4,6 +4,8 @@ An open vessel is integrated up to its boiling point, and from there in parts. I
 temperature. Heat that the condenser does not remove produces vapour, half of it in advance, predicted from the previous
 part. Temperature and composition are therefore those of the middle of the part (midpoint rule, second order). Parts are
 short enough for changes of saturations, volumes and fast equilibria (:mod:`.spans`).
+
+At the melting point of crystals the contents react at this temperature, part by part, and heat melts crystals.
 """
 
 from __future__ import annotations
@@ -19,8 +21,9 @@ from ...transfer import heat_capacity, liquid_volume
 from .. import vapor_pressure
 from .heats import add_heat, enthalpy
 from .kinetics import KEPT, integrate
+from .partition import melt, melting_heat, melting_point
 from .real_chemistry import RealChemistry
-from .spans import drifted, lengthened, prepare
+from .spans import drifted, lengthened, prepare, settle_shifts
 from .vapor import boiling_point, flash_off
 
 _HEAT_K = 20.0
@@ -40,6 +43,10 @@ _ABOVE_K = 1.0
 """Distance in K above jacket and contents at which the boiling point is checked."""
 _COOLED_K = 1.0
 """Allowed cooling in K of boiling contents by the end of a part."""
+_MELTED = 0.25
+"""Maximum share of the crystals that melt in a part if anything reacts."""
+_MELTING_K, _FREEZING_K = 1e-9, 0.5
+"""Distances in K: below the melting point within which crystals melt, and from it within which they grow instead."""
 
 
 @inner
@@ -86,7 +93,12 @@ def react(
     """
     pressure = opened(RealChemistry, chem).ambient_pressure
     kept = work[KEPT]
-    follows = around.condenser >= 0.0 and 0.0 <= around.transfer < math.inf
+    free = 0.0 <= around.transfer < math.inf
+    if not free and dt > 0.0:  # the thermostat supplies the heat
+        row[TEMPERATURE] = around.jacket
+        melt(row, around.jacket, math.inf, chem)
+        settle_shifts(row, chem, not free, work)
+    follows = around.condenser >= 0.0 and free
     hottest, boils = math.inf, False
     if follows:
         hottest = _far_from_boiling(row, around.jacket, chem)
@@ -95,38 +107,61 @@ def react(
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K
     left, shortest, total, known = dt, min(dt / _MOST_PARTS, _SHORTEST_S), 0, False
     part, ahead, climb, rate, last = shortest, 0.0, 0.0, 0.0, shortest
-    span, briefest, fresh = dt, dt / _MOST_SPANS, False
+    span, briefest, fresh, melts, freezes = dt, dt / _MOST_SPANS, False, False, False
     while left > 0.0:
+        melting = melting_point(row, chem) if free else math.inf
+        freezes = freezes and abs(row[TEMPERATURE] - melting) < _FREEZING_K
+        melted, melts = melts, row[TEMPERATURE] >= melting - _MELTING_K and not freezes
+        if melts and not melted:
+            if boils:
+                add_heat(row, -ahead, chem)
+            part, ahead, climb, known, boils = shortest, 0.0, 0.0, False, False
+        held = boils or melts
         part, span = min(part, left), min(span, left)
         at, content = row[TEMPERATURE], 0.0
         # bool: of a literal, numba would compile a second version.
-        ways = prepare(row, chem, bool(fresh), around.condenser >= 0.0, work)
+        steady = held or not free
+        ways = prepare(row, chem, bool(fresh), steady, around.condenser >= 0.0, work)
         litres = liquid_volume(row, chem)
         _copy(row, kept)
-        if boils:
+        if held:
             content = enthalpy(row, chem)
-        jacket, transfer = (at, -1.0) if boils else (around.jacket, around.transfer)
+        if melts:
+            row[TEMPERATURE] = at = melting
+        jacket, transfer = (at, -1.0) if held else (around.jacket, around.transfer)
         there = Surroundings(jacket, transfer, -1.0, around.rtol, around.atol)
-        steps, passed = integrate(row, part if boils else span, there, hottest, ways, chem, work)
+        stop = hottest if freezes else min(hottest, melting)
+        steps, passed = integrate(row, part if held else span, there, stop, ways, chem, work)
         if steps < 0:
             return steps
         total += steps
         drift = 0.0
         if steps > 0 or row[TEMPERATURE] != at:
-            drift = drifted(row, chem, litres, around.atol, ways, work)
-            if boils or not 0.0 <= around.transfer < math.inf:
+            drift = drifted(row, chem, steady, litres, around.atol, ways, work)
+            if steady:
                 row[TEMPERATURE] = jacket  # the thermostat absorbs the heat of settling
-            least = _LEAST_SPAN * dt if drift == math.inf else shortest if boils else briefest
+            least = _LEAST_SPAN * dt if drift == math.inf else shortest if held else briefest
             if drift > 1.0 and passed > least:
                 _copy(kept, row)
                 span = max(lengthened(passed, drift), min(least, briefest))
                 part, fresh = max(min(part, span), shortest), False
                 continue
+        if melts:
+            left -= part
+            heat = content - enthalpy(row, chem) + around.transfer * (around.jacket - at) * part
+            used = melt(row, at, max(heat, 0.0), chem)
+            add_heat(row, heat - used, chem)
+            freezes, fresh, span = heat <= 0.0, False, left
+            following = part * melting_heat(row, at, chem) / heat if heat > 0.0 else part
+            part = max(_MELTED * following if steps > 0 else following, shortest)
+            if follows:
+                hottest = boiling_point(row, chem)
+            continue
         if not boils:
             fresh = True
             left -= passed
             stopped, span = passed < span, max(lengthened(span, drift), briefest)
-            if left > 0.0 and stopped:
+            if left > 0.0 and stopped and follows:
                 hottest = boiling_point(row, chem)
                 boils = row[TEMPERATURE] >= hottest - _NEARLY_K
                 part, ahead, climb, known = shortest, 0.0, 0.0, False

@@ -13,6 +13,8 @@ from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
 _MOST_ROUNDS = 60
 _CLOSE = 1e-12
+_CLOSE_K = 1e-10
+"""Convergence tolerance in K of the temperature at which salts settle."""
 
 
 @helper
@@ -64,9 +66,12 @@ def _water_phase(row: FloatArray, chem: Handle, salt: int) -> float:
 
 @helper
 def settle_salts(row: FloatArray, chem: Handle) -> bool:
-    """Bring every salt to its solubility product [cation][anion], or dissolve all of it; return True if any moved.
+    """Bring every salt to its solubility product [cation][anion] at the vessel's temperature, or dissolve all of it.
 
     Salts with a common ion are iterated until none moves.
+
+    Returns:
+        True if any moved.
     """
     chemistry = opened(RealChemistry, chem)
     moved = False
@@ -95,8 +100,43 @@ def settle_salts(row: FloatArray, chem: Handle) -> bool:
 
 
 @helper
-def let_salts_fall_out(row: FloatArray, chem: Handle) -> None:
-    """Precipitate salts that the remaining solvent no longer holds; their heat of solution changes the temperature."""
-    before = enthalpy(row, chem)
-    if settle_salts(row, chem):
-        set_enthalpy(row, before, chem)
+def settle_with_heat(row: FloatArray, content: float, chem: Handle) -> bool:
+    """Bring every salt to its solubility product at the temperature at which the contents have an enthalpy of
+    ``content`` J.
+
+    The heat of solution changes the temperature, and this the solubilities. Solved by a secant method within the
+    temperatures known to be too cold and too hot.
+
+    Returns:
+        True if any salt moved.
+    """
+    here = row[TEMPERATURE]
+    if not settle_salts(row, chem):
+        return False
+    cold, hot, before, gap_before = -math.inf, math.inf, here, 0.0
+    for _round in range(_MOST_ROUNDS):
+        set_enthalpy(row, content, chem)
+        there = row[TEMPERATURE]
+        gap = there - here
+        if abs(gap) <= _CLOSE_K:
+            break
+        if gap > 0.0:
+            cold = here
+        else:
+            hot = here
+        slope = (gap - gap_before) / (here - before) if here != before else -1.0
+        before, gap_before = here, gap
+        here = here - gap / slope if slope < 0.0 else there
+        if not cold < here < hot:
+            here = 0.5 * (cold + hot) if hot - cold < math.inf else there
+        row[TEMPERATURE] = here
+        settle_salts(row, chem)
+    return True
+
+
+@helper
+def let_salts_fall_out(row: FloatArray, chem: Handle) -> bool:
+    """Precipitate salts that the remaining solvent no longer holds, or dissolve them; their heat of solution changes
+    the temperature. Return True if any moved.
+    """
+    return settle_with_heat(row, enthalpy(row, chem), chem)

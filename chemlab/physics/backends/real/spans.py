@@ -20,7 +20,7 @@ from .crystals import find_crystals, limit, saturate
 from .heats import crystals, dissolved
 from .kinetics import COLUMN, PLACE, PREDICTED, PROBE, SATURATION, Ways, add_species, available, extra
 from .real_chemistry import AQUEOUS, RealChemistry
-from .salts import let_salts_fall_out
+from .salts import let_salts_fall_out, settle_salts
 
 _VOLUME, _SATURATION, _CONCENTRATION, _KELVIN = 0.02, 0.01, 0.02, 0.5
 """Allowed changes in a span.
@@ -67,12 +67,15 @@ def _changes_shifting(chem: Handle, work: FloatArray, u: int) -> bool:
 
 
 @helper
-def settle_shifts(row: FloatArray, chem: Handle, work: FloatArray) -> None:
-    """Bring acids, bases and salts to equilibrium; their heat stays in the vessel."""
-    chemistry = opened(RealChemistry, chem)
+def settle_shifts(row: FloatArray, chem: Handle, held: bool, work: FloatArray) -> None:
+    """Bring acids, bases and salts to equilibrium; their heat stays in the vessel, unless its temperature is held."""
+    at = row[TEMPERATURE]
     if ionizes(chem):
         settle_acids(row, chem, work)
-    if chemistry.salts.shape[0] > 0:
+    if held:
+        row[TEMPERATURE] = at
+        settle_salts(row, chem)
+    else:
         let_salts_fall_out(row, chem)
 
 
@@ -95,7 +98,7 @@ def _held(row: FloatArray, chem: Handle, work: FloatArray, column: int, q: int) 
 
 
 @inner
-def _probe(row: FloatArray, chem: Handle, work: FloatArray, u: int, mol: float, probe: FloatArray) -> None:
+def _probe(row: FloatArray, chem: Handle, held: bool, work: FloatArray, u: int, mol: float, probe: FloatArray) -> None:
     """Set ``probe`` to the vessel after ``mol`` more of unknown ``u`` have settled."""
     chemistry = opened(RealChemistry, chem)
     n, m = chemistry.independent.shape[0], chemistry.role.shape[0]
@@ -111,11 +114,11 @@ def _probe(row: FloatArray, chem: Handle, work: FloatArray, u: int, mol: float, 
     else:
         probe[AMOUNTS + m + 2 * int(work[PLACE, u - n]) + AQUEOUS] += mol
         probe[AMOUNTS + chemistry.dissolved[int(work[PLACE, u - n])]] += mol
-    settle_shifts(probe, chem, work)
+    settle_shifts(probe, chem, held, work)
 
 
 @inner
-def _find_shifts(row: FloatArray, chem: Handle, work: FloatArray, found: int) -> bool:
+def _find_shifts(row: FloatArray, chem: Handle, held: bool, work: FloatArray, found: int) -> bool:
     """Compute the redistribution by acids, bases and salts for each unknown into the scratch; return True if there
     is any.
     """
@@ -131,14 +134,14 @@ def _find_shifts(row: FloatArray, chem: Handle, work: FloatArray, found: int) ->
         shifts = shifts or _changes_shifting(chem, work, u)
     if not shifts:
         return False
-    settle_shifts(row, chem, work)
+    settle_shifts(row, chem, held, work)
     mol, probe = _PROBED * _ions(row, chem) + TRACE_MOL, work[PROBE][: row.shape[0]]
     for u in range(n + found):
         if not _changes_shifting(chem, work, u):
             continue
         more = extra(work, u)
         for with_it in range(2):
-            _probe(row, chem, work, u, mol if with_it == 0 else 0.0, probe)
+            _probe(row, chem, held, work, u, mol if with_it == 0 else 0.0, probe)
             for column in range(columns + found):
                 held = _held(probe, chem, work, column, column - columns)
                 work[more, column] = held if with_it == 0 else (work[more, column] - held) / mol
@@ -152,8 +155,17 @@ def _find_shifts(row: FloatArray, chem: Handle, work: FloatArray, found: int) ->
 
 
 @helper
-def prepare(row: FloatArray, chem: Handle, fresh: bool, leaves: bool, work: FloatArray) -> Ways:
-    """Determine the processes in a vessel besides its reactions; ``fresh`` means that its saturations are known."""
+def prepare(row: FloatArray, chem: Handle, fresh: bool, held: bool, leaves: bool, work: FloatArray) -> Ways:
+    """Determine the processes in a vessel besides its reactions.
+
+    Args:
+        row: vessel row; acids, bases and salts settle.
+        chem: the chemistry.
+        fresh: whether its saturations are known.
+        held: whether its temperature is held.
+        leaves: whether gas leaves it.
+        work: scratch.
+    """
     chemistry = opened(RealChemistry, chem)
     found = 0
     if _may_crystallize(row, chem):
@@ -162,7 +174,7 @@ def prepare(row: FloatArray, chem: Handle, fresh: bool, leaves: bool, work: Floa
         found = find_crystals(row, chem, work)
     shifts = False
     if chemistry.salts.shape[0] > 0 or ionizes(chem):
-        shifts = _find_shifts(row, chem, work, found)
+        shifts = _find_shifts(row, chem, held, work, found)
     else:
         for q in range(found):
             more = extra(work, chemistry.independent.shape[0] + q)
@@ -224,12 +236,15 @@ def _is_factor(chem: Handle, j: int) -> bool:
 
 
 @helper
-def drifted(row: FloatArray, chem: Handle, litres: float, atol: float, ways: Ways, work: FloatArray) -> float:
+def drifted(
+    row: FloatArray, chem: Handle, held: bool, litres: float, atol: float, ways: Ways, work: FloatArray
+) -> float:
     """Return the drift of a span relative to the tolerance; equilibria have settled at its end.
 
     Args:
         row: vessel row after the integration of a span.
         chem: the chemistry.
+        held: whether its temperature is held.
         litres: volume of liquids at its beginning.
         atol: mol/L below which a concentration is ignored.
         ways: processes of its integration.
@@ -237,10 +252,11 @@ def drifted(row: FloatArray, chem: Handle, litres: float, atol: float, ways: Way
     """
     chemistry = opened(RealChemistry, chem)
     worst = 0.0
-    if ways.shifts:
+    if ways.shifts or chemistry.salts.shape[0] > 0:
         warm = row[TEMPERATURE]
-        settle_shifts(row, chem, work)
+        settle_shifts(row, chem, held, work)
         worst = abs(row[TEMPERATURE] - warm) / _KELVIN
+    if ways.shifts:
         for j in range(chemistry.species.shape[0]):
             if _shifting(chem, int(chemistry.species[j])) and _is_factor(chem, j):
                 foreseen, now = work[PREDICTED, j], available(row, chem, j)
