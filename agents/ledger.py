@@ -10,12 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from chemlab.config.files import locked
+from chemlab.config.files import wait_locked
 
 LEDGER = "ledger.jsonl"
 """Name of the file."""
 
-_TRIES, _PAUSE_S = 200, 0.05
+_PATIENCE_S = 10.0
 
 
 def _hash(entry: Mapping[str, Any]) -> str:
@@ -30,11 +30,7 @@ def append_entry(path: Path, entry: Mapping[str, Any]) -> dict[str, Any]:
         ValueError: the ledger is not intact, or another process keeps it locked.
     """
     with path.open("a+b") as file:
-        for _ in range(_TRIES):
-            if locked(file.fileno()):
-                break
-            time.sleep(_PAUSE_S)
-        else:
+        if not wait_locked(file.fileno(), _PATIENCE_S):
             raise ValueError(f"{path}: another process keeps it locked; try again")
         entries = _checked(path, file_content(file))
         previous = entries[-1]["hash"] if entries else ""

@@ -22,7 +22,6 @@ from __future__ import annotations
 import json
 import platform
 import shutil
-import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -35,7 +34,7 @@ from pydantic import BaseModel, ConfigDict, Field
 import chemlab
 from chemlab.config.datafile import DataError, bounded, parse_json, read_json, read_text
 from chemlab.config.datamodel import validated
-from chemlab.config.files import locked, naming, write_text
+from chemlab.config.files import naming, wait_locked, write_text
 
 RESULT_SEED = 2_000_000
 """Seed of the first episode of the final evaluation; training and intermediate evaluations use other seeds."""
@@ -267,13 +266,8 @@ class Run:
         """
         self.checkpoints.mkdir(parents=True, exist_ok=True)
         with (self.checkpoints / "lock").open("a+") as handle:
-            until = time.monotonic() + patience
-            while not locked(handle.fileno()):
-                if time.monotonic() >= until:
-                    raise RunBusy(
-                        f"{self.path}: another process is training this run; wait for it or give another --out"
-                    )
-                time.sleep(0.02)
+            if not wait_locked(handle.fileno(), patience):
+                raise RunBusy(f"{self.path}: another process is training this run; wait for it or give another --out")
             yield
 
     def busy(self) -> bool:

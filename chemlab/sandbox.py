@@ -857,13 +857,14 @@ class Flask:
             ImportError: matplotlib is not installed (``pip install '.[plot]'``).
             ValueError: nothing was done with the flask yet.
         """
-        from .render.bottles import flask_figure, save
+        from .render.bottles import flask_figure
+        from .render.figure import save_figure
 
         if len(self._history) < 2:
             raise ValueError("plot: there is no history yet; heat, add, react or wait first")
         figure = flask_figure(self.history, {name: m.color for name, m in self._known.scenario.materials.items()})
         if path is not None:
-            save(figure, Path(path))
+            save_figure(figure, Path(path))
         return figure
 
     def report(self) -> str:

@@ -53,7 +53,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_honest_records_are_right(name: str, policy: str, tmp_path: Path) -> None:
     path = record_episode(tmp_path / "a.jsonl", name, policy, 1)
     result = verify_record(path)
-    assert (result.status, result.exit_code) == ("ok", 0), result.message
+    assert result.status == "ok", result.message
     record = read_record(path)
     assert result.turns == len(record.turns) > 0
     assert not record.torn
@@ -201,7 +201,7 @@ def test_a_scenario_of_ones_own_needs_no_file(tmp_path: Path) -> None:
     path = record_episode(tmp_path / "a.jsonl", file)
     file.unlink()
     result = verify_record(path)
-    assert (result.status, result.exit_code) == ("foreign", 6)
+    assert result.status == "foreign"
     assert "mine is the record's own" in result.message
     assert verify_record(path, scenario="salt_from_oil").status == "foreign"
     file.write_text(shipped.read_text().replace('name = "salt_from_oil"', 'name = "mine"'))
@@ -321,7 +321,7 @@ def test_tampering_is_found(name: str, honest: Path, tmp_path: Path) -> None:
     tamper(lines)
     assert json.dumps(lines) != before
     result = verify_record(store(tmp_path / "a.jsonl", lines))
-    assert (result.status, result.exit_code) == ("tampered", 1), result.message
+    assert result.status == "tampered", result.message
     assert result.where.startswith(where)
     assert result.key.startswith(key)
     if where.startswith("turn"):
@@ -374,7 +374,6 @@ def test_other_conditions_than_the_shipped_ones_are_not_ok(
     assert lines != openings[name]
     result = verify_record(store(tmp_path / "b.jsonl", lines))
     assert result.status in ("tampered", "foreign", "unchecked"), result.message
-    assert result.exit_code not in (0, verify_record(tmp_path / "a.jsonl").exit_code)
 
 
 def leaves(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -458,7 +457,7 @@ def test_a_line_is_written_in_one_way(honest: Path, tmp_path: Path) -> None:
         changed[number] = text
         path = tmp_path / "a.jsonl"
         path.write_text("\n".join(changed) + "\n")
-        assert verify_record(path).exit_code in (1, 5), text[:100]
+        assert verify_record(path).status in ("tampered", "unchecked"), text[:100]
 
 
 @pytest.mark.parametrize("value", ["Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60])
@@ -474,7 +473,7 @@ def test_numbers_are_finite(value: str, elsewhere: bool, honest: Path, tmp_path:
     path.write_text(text.replace(f'"score":{score}', f'"score":{value}'))
     assert path.read_text() != text
     result = verify_record(path)
-    assert (result.status, result.exit_code) == ("tampered", 1), result.message
+    assert result.status == "tampered", result.message
     assert result.score == float(score)
 
 
@@ -486,7 +485,7 @@ def test_a_right_record_on_an_easier_scenario_is_not_ok(tmp_path: Path) -> None:
     easier = restore_scenario(data, "test")
     path = record_episode(tmp_path / "a.jsonl", easier)
     result = verify_record(path)
-    assert (result.status, result.exit_code) == ("foreign", 6)
+    assert result.status == "foreign"
     assert result.score is not None
     assert result.score > 1.0
     assert "not " in result.message
@@ -502,7 +501,7 @@ def test_other_versions_are_told_apart(honest: Path, tmp_path: Path) -> None:
     lines = load(honest)
     lines[0]["chemlab"] = "9.9"
     result = verify_record(store(tmp_path / "a.jsonl", lines))
-    assert (result.status, result.exit_code) == ("other", 4)
+    assert result.status == "other"
     assert "9.9" in result.message
     state(lines)  # which another version may keep otherwise
     assert f"all {len(lines) - 2} turns and the score" in verify_record(store(tmp_path / "a.jsonl", lines)).message
@@ -521,7 +520,7 @@ def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monk
     state(lines)
     lines[0]["environment"]["machine"] = "abacus"
     result = verify_record(store(tmp_path / "a.jsonl", lines))
-    assert (result.status, result.exit_code) == ("other", 4)
+    assert result.status == "other"
     assert "1 numbers differ, by 1e-15 at most (turn " in result.message
     assert "1 hashes" in result.message
     assert "abacus" in result.notes[0]
@@ -580,7 +579,7 @@ def test_a_torn_record_can_be_read_up_to_the_tear(honest: Path, tmp_path: Path) 
     for length in (ends[0], ends[30], ends[30] + 5, ends[-2], ends[-1] - 2):
         path.write_bytes(content[:length])
         result = verify_record(path)
-        assert (result.status, result.exit_code) == ("torn", 3)
+        assert result.status == "torn"
         assert result.turns == sum(end <= length for end in ends) - 1
     # A tear does not hide tampering.
     lines = load(honest)[:40]
@@ -701,7 +700,7 @@ def test_a_world_that_was_asked_for_is_a_verdict_of_its_own(tmp_path: Path) -> N
     for world in (5, drawn, {name: drawn[name] for name in list(drawn)[:1]}):
         lines = in_a_world(path, world)
         result = verify_record(path)
-        assert (result.status, result.exit_code) == ("chosen", 7), result.message
+        assert result.status == "chosen", result.message
         assert "was requested" in result.message
         assert result.score is not None
         # Also without a seed, on another platform, torn, and never to be had as ok by taking the options out.
@@ -792,7 +791,7 @@ def test_what_is_no_record(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "a"
     path.write_bytes(content)
     result = verify_record(path)
-    assert (result.status, result.exit_code) == ("unchecked", 5)
+    assert result.status == "unchecked"
 
 
 @pytest.mark.parametrize("laboratories", [1, 3])
@@ -848,7 +847,7 @@ def test_files_that_are_too_large(key: str, message: str, honest: Path, monkeypa
     assert verify_record(honest).status == "ok"
     limited(monkeypatch, **{key: sizes[key] - 1})
     result = verify_record(honest)
-    assert (result.status, result.exit_code) == ("unchecked", 5)
+    assert result.status == "unchecked"
     assert re.search(message, result.message)
 
 
@@ -936,7 +935,7 @@ def test_what_is_no_file(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero"), tmp_path / ("a" * 300), Path("a\0b"), Path("")):
         result = verify_record(path)
-        assert (result.status, result.exit_code) == ("unchecked", 5), path
+        assert result.status == "unchecked", path
 
 
 # -- things of one's own --------------------------------------------------------------------------------------
@@ -981,7 +980,7 @@ def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, t
     (tmp_path / "evil.py").write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\nEvil = 1\n")
     path = store(tmp_path / "a.jsonl", lines)
     result = verify_record(path)
-    assert (result.status, result.exit_code) == ("unchecked", 5)
+    assert result.status == "unchecked"
     assert "evil.py:Evil" in result.message
     assert not (tmp_path / "ran").exists()
     with contextlib.suppress(Exception):  # it is no part of that kind
@@ -1082,6 +1081,6 @@ def test_a_record_of_another_format_is_told(tmp_path: Path) -> None:
     lines = load(record_episode(tmp_path / "a.jsonl", "salt_from_oil"))
     lines[0]["format"]["version"] = 2
     result = verify_record(store(tmp_path / "a.jsonl", lines))
-    assert (result.status, result.exit_code) == ("other", 4)
+    assert result.status == "other"
     assert "has format 2" in result.message
     assert "record the episode again" in result.message

@@ -64,7 +64,6 @@ class TorchLaboratory(EnvBase):
     Args:
         num_envs: number of laboratories N.
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
-        groups: agents by group; agents of a group must have equal spaces. Default: one group per learning role.
         roles: learning roles; None: all. The environment plays the others.
         background: policies of the other roles, by name (see :func:`~chemlab.agents.policies.make_policies`).
         state: True adds the true state to every step.
@@ -74,15 +73,13 @@ class TorchLaboratory(EnvBase):
 
     Raises:
         DataError: the scenario is invalid or unknown.
-        ValueError: ``num_envs`` is below 1, a role or policy is unknown, or ``groups`` do not contain every learning
-            agent exactly once or mix agents with different spaces.
+        ValueError: ``num_envs`` is below 1, or a role or policy is unknown.
     """
 
     def __init__(
         self,
         num_envs: int = 1,
         scenario: str | Path | Scenario = "wurtz_dodecane",
-        groups: Mapping[str, Sequence[str]] | None = None,
         roles: Sequence[str] | None = None,
         background: str = "scripted",
         state: bool = True,
@@ -97,24 +94,12 @@ class TorchLaboratory(EnvBase):
         learning = chosen_roles(labs, roles)
         self._players = background_players(labs, learning, background)
         self._others = [number for number, agent in enumerate(labs.agents) if role_of(agent) not in learning]
-        by_role = {role: [agent for agent in labs.agents if role_of(agent) == role] for role in learning}
-        self.group_map = by_role if groups is None else {group: list(agents) for group, agents in groups.items()}
-        self._check_groups([agent for agents in by_role.values() for agent in agents])
+        self.group_map = {role: [agent for agent in labs.agents if role_of(agent) == role] for role in learning}
         self._state = np.empty((num_envs, *batch.state_space.shape), dtype=np.float32) if state else None
         self._make_specs()
         self._first_seed: int | None = None
         if seed is not None:
             self.set_seed(seed)
-
-    def _check_groups(self, learners: list[str]) -> None:
-        batch = self._batch
-        listed = [agent for agents in self.group_map.values() for agent in agents]
-        if sorted(listed) != sorted(learners):
-            raise ValueError(f"groups: must contain each of {', '.join(learners)} once; given {listed}")
-        for group, agents in self.group_map.items():
-            spaces = [(batch.observation_space(agent), batch.action_space(agent)) for agent in agents]
-            if any(pair != spaces[0] for pair in spaces):
-                raise ValueError(f"groups: {group}: {', '.join(agents)} do not have the same spaces")
 
     def _make_specs(self) -> None:
         n, device = self._batch.num_envs, self.device

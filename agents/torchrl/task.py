@@ -38,8 +38,8 @@ class ChemlabTask(TaskClass):
     """A laboratory as a BenchMARL task.
 
     ``config`` has arguments of :class:`~chemlab.agents.torchrl.env.TorchLaboratory`: ``scenario``, ``rewards``,
-    ``split``, ``groups``, ``roles``, ``background``, and ``state`` (False: a centralised critic observes the
-    observations of its group).
+    ``split``, ``roles``, ``background``, and ``state`` (False: a centralised critic observes the observations of its
+    group).
     """
 
     def get_env_fun(

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..config.files import check_apart, check_target, write_text, write_texts
+from ..config.files import check_apart, check_new, check_target, write_text, write_texts
 from .options import JsonOption, app
 from .screen import counting, out, plain, show_table
 
@@ -54,8 +54,7 @@ def _free(path: Path, force: bool, *read: Path) -> None:
     """Check that an output path is free, or may be overwritten and is not one of the input files."""
     if path.suffix != ".toml":
         raise ValueError(f"{path}: must end with .toml")
-    if path.exists() and not force:
-        raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
+    check_new(path, force)
     check_apart([path], read)
     check_target(path)
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..config.files import check_folder
+from ..config.files import check_folder, check_new
 from .options import TrustOption, app, check_result
 from .screen import counting, out, plain
 
@@ -25,12 +25,10 @@ ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite an existin
 
 def _save(path: Path, force: bool, draw: Callable[[], Any], *read: Path) -> None:
     """Draw into a file; an existing file or an unknown format is reported before anything is drawn."""
-    from ..render.figure import FORMATS, SETTINGS, import_matplotlib, save_figure
+    from ..render.figure import SETTINGS, check_format, import_matplotlib, save_figure
 
-    if path.suffix.removeprefix(".") not in FORMATS:
-        raise ValueError(f"{path}: unknown suffix {path.suffix or 'none'}; choose from {', '.join(FORMATS)}")
-    if path.exists() and not force:
-        raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
+    check_format(path)
+    check_new(path, force)
     check_result(path, *read)
     with import_matplotlib().rc_context(SETTINGS):
         save_figure(draw(), path)

@@ -114,7 +114,7 @@ def replay(
     trust: TrustOption = False,
 ) -> None:
     """Make an interactive HTML page, an animation or a protocol of a record; the page needs no network."""
-    from ..config.files import write_bytes
+    from ..config.files import check_new, write_bytes
     from ..record import read_record
 
     path = output or files[0].with_name(f"{'-'.join(file.stem for file in files)}.html")
@@ -123,8 +123,7 @@ def replay(
         raise ValueError(f"a page shows at most two records, an animation or a protocol one, given {len(files)}")
     if path.suffix in _VIDEOS:
         raise ValueError(f"{path}: is not made; name a .gif, .webp or .mp4, which other programs convert")
-    if path.exists() and not force:
-        raise ValueError(f"{path}: already exists; give another name with -o, or use --force to overwrite it")
+    check_new(path, force)
     check_result(path, *files)
     records = [read_record(file) for file in files]
     for record in records:

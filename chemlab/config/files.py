@@ -21,6 +21,8 @@ _ABANDONED_S = 60.0
 """Age in seconds without writes after which a draft counts as abandoned."""
 _NO_LOCKS = (errno.ENOLCK, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
 """Errors of file systems without locks."""
+_PAUSE_S = 0.02
+"""Time in seconds between two attempts to lock a file."""
 _LOCKED_BYTE = 2**30
 """Position of the byte that represents a whole file on systems that lock bytes."""
 
@@ -154,6 +156,16 @@ def check_folder(path: Path) -> None:
         raise ValueError(f"{path}: cannot write there: {error.strerror}; give another folder") from error
 
 
+def check_new(path: Path, force: bool) -> None:
+    """Check that a file does not exist yet, unless ``force`` allows to overwrite it.
+
+    Raises:
+        ValueError: it exists.
+    """
+    if path.is_file() and not force:
+        raise ValueError(f"{path}: already exists; give another name, or use --force to overwrite it")
+
+
 def check_target(path: Path) -> None:
     """Check that a file can be written and create its folder, before any results exist.
 
@@ -211,6 +223,16 @@ def locked(descriptor: int) -> bool:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError as error:
         return error.errno in _NO_LOCKS
+    return True
+
+
+def wait_locked(descriptor: int, seconds: float) -> bool:
+    """Lock an open file like :func:`locked`; wait up to ``seconds`` for another process."""
+    until = time.monotonic() + seconds
+    while not locked(descriptor):
+        if time.monotonic() >= until:
+            return False
+        time.sleep(_PAUSE_S)
     return True
 
 

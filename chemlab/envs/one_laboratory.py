@@ -140,7 +140,7 @@ class OneLaboratory(Rendered):
             own["experiment_over"], own["score"] = True, labs.result(self._members).item()
 
     def _text(self) -> str:
-        return describe_laboratory(self.laboratories, 0)
+        return describe_laboratory(self.laboratories)
 
     def _scene(self) -> Scene:
         from ..render.scene import laboratory_scene

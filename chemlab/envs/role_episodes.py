@@ -526,7 +526,7 @@ class LaboratoryEpisodes(RoleEpisodes):
 
     def text(self) -> str:
         """See :class:`RoleEpisodes`."""
-        return describe_laboratory(self.laboratories, 0)
+        return describe_laboratory(self.laboratories)
 
     def scene(self) -> Scene:
         """See :class:`RoleEpisodes`."""

@@ -499,45 +499,40 @@ def _together(subjects: Sequence[str]) -> str:
     return f"{words}{'s' if len(numbers) > 1 else ''} {', '.join(spans)}"
 
 
-def describe_laboratory(laboratories: Laboratories, member: int) -> str:
-    """Describe shelf, benches, goal and costs of one laboratory, as visible to its agents.
-
-    Args:
-        laboratories: the laboratories.
-        member: environment index.
-    """
-    labs, state, scenario = laboratories, laboratories.state, laboratories.scenario
-    status = STATUS_WORDS[int(state.status[member])]
-    turn = labs.agents[labs.turn(member)] if state.status[member] == RUNNING else "nobody"
+def describe_laboratory(labs: Laboratories) -> str:
+    """Describe shelf, benches, goal and costs of a single laboratory, as visible to its agents."""
+    state, scenario = labs.state, labs.scenario
+    status = STATUS_WORDS[int(state.status[0])]
+    turn = labs.agents[labs.turn()] if state.status[0] == RUNNING else "nobody"
     lines = [
-        f"{scenario.title} - goal {scenario.goals[state.goal[member, 0]]} - {status}",
-        f"manager actions {state.actions[member]}/{scenario.limits.manager_actions}, "
-        f"ticks {state.ticks[member]}/{scenario.limits.ticks}, turn: {turn}",
+        f"{scenario.title} - goal {scenario.goals[state.goal[0, 0]]} - {status}",
+        f"manager actions {state.actions[0]}/{scenario.limits.manager_actions}, "
+        f"ticks {state.ticks[0]}/{scenario.limits.ticks}, turn: {turn}",
     ]
     keys = list(scenario.benches)
     for s in range(scenario.shelf.slots):
-        vessel = labs.shelf.vessel(member, s)
+        vessel = labs.shelf.vessel(0, s)
         if not vessel.present:
-            holder = int(state.reserved[member, s])
+            holder = int(state.reserved[0, s])
             lines.append(f"  slot {s}  {'(kept for ' + labs.bench_agents[holder] + ')' if holder >= 0 else '-'}")
             continue
         fill = min(vessel.volume_l / vessel.capacity_l, 1.0)
         bar = "#" * round(fill * _BAR)
-        kind = int(state.last_bench[member, s])
+        kind = int(state.last_bench[0, s])
         history = ""
         if kind > 0:
             bench = next(bench for bench in labs.benches if bench.key == keys[kind - 1])
-            history = f"  from {bench.key} {bench.positions[state.last_position[member, s]]}"
-        read = [name for i, name in enumerate(labs.instruments.names) if state.age[member, s, i] >= 0]
+            history = f"  from {bench.key} {bench.positions[state.last_position[0, s]]}"
+        read = [name for i, name in enumerate(labs.instruments.names) if state.age[0, s, i] >= 0]
         measured = f"  measured: {', '.join(read)}" if read else ""
         lines.append(f"  slot {s}  [{bar:<{_BAR}}] {vessel.volume_l:.2f}/{vessel.capacity_l:.2f} L{history}{measured}")
     for bench, experiments in zip(labs.benches, labs.experiments, strict=True):
-        if experiments.busy[member]:
-            goal = scenario.goals[experiments.goal[member]]
-            doing = f"step {experiments.steps[member]}/{bench.spec.step_limit}, goal {goal}"
+        if experiments.busy[0]:
+            goal = scenario.goals[experiments.goal[0]]
+            doing = f"step {experiments.steps[0]}/{bench.spec.step_limit}, goal {goal}"
         else:
             doing = "idle"
         lines.append(f"  {experiments.agent:<7} {doing}")
-    costs = ", ".join(f"{item} {value:.4f}" for item, value in labs.costs(member).items() if value > 0.0)
+    costs = ", ".join(f"{item} {value:.4f}" for item, value in labs.costs().items() if value > 0.0)
     lines.append(f"  costs: {costs or 'none'}")
     return "\n".join(lines)

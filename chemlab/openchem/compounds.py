@@ -14,7 +14,7 @@ from ..config.materials import Material, shipped_materials
 from .identity import Compound, canonical, compound_of
 from .names import is_mineral
 from .properties import DOUBTFUL, Properties, Value
-from .writing import toml_tables
+from .writing import significant, toml_tables
 
 OWN_FIELDS = (
     "density_kg_l", "heat_capacity_j_mol_k", "melting_point_k", "boiling_point_k", "vaporization_enthalpy_j_mol",
@@ -109,10 +109,6 @@ def _looks(compound: Compound, used: list[float], liquid: bool) -> dict[str, Any
     return {"color": _PALETTE[number % len(_PALETTE)], "shade": shade, "absorption": bands}
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")
-
-
 def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[dict[str, Any], list[str]]:
     """Return a material's table, and its missing fields."""
     metal, state = found.metal, found.state
@@ -133,7 +129,7 @@ def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[di
 
     def put(into: dict[str, Any], where: dict[str, str], field: str, value: Value | None, needed: bool = True) -> None:
         if value is not None:
-            into[field], where[field] = _rounded(value.number), value.source
+            into[field], where[field] = significant(value.number, 6), value.source
         elif needed:
             missing.append(field)
 

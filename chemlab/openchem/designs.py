@@ -16,10 +16,9 @@ from ..config.materials import Material
 from ..config.pairs import Pair, log_activity_coefficients, pair_table
 from ..config.reactions import Reaction, ReactionFamily
 from ..config.scenario import SAFETY_EVENTS, RealSpec
-from ..physics.constants import GAS_CONSTANT
-from .writing import toml_tables
+from ..physics.constants import ATMOSPHERE_PA, GAS_CONSTANT, ROOM_K
+from .writing import significant, toml_tables
 
-ROOM_K = 298.15
 WATER = "water"
 SOLVENTS = ("diethyl_ether", "ethyl_acetate", "hexane", "toluene")
 """Bundled solvents for reactions and for washing with water, the lowest boiling first."""
@@ -44,7 +43,6 @@ _CALM_W = 150.0
 _PARTED = 30.0
 """Ratio of two materials above and below a cut that a column has to reach."""
 _MOST_STAGES = 15
-_ATMOSPHERE_PA = 101325.0
 _TICK_S = (10.0, 1800.0)
 _CATALYST = 0.1
 """mol of a catalyst per mol of the goal."""
@@ -176,7 +174,7 @@ def _tick(
         order = sum(step.orders.values())
         concentration = max(fed.values()) / litre
         longest = max(longest, _LIFETIMES[order > 1.0] / (k * concentration ** (order - 1.0)))
-    return float(f"{min(max(longest / _STEPS, _TICK_S[0]), _TICK_S[1]):.2g}")
+    return significant(min(max(longest / _STEPS, _TICK_S[0]), _TICK_S[1]), 2)
 
 
 def _soluble(
@@ -232,7 +230,7 @@ def _column(goal: str, others: Collection[str], materials: Mapping[str, Material
         real = materials[key].real
         if key == goal or real is None or real.vapor_pressure is None or _crystallizes(materials[key]):
             continue
-        ratio = float(real.vapor_pressure.pascal(boils)) / _ATMOSPHERE_PA
+        ratio = float(real.vapor_pressure.pascal(boils)) / ATMOSPHERE_PA
         nearest = min(nearest, max(ratio, 1.0 / max(ratio, 1e-9)))
     stages = 2.0 * math.log(_PARTED**2) / math.log(max(nearest, 1.2))
     return min(max(math.ceil(stages), 1), _MOST_STAGES), 1.0 if stages < 6.0 else 3.0
@@ -240,10 +238,6 @@ def _column(goal: str, others: Collection[str], materials: Mapping[str, Material
 
 def _litres(contents: Mapping[str, float], materials: Mapping[str, Material]) -> float:
     return sum(n * materials[k].molar_mass_g_mol / materials[k].density_kg_l / 1000.0 for k, n in contents.items())
-
-
-def _round(value: float) -> float:
-    return float(f"{value:.3g}")
 
 
 def _charge_litres(fed: Mapping[str, float], mol: float, materials: Mapping[str, Material]) -> float:
@@ -316,12 +310,12 @@ def design(
         DataError: see :func:`check_design`.
     """
     check_design(goal, solvent, family, materials, mol)
-    fed = {key: _round(amount) for key, amount in feeds(goal, family, mol).items()}
+    fed = {key: significant(amount, 3) for key, amount in feeds(goal, family, mol).items()}
     litre = _charge_litres(fed, mol, materials)
     liquid = max(litre - _litres(fed, materials), 0.2 * litre)
-    in_solvent = _round(liquid * 1000.0 * materials[solvent].density_kg_l / materials[solvent].molar_mass_g_mol)
+    in_solvent = significant(liquid * 1000.0 * materials[solvent].density_kg_l / materials[solvent].molar_mass_g_mol, 3)
     strange = [key for key in _catalysts(goal, family) if key not in fed]
-    catalysts = {key: _round(_CATALYST * mol) for key in strange if key != solvent}
+    catalysts = {key: significant(_CATALYST * mol, 3) for key in strange if key != solvent}
     reacts = {key for step in family.violent if step.event != "none" for key in step.reactants}
     washing = wash and not reacts & set(fed) and _washes(goal, solvent, family, materials, pairs)
     crystallizing = _crystallizes(materials[goal])
@@ -331,14 +325,18 @@ def design(
     heat = sum(abs(_heat(step, materials)) for step in steps_to(goal, family).values()) * mol
     there = {**put_in, solvent: in_solvent + put_in.get(solvent, 0.0)}
     dissolving = _LIFETIMES[0] * _dissolving_s(put_in, solvent, in_solvent, warm, materials, pairs)
-    tick = max(_tick(goal, family, warm, litre, fed, there), float(f"{2.0 * heat / (_STEPS * _CALM_W):.2g}"))
-    tick = max(tick, min(float(f"{dissolving / _STEPS:.2g}"), _TICK_S[1]))
+    tick = max(_tick(goal, family, warm, litre, fed, there), significant(2.0 * heat / (_STEPS * _CALM_W), 2))
+    tick = max(tick, min(significant(dissolving / _STEPS, 2), _TICK_S[1]))
     present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
     charge = _Charge(goal, solvent, fed, in_solvent, catalysts, tick, warm, heat, washing, crystallizing, present)
     benches = _benches(charge, materials)
     others = {WATER: 80.0} if washing or crystallizing else {}
     others |= {"ethanol": 20.0, goal: 0.01} if crystallizing else {}
-    stock = {**put_in, solvent: _round(2.0 * in_solvent), **{k: v for k, v in others.items() if k not in put_in}}
+    stock = {
+        **put_in,
+        solvent: significant(2.0 * in_solvent, 3),
+        **{k: v for k, v in others.items() if k not in put_in},
+    }
     prices = {key: 5e-5 if key == WATER else 1e-3 if key not in put_in else 5e-3 for key in stock}
     safety: dict[str, float] = dict.fromkeys(SAFETY_EVENTS, 1.0) | {"boiled_dry": 0.1, "dry_heating": 0.1}
     vessel = {"capacity_l": _CRYSTALS_L if crystallizing else _CAPACITY_L, "contents": {solvent: in_solvent}}
@@ -350,7 +348,7 @@ def design(
         **files,
         "goals": [goal],
         "lab_goals": [goal],
-        "theoretical_maximum_mol": {goal: _round(mol + (others.get(goal, 0.0) if crystallizing else 0.0))},
+        "theoretical_maximum_mol": {goal: significant(mol + (others.get(goal, 0.0) if crystallizing else 0.0), 3)},
         # On other benches: a distillate cools down in between, and crystals need time.
         "real": {"tick_s": 2.0 * _CLOCK_S if crystallizing else _CLOCK_S},
         "stock": stock,
@@ -415,7 +413,7 @@ def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, An
     goal, solvent = charge.goal, charge.solvent
     watts = charge.heat_j / (0.5 * _STEPS * charge.tick)
     start = {"capacity_l": _CAPACITY_L, "contents": {solvent: charge.solvent_mol}}
-    made = _round(0.8 * min(charge.fed.values()))
+    made = significant(0.8 * min(charge.fed.values()), 3)
     crude = {**start, "contents": {solvent: charge.solvent_mol, goal: made}}
     low, high = min(ROOM_K - 30.0, charge.warm_k - 60.0), charge.warm_k + 2.0 * _BELOW_BOILING_K
     benches: dict[str, Any] = {
@@ -429,7 +427,7 @@ def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, An
             "rated_pressure_kpa": 500.0,
             "tick": charge.tick,
             "jacket_w_k": 6.0,
-            "condenser_w": _round(max(80.0, 2.0 * watts)),
+            "condenser_w": significant(max(80.0, 2.0 * watts), 3),
             "atol": 1e-9,
             "start": start,
         }

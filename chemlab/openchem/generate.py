@@ -21,17 +21,17 @@ from typing import Any
 
 from ..config.datafile import DataError
 from ..config.datamodel import validated
-from ..config.files import check_target, write_texts
+from ..config.files import check_new, check_target, write_texts
 from ..config.inherit import completed
 from ..config.loading import restore_scenario
 from ..config.materials import Material, shipped_materials
-from ..config.reactions import ReactionFamily
+from ..config.reactions import ReactionFamily, side_words
 from ..config.scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario
 from ..physics.constants import GAS_CONSTANT
 from .designs import INSTRUMENTS, SOLVENTS, design, scenario_text
-from .invented import SOURCE, dilute_log, material_tables, pair_rows, significant
+from .invented import SOURCE, dilute_log, material_tables, pair_rows
 from .reaction_networks import Draws, Network, Size, chosen_size, draw_network
-from .writing import family_text, lock, material_text, pair_text
+from .writing import family_text, lock, material_text, pair_text, significant
 
 _WARM_K = 330.0
 """Temperature in K at which rates are compared."""
@@ -137,10 +137,8 @@ class Generated:
             ValueError: a file exists already or cannot be written.
         """
         texts = {Path(folder) / name: text for name, text in self.files().items()}
-        there = [path for path in texts if path.exists()]
-        if there and not force:
-            raise ValueError(f"{there[0]}: already exists; choose another name or folder, or overwrite it with --force")
         for path in texts:
+            check_new(path, force)
             check_target(path)
         write_texts(texts)
         return next(iter(texts))
@@ -209,7 +207,7 @@ def generated(
     tables = material_tables(draws, network, wanted, level.gap_k, role, taken)
     family = {
         "name": name,
-        "summary": "; ".join(f"{_side(s.reactants)} -> {_side(s.products)}" for s in network.steps) + ".",
+        "summary": "; ".join(f"{side_words(s.reactants)} -> {side_words(s.products)}" for s in network.steps) + ".",
         "lock": lock(command),
         "reaction": _reactions(draws, network, level),
     }
@@ -229,10 +227,6 @@ def generated(
     head["pair_files"] = [f"{name}_pairs.toml"]
     scenario = _real(head, network, wanted, known, solvent, family)
     return Generated(name, command, scenario, family, tables, pair_rows(known))
-
-
-def _side(counts: Mapping[str, int]) -> str:
-    return " + ".join(f"{'' if n == 1 else f'{n} '}{name}" for name, n in counts.items())
 
 
 def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, Any]]:

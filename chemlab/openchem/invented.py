@@ -22,12 +22,11 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..config.materials import Material
-from ..physics.constants import GAS_CONSTANT
+from ..physics.constants import ATMOSPHERE_PA, GAS_CONSTANT, ROOM_K
 from .reaction_networks import Draws, Network
+from .writing import significant
 
-ROOM_K = 298.15
 _FREEZING_K = 273.15
-_ATMOSPHERE_PA = 101_325.0
 _HEAVIEST_G = 230.0
 """Maximum molar mass in g/mol of final products; heavier ones would boil above the range of the benches."""
 _ATOM_G, _COPRODUCT_G = (28.0, 80.0), (30.0, 60.0)
@@ -47,11 +46,6 @@ _MIDDLE_K = 360.0
 _ALPHA = 0.3
 _EXOTHERMIC_J = (25_000.0, 90_000.0)
 SOURCE = "invented"
-
-
-def significant(value: float, digits: int = 4) -> float:
-    """Round ``value``, because the last bits of logarithms and roots differ between machines."""
-    return float(f"{value:.{digits}g}")
 
 
 def boiling_point(number: float) -> float:
@@ -127,7 +121,7 @@ def _vapor_pressure(boils: float, heat: float) -> dict[str, Any]:
     """Return the coefficients of Antoine's equation."""
     c = 17.75 - 0.19 * boils
     b = heat / GAS_CONSTANT * ((boils + c) / boils) ** 2 / math.log(10.0)
-    a = math.log10(_ATMOSPHERE_PA) + b / (boils + c)
+    a = math.log10(ATMOSPHERE_PA) + b / (boils + c)
     numbers = [significant(number, 7) for number in (a, b, c)]
     return {"form": "antoine", "coefficients": numbers, "low_k": _LOW_K, "high_k": round(1.4 * boils, 1)}
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..config.datafile import DataError
 from ..config.materials import Dimerization, VaporPressure
-from ..physics.constants import GAS_CONSTANT
+from ..physics.constants import ATMOSPHERE_PA, GAS_CONSTANT, ROOM_K
 from .identity import Compound, molar_mass, parsed
 from .names import is_metal
 
@@ -22,9 +22,6 @@ try:
     from rdkit.Chem import MolFromSmarts
 except ImportError as error:
     raise ImportError(f'properties need chemicals and thermo ({error}): pip install ".[chem]"') from error
-
-ROOM_K = 298.15
-ATMOSPHERE_PA = 101325.0
 
 DOUBTFUL = "doubtful: "
 """Prefix of the source of a number that is contradicted but used."""

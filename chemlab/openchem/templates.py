@@ -12,10 +12,10 @@ from typing import Any
 from ..config.datafile import DataError, toml_key
 from ..config.datamodel import validated, written
 from ..config.materials import Material
-from ..config.reactions import ReactionFamily, load_reactions, shipped_reactions_folder
-from ..physics.constants import GAS_CONSTANT
+from ..config.reactions import ReactionFamily, load_reactions, shipped_reactions_folder, side_words
+from ..physics.constants import GAS_CONSTANT, ROOM_K
 from .identity import Compound, check_length, composition_of, compound_of, parsed
-from .writing import lock
+from .writing import lock, significant
 
 try:
     from rdkit import Chem
@@ -23,7 +23,6 @@ try:
 except ImportError as error:
     raise ImportError(f'reaction templates need rdkit ({error}): pip install ".[chem]"') from error
 
-ROOM_K = 298.15
 _MOST_WAYS = 50_000
 """Maximum number of assignments of molecules to a template's places."""
 _MOST_OUTCOMES = 20_000
@@ -120,11 +119,7 @@ class Found:
     @property
     def words(self) -> str:
         """The reaction as text: ``A + 2 B -> C``."""
-        return " -> ".join(_side(side) for side in (self.reactants, self.products))
-
-
-def _side(side: Mapping[str, int]) -> str:
-    return " + ".join(f"{n} {key}" if n > 1 else key for key, n in side.items())
+        return " -> ".join(side_words(side) for side in (self.reactants, self.products))
 
 
 def _matched(molecule: Any) -> Any:
@@ -309,7 +304,7 @@ def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[
         for products in outcomes:
             made += 1
             before = Counter(pool.species[key].key for key in chosen)
-            where = f"template {template.smarts!r}: {_side(before)}"
+            where = f"template {template.smarts!r}: {side_words(before)}"
             _check_balance(molecules, products, where)
             after = Counter(pool.add(product, where).key for product in products)
             yield Found(dict(before), dict(after), template)
@@ -353,7 +348,7 @@ def _entry(found: Found, materials: Mapping[str, Material], salts: Collection[st
         if rate.equilibrium_constant is not None:
             raise DataError(f"{found.words}: equilibrium: a surface reaction of {solids[0]!r} has no equilibrium")
         values["orders"] = {key: _SURFACE_ORDER if key in solids else 1 for key in found.reactants}
-    values["pre_exponential"] = float(f"{constant * math.exp(activation / (GAS_CONSTANT * ROOM_K)):.6g}")
+    values["pre_exponential"] = significant(constant * math.exp(activation / (GAS_CONSTANT * ROOM_K)), 6)
     values["activation_energy_j_mol"] = float(activation)
     if rate.equilibrium_constant is not None:
         values["equilibrium_constant"] = rate.equilibrium_constant

@@ -11,6 +11,11 @@ from .. import __version__
 from ..config.datafile import toml_key
 
 
+def significant(value: float, digits: int = 4) -> float:
+    """Round ``value``, because the last bits of logarithms and roots differ between machines."""
+    return float(f"{value:.{digits}g}")
+
+
 def toml(value: Any) -> str:
     """Format a value on one line."""
     if isinstance(value, Mapping):

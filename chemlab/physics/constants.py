@@ -4,6 +4,10 @@ from __future__ import annotations
 
 GAS_CONSTANT = 8.31446261815324
 """Gas constant in J/mol/K (CODATA 2018, exact)."""
+ROOM_K = 298.15
+"""Temperature in K to which data of materials and reactions refer."""
+ATMOSPHERE_PA = 101325.0
+"""Standard pressure."""
 TRACE_MOL = 1e-12
 """Amount in mol below which a material counts as absent, so that rounding remainders do not count as layers or
 liquids.

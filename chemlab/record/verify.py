@@ -66,11 +66,6 @@ class Verification:
     score: float | None = None
     notes: list[str] = field(default_factory=list)
 
-    @property
-    def exit_code(self) -> int:
-        """Exit code of ``chemlab verify``."""
-        return EXIT_CODES[self.status]
-
 
 class _Absent:
     """Represents a missing key."""

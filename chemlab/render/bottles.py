@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from .figure import FORMATS, SETTINGS, import_matplotlib, new_figure, save_figure
+from .figure import SETTINGS, import_matplotlib, new_figure
 
 if TYPE_CHECKING:
     from ..sandbox import Moment
@@ -62,19 +61,6 @@ def _compositions(axes: Any, across: list[float], history: Sequence[Moment], col
         axes.plot(across, [_share(part, name) for part in parts], label=name, color=colors.get(name))
     axes.set_ylabel(f"mole fraction in the {'distillate' if distils else 'flask'}")
     axes.set_ylim(-0.02, 1.02)
-
-
-def save(figure: Any, path: Path) -> None:
-    """Write a figure.
-
-    Raises:
-        ValueError: the path has no ending of a picture.
-        OSError: it cannot be written.
-    """
-    if path.suffix.removeprefix(".") not in FORMATS:
-        raise ValueError(f"{path}: must end with {', '.join(f'.{kind}' for kind in FORMATS)}")
-    with import_matplotlib().rc_context(SETTINGS):
-        save_figure(figure, path)
 
 
 def _across(history: Sequence[Moment]) -> tuple[list[float], str]:

@@ -44,6 +44,16 @@ def new_figure(width: float, height: float) -> Any:
     return Figure(figsize=(width, height), dpi=150)
 
 
+def check_format(path: Path) -> None:
+    """Check that a path has the suffix of a picture.
+
+    Raises:
+        ValueError: it has another suffix, or none.
+    """
+    if path.suffix.removeprefix(".") not in FORMATS:
+        raise ValueError(f"{path}: unknown suffix {path.suffix or 'none'}; choose from {', '.join(FORMATS)}")
+
+
 def save_figure(figure: Any, path: Path) -> None:
     """Write a figure in the format of the path's suffix. An existing file is replaced only when the new one is
     complete.
@@ -52,5 +62,6 @@ def save_figure(figure: Any, path: Path) -> None:
         ValueError: the format is unknown, or the figure exceeds the largest picture size.
         OSError: the file cannot be written.
     """
-    with draft_of(path) as draft:
+    check_format(path)
+    with import_matplotlib().rc_context(SETTINGS), draft_of(path) as draft:
         figure.savefig(draft, format=path.suffix.removeprefix("."))

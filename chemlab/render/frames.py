@@ -13,6 +13,9 @@ from .canvas import Image
 from .draw import draw
 from .scene import Scene
 
+_SIZE = 960, 540
+"""Width and height of a frame in pixels."""
+
 
 class Viewer:
     """Shows an environment's scenes, one frame per call.
@@ -20,16 +23,14 @@ class Viewer:
     Args:
         mode: ``rgb_array`` or ``human``.
         frames_per_second: Maximum frame rate of a window.
-        size: Width and height of a frame in pixels.
 
     Raises:
         ImportError: Pillow (or pygame, for a window) is not installed; the message names the extra.
     """
 
-    def __init__(self, mode: str, frames_per_second: float, size: tuple[int, int] = (960, 540)) -> None:
+    def __init__(self, mode: str, frames_per_second: float) -> None:
         self.mode = mode
         self.frames_per_second = frames_per_second
-        self.size = size
         self._pygame = _pygame() if mode == "human" else None
         self._window: Any = None
         self._closed = False
@@ -40,7 +41,7 @@ class Viewer:
 
         After the user has closed the window, nothing more is shown.
         """
-        frame = draw(scene, *self.size)
+        frame = draw(scene, *_SIZE)
         if self._pygame is None:
             return frame
         if not self._closed:
@@ -50,10 +51,10 @@ class Viewer:
     def _present(self, pygame: Any, frame: npt.NDArray[np.uint8], title: str) -> None:
         if self._window is None:
             pygame.display.init()
-            self._window = pygame.display.set_mode(self.size)
+            self._window = pygame.display.set_mode(_SIZE)
             self._clock = pygame.time.Clock()
         pygame.display.set_caption(title)
-        self._window.blit(pygame.image.frombuffer(frame.tobytes(), self.size, "RGB"), (0, 0))
+        self._window.blit(pygame.image.frombuffer(frame.tobytes(), _SIZE, "RGB"), (0, 0))
         pygame.display.flip()
         if any(event.type == pygame.QUIT for event in pygame.event.get()):
             self.close()
@@ -67,9 +68,9 @@ class Viewer:
             self._window = None
             self._pygame.display.quit()  # type: ignore[union-attr]
 
-    def __reduce__(self) -> tuple[type[Viewer], tuple[str, float, tuple[int, int]]]:
+    def __reduce__(self) -> tuple[type[Viewer], tuple[str, float]]:
         # The window is not part of the state: a copied or pickled environment gets its own viewer.
-        return Viewer, (self.mode, self.frames_per_second, self.size)
+        return Viewer, (self.mode, self.frames_per_second)
 
 
 def picture_html(frame: npt.NDArray[np.uint8], name: str) -> str:

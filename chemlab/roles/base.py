@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
-import gymnasium
 import numpy as np
 import numpy.typing as npt
 
-from ..config.scenario import Scenario
 from ..kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 
 if TYPE_CHECKING:
     from ..lab.engine import Laboratories
-    from .bench import Channel
+    from .bench import Bench
+    from .manager_role import Manager
+
+Workplace: TypeAlias = "Bench | Manager"
+"""The static part of a role, without arrays."""
 
 VESSEL_TEMPERATURES_K = 200.0, 800.0
 """Temperatures that observations and the global state show as 0 and 1."""
@@ -35,56 +37,6 @@ class Quantity(NamedTuple):
 def one_hot(indices: IntArray, size: int) -> FloatArray:
     """[..., size] one-hot vectors."""
     return np.asarray((indices[..., None] == np.arange(size)).astype(np.float64))
-
-
-class Workplace(Protocol):
-    """The static part of a role, without arrays: a :class:`~.bench.Bench` or a :class:`~.manager_role.Manager`."""
-
-    @property
-    def key(self) -> str:
-        """``manager``, or the key of the bench in the scenario."""
-
-    @property
-    def scenario(self) -> Scenario:
-        """The scenario."""
-
-    @property
-    def step_limit(self) -> int:
-        """Largest number of actions in an experiment (the manager: in an episode)."""
-
-    @property
-    def observation_space(self) -> gymnasium.spaces.Box:
-        """The observation space."""
-
-    @property
-    def action_space(self) -> gymnasium.Space[Any]:
-        """The action space."""
-
-    @property
-    def kind(self) -> str:
-        """``manager``, or the kind of the bench."""
-
-    @property
-    def channels(self) -> tuple[Channel, ...]:
-        """Channels of the observation, in order."""
-
-    @property
-    def action_meanings(self) -> list[str]:
-        """Meaning of each discrete action, or of each number of a continuous one."""
-
-    @property
-    def action_count(self) -> int:
-        """Number of discrete actions; 0 for continuous actions."""
-
-    @property
-    def score_meaning(self) -> str:
-        """Meaning of the score of an experiment (the manager: of an episode)."""
-
-    def action_words(self, action: Any) -> str:
-        """An action in words; of a continuous one, the numbers that it changes."""
-
-    def checked(self, agent: str, action: Any) -> npt.NDArray[Any]:
-        """The action as an array of one member, or ``ValueError`` if it is outside the action space."""
 
 
 class Role(ABC):

@@ -34,14 +34,8 @@ def test_specs(name: str, more: dict[str, Any]) -> None:
     assert ("state" in set(env.observation_spec.keys())) == more.get("state", True)
 
 
-def test_agents_of_a_role_are_a_group_and_others_can_be_asked_for() -> None:
+def test_agents_of_a_role_are_a_group() -> None:
     assert TorchLaboratory(1, "wurtz_two_lines").group_map["rxn"] == ["rxn_0", "rxn_1"]
-    apart = {agent: [agent] for agent in ("manager_0", "rxn_0", "ext_0", "dit_0")}
-    assert TorchLaboratory(1, groups=apart).group_map == apart
-    with pytest.raises(ValueError, match="each of manager_0, rxn_0, ext_0, dit_0 once"):
-        TorchLaboratory(1, groups={"all": ["manager_0"]})
-    with pytest.raises(ValueError, match="do not have the same spaces"):
-        TorchLaboratory(1, groups={"all": ["manager_0", "rxn_0", "ext_0", "dit_0"]})
 
 
 def test_roles_that_do_not_learn_are_played_as_in_any_other_laboratory() -> None:
