@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Policy, Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 
 from .notes import Notes
@@ -25,7 +25,7 @@ def with_advice(observation: ObservationArray, advice: IntArray, actions: int) -
     return np.concatenate([observation, shown], axis=1, dtype=np.float32)
 
 
-class Advisor:
+class Advisor(Remembering):
     """A policy that gives hints and is informed of the actions played.
 
     Args:
@@ -33,6 +33,8 @@ class Advisor:
             any other policy is queried as if it played.
         actions: number of discrete actions, for :meth:`shown`.
     """
+
+    _MEMORY = ("_policy",)
 
     def __init__(self, policy: Policy, actions: int = 0) -> None:
         self._policy, self._actions = policy, actions
@@ -56,24 +58,16 @@ class Advisor:
         if tell is not None:
             tell(actions, members)
 
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return getattr(self._policy, "get_memory", lambda: None)()
 
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        remind = getattr(self._policy, "set_memory", None)
-        if remind is not None:
-            remind(memory)
-
-
-class AdvisedPolicy:
+class AdvisedPolicy(Remembering):
     """A policy that observes the hints of an advisor, or its notes.
 
     Args:
         policy: the policy that observes them.
         advisor: source of the hints, or notes.
     """
+
+    _MEMORY = ("_policy", "_advisor")
 
     def __init__(self, policy: Policy, advisor: Advisor | Notes) -> None:
         self._policy, self._advisor = policy, advisor
@@ -100,15 +94,3 @@ class AdvisedPolicy:
         """Restart the random stream of one member."""
         if hasattr(self._policy, "seed"):
             self._policy.seed(member, seed)
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return getattr(self._policy, "get_memory", lambda: None)(), self._advisor.get_memory()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        own, advisors = memory
-        remind = getattr(self._policy, "set_memory", None)
-        if remind is not None:
-            remind(own)
-        self._advisor.set_memory(advisors)

@@ -117,11 +117,11 @@ def _reactions(spec: Scenario, name: Callable[[str], str], most: Mapping[str, fl
     words: dict[str, list[str]] = {}
     for k, (reactants, products) in enumerate(sides, start=1):
         maximum = "".join(f" ({most[one]:.3g})" for one in products if one in most)
-        made = f"{f'{k}. ' if numbered else ''}{_tokens(side_words(products), name)}{maximum}"
-        words.setdefault(_tokens(side_words(reactants), name), []).append(made)
+        made = f"{f'{k}. ' if numbered else ''}{renamed(side_words(products), name)}{maximum}"
+        words.setdefault(renamed(side_words(reactants), name), []).append(made)
     listed = "; ".join(f"{reactants} -> {' or '.join(made)}" for reactants, made in words.items())
-    sentences = [f"{_tokens(head, name)}: {listed}."] if words else []
-    sentences += [f"Violent: {_tokens(equation(one), name)}." for one in spec.family.violent]
+    sentences = [f"{renamed(head, name)}: {listed}."] if words else []
+    sentences += [f"Violent: {renamed(equation(one), name)}." for one in spec.family.violent]
     return " ".join(sentences)
 
 
@@ -207,7 +207,8 @@ def _plain(line: str, name: Callable[[str], str]) -> str:
     return re.sub(r"`([^`]*)`", lambda match: name(match[1]), line)
 
 
-def _tokens(words: str, name: Callable[[str], str]) -> str:
+def renamed(words: str, name: Callable[[str], str]) -> str:
+    """Return words with names of materials replaced."""
     return " ".join(name(word) for word in words.split(" "))
 
 
@@ -235,7 +236,7 @@ def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
     change = {"factor": "times ", "offset": "plus ", "value": ""}[draw.change]
     change = "" if draw.what in ("identity", "titre") else change
     numbers_of = {equation(step): f"reaction {k}" for k, step in enumerate(spec.family.reaction, start=1)}
-    targets = _ranges([numbers_of.get(one) or _tokens(one, name) for one in draw.of if one not in spec.benches])
+    targets = _ranges([numbers_of.get(one) or renamed(one, name) for one in draw.of if one not in spec.benches])
     of = f" of {name(draw.material)}" if draw.material else ""
     of += f" (rest {name(draw.inert)})" if draw.inert else ""
     told = "all agents" if spec.world.revealed else ", ".join(draw.told)

@@ -32,11 +32,6 @@ LEARNERS: dict[str, Any] = {
 """Learner classes by their name in ``chemlab train --algo``."""
 
 
-def _load(kind: Any, path: Path, **settings: Any) -> Any:
-    """Load a learner's file; it contains a pickle, so its signature is checked (:mod:`~chemlab.agents.seals`)."""
-    return kind.load(BytesIO(read_sealed(path)), device="cpu", **settings)
-
-
 def save_learner(folder: Path, model: BaseAlgorithm) -> None:
     """Write a learner for :func:`load_learner`."""
     model.save(folder / "model.zip")
@@ -58,5 +53,6 @@ def load_learner(folder: Path, algo: str, **settings: Any) -> BaseAlgorithm:
     if algo not in LEARNERS:
         raise ValueError(f"{folder}: algo: must be one of {', '.join(LEARNERS)}; given {algo!r:.100}")
     small = {"buffer_size": 1} if algo in ("dqn", "qr-dqn", "sac", "td3") and not settings else {}
-    model: BaseAlgorithm = _load(LEARNERS[algo], folder / "model.zip", **small, **settings)
+    file = BytesIO(read_sealed(folder / "model.zip"))  # it contains a pickle, so its signature is checked
+    model: BaseAlgorithm = LEARNERS[algo].load(file, device="cpu", **small, **settings)
     return model

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.envs.players import Memory
+from chemlab.envs.players import Memory, Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.base import Workplace
@@ -47,7 +47,7 @@ def notes_size(workplace: Workplace) -> int:
     return slots * of_slot + kinds * of_kind
 
 
-class Notes:
+class Notes(Remembering):
     """The notes of a manager in each laboratory of a batch, with the interface of an advisor.
 
     Of each slot: its last readings, whether there are any, the number of experiments since, and the number of
@@ -122,11 +122,3 @@ class Notes:
         gone = np.flatnonzero((rows[:, KIND] == SUBMIT) | (rows[:, KIND] == DISCARD))
         slots[gone, rows[gone, FIRST]] = 0.0
         self._memory.keep(members, notes)
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return self._memory.copy()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._memory.put_back(memory)

@@ -22,6 +22,7 @@ from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated
 from chemlab.config.files import write_text
 from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Channel, channel_slices
@@ -44,7 +45,7 @@ def all_contexts(scenario: Scenario) -> list[Context]:
     return list(itertools.product(scenario.lab_goals, repeat=scenario.orders))
 
 
-class Playback:
+class Playback(Remembering):
     """Plays fixed sequences of manager actions, one for each environment index.
 
     The next action is played as soon as it is legal. Until then the manager waits for the benches; if no bench is busy,
@@ -58,6 +59,8 @@ class Playback:
     Attributes:
         started: [N, benches] experiments of each bench in the episode so far.
     """
+
+    _MEMORY = ("_plan", "_next")
 
     def __init__(self, actions: ManagerActions, plans: Sequence[Plan]) -> None:
         self._table = actions.table
@@ -106,14 +109,6 @@ class Playback:
         submissions = mask[:, self._submissions] != 0
         submit = np.where(submissions.any(axis=1), self._submissions[submissions.argmax(axis=1)], mask.argmax(axis=1))
         return np.where(legal, meant, np.where(may_wait, self._wait, submit))
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return self._plan.copy(), self._next.copy()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._plan, self._next = (np.array(part) for part in memory)
 
 
 class ConstantPlan(Playback):

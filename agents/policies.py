@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Policy, Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.kernels.rng import as_sequence
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
 from chemlab.roles.discrete import Discretised
@@ -69,7 +70,7 @@ _UNSCRIPTED: set[str] = set()
 """Kinds of benches without a scripted policy for which a warning has been given."""
 
 
-class LapsingPolicy:
+class LapsingPolicy(Remembering):
     """Epsilon-random policy: plays a random legal action with a given probability, otherwise another policy's action.
 
     Args:
@@ -79,21 +80,19 @@ class LapsingPolicy:
         seed: as for :class:`RandomPolicy`.
     """
 
+    _MEMORY = ("_lapses", "_random", "_policy")
+
     def __init__(
         self, policy: Policy, probability: float, size: int, seed: int | np.random.SeedSequence | None = None
     ) -> None:
-        own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        first, second = own.spawn(2)
+        first, second = as_sequence(seed).spawn(2)
         self._policy, self._probability = policy, probability
         self._lapses, self._random = RandomPolicy(1, first), RandomPolicy(size, second)
 
-    def _parts(self) -> tuple[Any, ...]:
-        return self._lapses, self._random, self._policy
-
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Restart the streams of one member."""
-        own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        for part, sequence in zip(self._parts(), own.spawn(3), strict=True):
+        parts = self._lapses, self._random, self._policy
+        for part, sequence in zip(parts, as_sequence(seed).spawn(3), strict=True):
             if hasattr(part, "seed"):
                 part.seed(member, sequence)
 
@@ -105,16 +104,6 @@ class LapsingPolicy:
         drawn = self._random.act(observation, mask, step, members)
         lapse = self._lapses.act(observation, None, step, members)[:, 0] < self._probability
         return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return [part.get_memory() if hasattr(part, "get_memory") else None for part in self._parts()]
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        for part, kept in zip(self._parts(), memory, strict=True):
-            if hasattr(part, "set_memory"):
-                part.set_memory(kept)
 
 
 def policy_names() -> tuple[str, ...]:

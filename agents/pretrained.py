@@ -29,7 +29,7 @@ from chemlab.config.datamodel import DataModel, validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
 from chemlab.config.inherit import shipped_file
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Memory, Policy
+from chemlab.envs.players import Memory, Policy, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.base import Workplace
 from chemlab.roles.bench import Bench
@@ -172,7 +172,7 @@ class Card(DataModel):
         return cls(**{**own, **more})
 
 
-class PretrainedPolicy:
+class PretrainedPolicy(Remembering):
     """A trained network as a :class:`~chemlab.envs.players.Policy`, with a memory if it has an LSTM.
 
     It plays greedily, or sampled if its card says so. A sampled policy depends on its seed alone.
@@ -187,6 +187,8 @@ class PretrainedPolicy:
         ValueError: weights and card do not agree.
     """
 
+    _MEMORY = ("_memory", "_draws")
+
     def __init__(self, card: Card, weights: Weights, seed: Seed = None) -> None:
         self.card, self.weights = card, weights
         hidden = card.memory
@@ -198,8 +200,6 @@ class PretrainedPolicy:
                 f"{card.name}: weights must be 0.weight, 0.bias, 1.weight, ... of {_MOST_LAYERS} layers at most; found "
                 f"{sorted(weights)!s:.500}"
             )
-        if card.activation not in ("tanh", "relu") or card.output not in ("argmax", "clip", "tanh"):
-            raise ValueError(f"{card.name}: unknown activation {card.activation!r} or output {card.output!r}")
         for name, shape in LSTM.items() if hidden else ():
             wanted = tuple({"O": card.observation_size, "H": hidden, "4H": 4 * hidden}[axis] for axis in shape)
             if weights[name].shape != wanted or not np.isfinite(weights[name]).all():
@@ -319,17 +319,6 @@ class PretrainedPolicy:
         hidden = expit(leaving) * np.tanh(cell)
         self._memory.keep(members, hidden, cell)
         return hidden
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return self._memory.copy(), None if self._draws is None else self._draws.get_memory()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        own, draws = memory
-        self._memory.put_back(own)
-        if self._draws is not None:
-            self._draws.set_memory(draws)
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.envs.players import Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 from chemlab.kernels.jit import kernel
-from chemlab.kernels.rng import uniform
+from chemlab.kernels.rng import as_sequence, uniform
 
 
 @kernel
@@ -33,7 +34,7 @@ def _draw_numbers(members: IntArray, stream: StreamArray, out: FloatArray) -> No
             out[b, x] = uniform(stream[members[b]])
 
 
-class RandomPolicy:
+class RandomPolicy(Remembering):
     """Uniformly random legal actions, with a separate stream per member.
 
     Args:
@@ -41,9 +42,11 @@ class RandomPolicy:
         seed: seed of the members' streams, until :meth:`seed` gives one of them its own.
     """
 
+    _MEMORY = ("_stream",)
+
     def __init__(self, size: int, seed: int | np.random.SeedSequence | None = None) -> None:
         self._size = size
-        self._seeds = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        self._seeds = as_sequence(seed)
         self._stream: StreamArray = np.zeros((0, 1), dtype=np.uint64)
 
     def _provide(self, members: int) -> None:
@@ -56,7 +59,7 @@ class RandomPolicy:
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Restart the stream of one member, as that of member 0 of a policy that was made with this seed."""
         self._provide(member + 1)
-        own = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+        own = as_sequence(seed)
         first = np.random.SeedSequence(own.entropy, spawn_key=(*own.spawn_key, 0))
         self._stream[member] = first.generate_state(1, np.uint64)
 
@@ -72,11 +75,3 @@ class RandomPolicy:
         chosen = np.empty(len(mask), dtype=np.int64)
         _draw_legal(mask, members, self._stream, chosen)
         return chosen
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return self._stream.copy()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._stream = np.array(memory)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Sequence
+from functools import partial
 from typing import Any
 
 import gymnasium
@@ -220,7 +221,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
         if attr_name == "action_masks":
             if not self.batch.action_count:
                 raise AttributeError("continuous actions have no action_masks")
-            return [_Masks(self.batch, member) for member in members]
+            return [partial(self._mask_of, member) for member in members]
         if attr_name in ("observation_space", "action_space"):
             return [getattr(self, attr_name)] * len(members)
         return [getattr(self._owner(attr_name), attr_name)] * len(members)
@@ -265,15 +266,9 @@ class ChemlabVecEnv(Guarded, VecEnv):
             raise AttributeError(f"{type(self.batch).__name__} has no attribute {name!r}")
         return owner
 
+    def _mask_of(self, member: int) -> npt.NDArray[np.bool_]:
+        """Return [actions] the current legal actions of one member."""
+        return np.asarray(self.batch.action_masks()[member])
+
     def _members(self, indices: Indices) -> Sequence[int]:
         return list(self._get_indices(indices))
-
-
-class _Masks:
-    """The ``action_masks`` method of one member."""
-
-    def __init__(self, batch: RoleVectorEnv, member: int) -> None:
-        self._batch, self._member = batch, member
-
-    def __call__(self) -> npt.NDArray[np.bool_]:
-        return np.asarray(self._batch.action_masks()[self._member])

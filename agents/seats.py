@@ -29,7 +29,7 @@ from chemlab.record import Play, Recorder
 from chemlab.roles.bench import Bench
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
 
-from .briefs import brief, opaque_names
+from .briefs import brief, opaque_names, renamed
 from .ledger import LEDGER, append_entry
 from .policies import agent_policy
 from .verbs import Argument, ToolError, Verb, bench_verbs, manager_verbs, number_of, plain
@@ -83,6 +83,9 @@ class Room:
         ValueError: an unknown seat, policy or kind of names, or a number out of range.
     """
 
+    laboratories: Laboratories
+    """The laboratory of the episode, which holds what seats must not see."""
+
     def __init__(
         self,
         scenario: str | Path | Scenario = "wurtz_dodecane",
@@ -116,7 +119,6 @@ class Room:
         self._changed = threading.Condition(threading.RLock())
         self._episode = 0
         self._over = True
-        self._labs: Laboratories | None = None
         self.begin()
 
     # -- episodes -----------------------------------------------------------------------------------------------------
@@ -132,7 +134,7 @@ class Room:
             salt, seed = self._given
             self._salt = secrets.token_hex(16) if salt is None else salt
             self._seed = secrets.randbits(63) if seed is None else seed
-            self._labs = labs = Laboratories(self.scenario, 1, split=self._split or f"private:{self._salt}")
+            self.laboratories = labs = Laboratories(self.scenario, 1, split=self._split or f"private:{self._salt}")
             self._players = Players(
                 labs,
                 [
@@ -170,7 +172,7 @@ class Room:
         """The ledger's entry and the record, which stays in memory while the episode runs."""
         self._recorder: Recorder | None = None
         self._stem: Path | None = None
-        if self._folder is None or self._labs is None:
+        if self._folder is None:
             return
         self._folder.mkdir(parents=True, exist_ok=True)
         commitment = hashlib.sha256(f"{self._salt}:{self._seed}".encode()).hexdigest()
@@ -190,13 +192,12 @@ class Room:
         )
         self._number = entry["number"]
         self._stem = self._folder / f"episode-{self._number:04d}"
-        players = {a: "seat" if a in self.seats else self._background for a in self._labs.agents}
-        self._recorder = Recorder(f"{self._stem}.jsonl", self._labs, policies=players, held=True)
+        players = {a: "seat" if a in self.seats else self._background for a in self.laboratories.agents}
+        self._recorder = Recorder(f"{self._stem}.jsonl", self.laboratories, policies=players, held=True)
         self._recorder.begin(self._seed, options)
 
     def _make_verbs(self, seat: str) -> list[Verb]:
-        labs = self._labs
-        assert labs is not None
+        labs = self.laboratories
         role = labs.roles[labs.agents.index(seat)].workplace
         acting = bench_verbs(role, self._name) if isinstance(role, Bench) else manager_verbs(labs, self._name)
         if seat == MANAGER_AGENT:
@@ -225,12 +226,6 @@ class Room:
         ]
 
     @property
-    def laboratories(self) -> Laboratories:
-        """The laboratory of the episode, which holds what seats must not see."""
-        assert self._labs is not None
-        return self._labs
-
-    @property
     def over(self) -> bool:
         """True once the episode is over."""
         return self._over
@@ -238,8 +233,7 @@ class Room:
     @property
     def score(self) -> float:
         """The laboratory's score if the episode ended now: an order that is not met has its penalty."""
-        assert self._labs is not None
-        return float(self._labs.result(self._labs.members)[0])
+        return float(self.laboratories.result(self.laboratories.members)[0])
 
     def published(self) -> dict[str, Any]:
         """Salt and seed of the episode.
@@ -307,13 +301,11 @@ class Room:
             return (agent, self._situation(agent)) if agent else ("", self._end_words())
 
     def _current(self) -> str:
-        assert self._labs is not None
-        return "" if self._over else self._labs.agents[self._labs.turn()]
+        return "" if self._over else self.laboratories.agents[self.laboratories.turn()]
 
     def _advance(self) -> None:
         """Let policies play until a seat has the turn."""
-        labs = self._labs
-        assert labs is not None
+        labs = self.laboratories
         while labs.state.status[0] == RUNNING and self._current() not in self.seats:
             number = labs.turn()
             self._play(number, self._players.decide(number, labs.members)[0])
@@ -325,8 +317,7 @@ class Room:
 
     def _play(self, number: int, action: Any) -> None:
         """One turn of an agent, with its line in the record, and notices for seats whose experiment it ended."""
-        labs = self._labs
-        assert labs is not None
+        labs = self.laboratories
         tick = int(labs.state.ticks[0])
         checked = labs.checked(number, action)
         seen, mask = labs.observe(number, labs.members)[0], labs.mask(number, labs.members)
@@ -351,18 +342,18 @@ class Room:
         """
         with self._changed:
             labs = self.laboratories
-            number = labs.agents.index(agent)
-            mask = labs.mask(number, labs.members)
-            self._play(number, action)
-            if mask is None or mask[0, int(action)]:
-                self._views[agent].acted(action)
-            self._count(agent)
+            mask = labs.mask(labs.agents.index(agent), labs.members)
+            self._take_turn(agent, action, mask)
             self._notices[agent] = []
             self._advance()
             if self._over:
                 self._close_books()
 
-    def _count(self, agent: str) -> None:
+    def _take_turn(self, agent: str, action: Any, mask: Any) -> None:
+        """Play and count a turn of a seat, in which ``mask`` says what is possible."""
+        self._play(self.laboratories.agents.index(agent), action)
+        if mask is None or mask[0, int(action)]:
+            self._views[agent].acted(action)
         self._turns[agent] += 1
         self._fresh[agent] = False
 
@@ -452,16 +443,12 @@ class Room:
         raise ToolError(f"{verb}: turn must be {now}, the present turn, or left out; given {plain(turn)}")
 
     def _act(self, agent: str, verb: str, action: Any) -> Reply:
-        labs = self._labs
-        assert labs is not None
-        number = labs.agents.index(agent)
-        mask = labs.mask(number, labs.members)
+        labs = self.laboratories
+        mask = labs.mask(labs.agents.index(agent), labs.members)
         if mask is not None and not mask[0, int(action)]:
             raise ToolError(self._impossible(agent, verb, mask[0]))
         before = sum(labs.costs().values())
-        self._play(number, action)
-        self._views[agent].acted(action)
-        self._count(agent)
+        self._take_turn(agent, action, mask)
         price = sum(labs.costs().values()) - before
         words = "Done."
         if agent == MANAGER_AGENT and price > 5e-7:
@@ -491,8 +478,7 @@ class Room:
             at: the only slot that is shown, or ``orders``, in detail; ``all``: all but details that the seat has been
                 shown; empty: all with details.
         """
-        labs = self._labs
-        assert labs is not None
+        labs = self.laboratories
         number = labs.agents.index(agent)
         seen, view = labs.observe(number, labs.members)[0], self._views[agent]
         if at not in ("", "all"):
@@ -519,8 +505,7 @@ class Room:
 
     def _noticed(self, agent: str, observation: Any, whole: bool) -> Any:
         """The observation, with curves as they were last shown where they have changed by next to nothing."""
-        labs = self._labs
-        assert labs is not None
+        labs = self.laboratories
         last = self._noted.get(agent)
         if last is not None and not whole:
             at = 0
@@ -534,8 +519,7 @@ class Room:
 
     def _impossible(self, agent: str, verb: str, mask: Any) -> str:
         """Why an action is refused: what of the verb is possible, and which verbs are."""
-        labs = self._labs
-        assert labs is not None
+        labs = self.laboratories
         if agent == MANAGER_AGENT:
             legal = [labs.actions.decode(action) for action in np.flatnonzero(mask).tolist()]
             own = [arguments for kind, *arguments in legal if kind == verb]
@@ -546,7 +530,7 @@ class Room:
             for action in np.flatnonzero(mask).tolist():
                 kinds.append(bench.action_meanings[action].partition(",")[0])
             kinds = [plain(kind) for kind in dict.fromkeys(kinds)]
-            possible = "; ".join(map(self._translated, kinds))
+            possible = "; ".join(renamed(kind, self._name) for kind in kinds)
             return f"{verb}: not possible now (empty vessel or bottle); possible: {possible}"
         columns = [", ".join(dict.fromkeys(self._name(str(v)) for v in column)) for column in zip(*own, strict=True)]
         names = [argument.name for argument in self._verbs[agent][verb].arguments]
@@ -554,9 +538,6 @@ class Room:
             ways = "; ".join(f"{name} {values}" for name, values in zip(names, columns, strict=True))
             return f"{verb}: not possible with these arguments now; possible: {ways}"
         return f"{verb}: not possible now; possible verbs: {', '.join(kinds)}"
-
-    def _translated(self, words: str) -> str:
-        return " ".join(self._name(word) for word in words.split(" "))
 
     def _deliver(self, agent: str, to: str, text: str) -> Reply:
         left = self._say - self._said[agent]
@@ -567,16 +548,14 @@ class Room:
         return Reply(f"Sent; {self._say - self._said[agent]} characters left.")
 
     def _end_words(self) -> str:
-        labs = self._labs
-        assert labs is not None
+        labs = self.laboratories
         outcome, costs = labs.outcome(), sum(labs.costs().values())
         delivered = f"delivered {outcome['submitted_mol']:.3f} mol at purity {outcome['purity']:.3f}"
         return f"The episode is over ({self._status}): {delivered}, costs {costs:.4f}, score {self.score:.3f}."
 
     def brief(self, seat: str) -> str:
         """Introduction for a seat: task, score, prices, hidden parameters."""
-        assert self._labs is not None
-        return brief(self._labs, seat, self.seats, self._name)
+        return brief(self.laboratories, seat, self.seats, self._name)
 
 
 def _renamed(known: Mapping[str, str], name: str) -> str:

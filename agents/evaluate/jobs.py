@@ -13,25 +13,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict
 
 from chemlab.config.datafile import DataError, read_json
-from chemlab.config.datamodel import validated
 from chemlab.config.files import write_text
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
 from chemlab.record import scenario_hash
-from chemlab.roles.manager_actions import ManagerActions
 
 from ..episodes import play_laboratory
 from ..executors import Inline, completed
 from ..open_loop import Context, all_contexts
 from ..policies import make_policies, scripted_manager
 from ..runs import versions
-from .contention import CONTENDED, Contention
+from .contention import Contention
 from .informed import informed_scores
-from .plans import FoundPlan, PlanSearch, Tape, TeamPlan, replay_actions
+from .plans import FoundPlan, PlanSearch, TeamPlan, replay_actions
 from .search import best_in_episode, search_plan
 
 AUDIT_SEED = 4_000_000
@@ -174,7 +171,7 @@ def _everybody(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
 
 def _idle(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
     """Score the submission of the first vessel for the first order, and so on, without any experiment."""
-    nothing = [FoundPlan(context, (), 0.0) for context in all_contexts(scenario)]
+    nothing = [FoundPlan(context, TeamPlan(()), 0.0) for context in all_contexts(scenario)]
     return {"scores": PlanSearch(scenario, "scripted", nothing, 0).play(budget.episodes, AUDIT_SEED, "test").tolist()}
 
 
@@ -326,79 +323,6 @@ def _run(job: Job, scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
     return _KINDS[job.kind](scenario, budget, **job.arguments)
 
 
-class _Result(BaseModel):
-    """A job's result in a file; its fields depend on the kind of job."""
-
-    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
-
-    scores: list[float] | None
-    reason: str = ""
-    contention: list[list[float]] = []
-    chosen: list[float] = []
-    plans: list[tuple[list[str], list[int]]] = []
-    teams: list[tuple[list[str], list[int], list[Tape | None]]] = []
-    everybody: list[float] = []
-    feedback: list[float] = []
-    curves: list[list[float]] = []
-
-    def is_of(self, job: Job, budget: AuditBudget, scenario: Scenario) -> bool:
-        """Return whether the result has the job's fields, as many episodes, and legal plans."""
-        given, wanted = self.model_fields_set, {"scores"}
-        if job.kind in ("play", "inform") and self.scores is None:
-            return given == {"scores", "reason"}
-        episodes = job.arguments.get("episodes") or budget.episodes
-        if job.kind == "play" and job.arguments.get("contended"):
-            wanted |= {"contention"}
-        if job.kind == "foresee":
-            wanted |= {"curves"}
-            episodes = min(_CHUNK, budget.episodes - job.arguments["first"])
-        if job.kind == "plan" and not job.arguments.get("without"):
-            wanted |= {"plans", "everybody"}
-        if job.kind == "everybody":
-            wanted |= {"teams"}
-        if job.kind == "inform":
-            wanted |= {"feedback"}
-        contexts = all_contexts(scenario)
-        if job.kind in ("plan", "everybody"):
-            wanted |= {"chosen"}
-        lists = [getattr(self, name) for name in wanted - {"plans", "teams", "chosen"}]
-        rows = [*((row, len(CONTENDED)) for row in self.contention), *((row, _TENTHS) for row in self.curves)]
-        count = len(ManagerActions.of(scenario))
-        return (
-            given == wanted
-            and all(part is not None and len(part) == episodes for part in lists)
-            and all(len(row) == width for row, width in rows)
-            and ("chosen" not in wanted or len(self.chosen) == len(contexts))
-            and ("plans" not in wanted or {tuple(context) for context, _ in self.plans} == {*contexts})
-            and ("teams" not in wanted or {tuple(row[0]) for row in self.teams} == {*contexts})
-            and all(0 <= action < count for _, plan in self.plans for action in plan)
-            and all(0 <= action < count for _, plan, _ in self.teams for action in plan)
-            and (not self.teams or all(_fits(tapes, Laboratories(scenario)) for _, _, tapes in self.teams))
-        )
-
-
-def _fits(tapes: Sequence[Tape | None], labs: Laboratories) -> bool:
-    """Return whether tapes are those of the benches, with actions of their spaces."""
-    if len(tapes) not in (0, len(labs.benches)):
-        return False
-    pairs = zip(tapes, labs.benches, strict=False)
-    return all(
-        bench.action_space.contains(action if bench.action_count else np.array(action, dtype=np.float32))
-        for tape, bench in pairs
-        for actions in tape or ()
-        for action in actions or ()
-    )
-
-
-class _Part(BaseModel):
-    """A file of a finished part."""
-
-    model_config = ConfigDict(extra="forbid")
-
-    stamp: str
-    result: _Result
-
-
 class Crew:
     """Has jobs of a scenario played, and keeps what each has come to.
 
@@ -431,24 +355,25 @@ class Crew:
         run = functools.partial(_run, scenario=self._scenario, budget=self._budget)
         for job, result in completed(self._executor, run, missing):
             if self._keep is not None:
-                write_text(self._keep / _file_name(job), json.dumps({"stamp": self._stamp(job), "result": result}))
+                part = {"stamp": self._stamp(job, result), "result": result}
+                write_text(self._keep / _file_name(job), json.dumps(part))
             found[job.name] = result
             self._watch(job.name)
         return found
 
-    def _stamp(self, job: Job) -> str:
-        """Return a hash of the scenario, versions, budget and arguments of a part."""
-        told = json.dumps([*self._made_of, job.kind, job.arguments]).encode()
+    def _stamp(self, job: Job, result: dict[str, Any]) -> str:
+        """Return a hash of the scenario, versions, budget, arguments and result of a part."""
+        told = json.dumps([*self._made_of, job.kind, job.arguments, result]).encode()
         return hashlib.blake2b(told, digest_size=16).hexdigest()
 
     def kept(self, job: Job) -> dict[str, Any] | None:
-        """Return the cached result of a job; None if there is none, or it does not fit."""
+        """Return the cached result of a job; None if there is none, or it is not as it was written for this job."""
         path = None if self._keep is None else self._keep / _file_name(job)
         if path is None or not path.is_file():
             return None
         try:
-            part = validated(_Part, read_json(path, _PART_BYTES), str(path))
+            part = read_json(path, _PART_BYTES)
         except DataError:
             return None
-        fits = part.stamp == self._stamp(job) and part.result.is_of(job, self._budget, self._scenario)
-        return part.result.model_dump(mode="json", exclude_unset=True) if fits else None
+        result = part.get("result") if isinstance(part, dict) else None
+        return result if isinstance(result, dict) and part.get("stamp") == self._stamp(job, result) else None

@@ -14,7 +14,7 @@ from chemlab.kernels.arrays import BoolArray, IntArray, MaskArray, ObservationAr
 from chemlab.roles.bench import Bench
 from chemlab.roles.manager_actions import DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT, WAIT, ManagerActions
 
-from ..open_loop import Context, Plan
+from ..open_loop import Context
 from ..roles import role_of
 from .plans import Tape, TeamPlan
 
@@ -39,25 +39,18 @@ class Tried:
     Attributes:
         score: mean over seeds.
         deviation: its standard deviation over seeds.
-        plan: what was played of it, and what was played when it had come to its end.
+        team: of the manager's plan, what was played of it, and what was played when it had come to its end.
         legal: [len(plan), A] what could have been played instead of each action, or before it.
-        benches: tapes of the benches.
     """
 
     score: float
     deviation: float
-    plan: Plan
+    team: TeamPlan
     legal: BoolArray
-    benches: tuple[Tape | None, ...] = ()
-
-    @property
-    def team(self) -> TeamPlan:
-        """The plan with the benches' tapes."""
-        return TeamPlan(self.plan, self.benches)
 
     def steps(self) -> list[tuple[int, BoolArray]]:
         """The plan's actions, each with what was legal there."""
-        return list(zip(self.plan, self.legal, strict=True))
+        return list(zip(self.team.plan, self.legal, strict=True))
 
 
 class Moves:
@@ -119,7 +112,7 @@ class Moves:
     def changed(self, parents: Sequence[Tried]) -> TeamPlan:
         """A plan like one of the first of ``parents``, with one or a few changes."""
         parent = self._pick(parents)
-        steps, benches = parent.steps(), parent.benches
+        steps, benches = parent.steps(), parent.team.benches
         while True:
             if self._benches and self._rng.random() < _TAPED:
                 benches = self._changed_benches(benches)
@@ -213,15 +206,15 @@ class Moves:
     def neighbours(self, tried: Tried) -> list[TeamPlan]:
         """All plans one change away: an action left out, put in, exchanged, elsewhere, or after the next; another
         value of an actuator, or another action, in a bench's tape."""
-        plan = tried.plan
+        plan, tapes = tried.team.plan, tried.team.benches
         found = [plan[:i] + plan[i + 1 :] for i in range(len(plan))]
         found += [(*plan[:i], plan[i + 1], plan[i], *plan[i + 2 :]) for i in range(len(plan) - 1)]
         for i, action in enumerate(plan):
             legal = np.flatnonzero(tried.legal[i] & self.useful).tolist()
             found += [(*plan[:i], other, *plan[i + 1 :]) for other in dict.fromkeys([*legal, *self.elsewhere[action]])]
             found += [(*plan[:i], other, *plan[i:]) for other in legal]
-        teams = [TeamPlan(plan, tried.benches) for plan in found if len(plan) <= self.longest]
-        near = [TeamPlan(plan, benches) for benches in self._near(tried.benches)]
+        teams = [TeamPlan(plan, tapes) for plan in found if len(plan) <= self.longest]
+        near = [TeamPlan(plan, benches) for benches in self._near(tapes)]
         some = self._rng.permutation(len(near))[:_NEAR] if len(near) > _NEAR else range(len(near))
         return [*teams, *(near[i] for i in some)]
 

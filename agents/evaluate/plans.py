@@ -81,14 +81,8 @@ class FoundPlan:
     it was found on."""
 
     context: Context
-    plan: Plan
+    team: TeamPlan
     score: float
-    benches: tuple[Tape | None, ...] = ()
-
-    @property
-    def team(self) -> TeamPlan:
-        """The plan with the benches' tapes."""
-        return TeamPlan(self.plan, self.benches)
 
 
 @dataclass(frozen=True)
@@ -110,7 +104,7 @@ class PlanSearch:
     @property
     def plans(self) -> dict[Context, Plan]:
         """By context."""
-        return {one.context: one.plan for one in self.found}
+        return {one.context: one.team.plan for one in self.found}
 
     def play(self, episodes: int = 100, seed: int = 0, split: str = "train") -> FloatArray:
         """[episodes] scores of the plans; episode i has seed + i, as ``chemlab evaluate`` plays it.
@@ -119,7 +113,7 @@ class PlanSearch:
             ValueError: the search was not for every context.
         """
         labs = Laboratories(self.scenario, episodes, split=split)
-        if not any(one.benches for one in self.found):
+        if not any(one.team.benches for one in self.found):
             return play_laboratory(labs, self.policies(labs), None, seed).returns
         scores = np.empty(episodes)
         for context, own in drawn_contexts(labs, seed).items():
@@ -142,7 +136,7 @@ class PlanSearch:
         actions = ManagerActions.of(self.scenario)
         score = statistics.mean([self.play(episodes, seed)])
         plans = [
-            StoredPlan(goals=list(o.context), score=o.score, steps=[list(actions.decode(a)) for a in o.plan])
+            StoredPlan(goals=list(o.context), score=o.score, steps=[list(actions.decode(a)) for a in o.team.plan])
             for o in self.found
         ]
         evaluation = {"episodes": episodes, "seed": seed, **score.as_dict()}

@@ -171,7 +171,7 @@ class Search:
                 at = np.append(kept, np.full(len(after), len(plan), dtype=np.int64))
                 played = (*(plan[k] for k in kept), *after)
                 legal = np.asarray(recording.legal[rows].any(axis=0))[at]
-                found.append(Tried(float(score.mean()), float(score.std()), played, legal, team.benches))
+                found.append(Tried(float(score.mean()), float(score.std()), TeamPlan(played, team.benches), legal))
         return found
 
     def _try(self, teams: Iterable[TeamPlan]) -> list[Tried]:
@@ -298,20 +298,21 @@ class Search:
         final = self._prepared(range(first, first + count))
         whole = _ranked(self._play(final, [tried.team for tried in self.best]), 1)[0]
         if self._moves.free:
-            return FoundPlan(self._context, whole.plan, whole.score, whole.benches)
+            return FoundPlan(self._context, whole.team, whole.score)
         few = final if count == _FEW_FINAL_SEEDS else self._prepared(range(first, first + _FEW_FINAL_SEEDS))
         best = whole if few is final else self._play(few, [whole.team])[0]
         while True:
-            shorter = [TeamPlan(best.plan[:i] + best.plan[i + 1 :], best.benches) for i in range(len(best.plan))]
+            plan = best.team.plan
+            shorter = [TeamPlan(plan[:i] + plan[i + 1 :], best.team.benches) for i in range(len(plan))]
             # What is left out may come back when a plan has come to its end.
-            played = [tried for tried in self._play(few, shorter) if len(tried.plan) < len(best.plan)]
+            played = [tried for tried in self._play(few, shorter) if len(tried.team.plan) < len(plan)]
             better = _ranked([tried for tried in played if tried.score >= best.score - _SAME], 1)
             if not better:
                 break
             best = better[0]
         best = best if few is final else self._play(final, [best.team])[0]
         best = best if best.score >= whole.score - _SAME else whole
-        return FoundPlan(self._context, best.plan, best.score)
+        return FoundPlan(self._context, TeamPlan(best.team.plan), best.score)
 
 
 def _revealed(scenario: Scenario) -> Scenario:
@@ -326,7 +327,7 @@ def _revealed(scenario: Scenario) -> Scenario:
 
 def _ranked(tried: Sequence[Tried], most: int) -> list[Tried]:
     """The best, one of each score, the shortest first: plans of equal score do the same but for names."""
-    ordered = sorted(tried, key=lambda one: (-round(one.score, 9), len(one.plan), one.plan))
+    ordered = sorted(tried, key=lambda one: (-round(one.score, 9), len(one.team.plan), one.team.plan))
     kept: dict[float, Tried] = {}
     for one in ordered:
         kept.setdefault(round(one.score, 9), one)

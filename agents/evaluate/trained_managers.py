@@ -225,8 +225,8 @@ def _play_group(group: _Group, episodes: int, told: Callable[[str], None]) -> tu
 
 def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str, Any]]:
     assert run.folder is not None, "it can be played"
-    path, scenario, rewards = str(run.folder.path), load_scenario(group.scenario), run.config.get("rewards")
-    task = scenario if rewards is None else scenario.configured(rewards=str(rewards))
+    path, rewards = str(run.folder.path), run.config.get("rewards")
+    task = load_scenario(group.scenario, rewards=None if rewards is None else str(rewards))
     same_task = fingerprint(Laboratories(task).manager.workplace) == run.config.get("fingerprint")
     rows = _play(group, _LEARNED, path, episodes, run=run.name, same_task=same_task)
     # The scripted manager over the same benches: those that have learned are other ones than the background's.

@@ -11,12 +11,11 @@ import numpy.typing as npt
 
 from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table
 from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.separation_benches import CrystallizationBench
-
-from .script import Remembering
 
 _PATIENCE = 30
 _FULLEST = 0.85
@@ -106,8 +105,6 @@ class ScriptedCrystallization(Remembering):
         bench: the bench.
         careful: False skips hot filtration and seeding.
     """
-
-    _MEMORY = ("_memory",)
 
     def __init__(self, bench: CrystallizationBench, careful: bool = True) -> None:
         self._bench, self._careful = bench, careful

@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.envs.players import Memory
+from chemlab.envs.players import Memory, Remembering
 from chemlab.kernels.arrays import BoolArray, Field, FloatArray, Handle, IntArray, MaskArray, ObservationArray
 from chemlab.kernels.jit import inner, kernel, opened
 from chemlab.kernels.tables import Table
@@ -180,7 +180,7 @@ def _decide(
         kept[b, _PHASE] = phase
 
 
-class ScriptedDistillation:
+class ScriptedDistillation(Remembering):
     """Heats in steps that cannot overshoot, guided by thermometer and fill level; uses the layers once lighter
     materials left.
 
@@ -248,11 +248,3 @@ class ScriptedDistillation:
         _decide(seen, legal, step, kept, self._plan.handle, out)
         self._memory.keep(members, kept)
         return out
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return self._memory.copy()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._memory.put_back(memory)

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.envs.players import Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 from chemlab.roles.separation_benches import ExtractionBench
 
-from .script import Remembering, count_pixels
+from .script import count_pixels
 
 _WASHES = 4
 _TAKEN = 0.6

@@ -11,7 +11,6 @@ from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.roles.separation_benches import DistillationBench
 
 from .real import ScriptedRealDistillation
-from .script import Remembering
 
 _HEAVIER_K = 5.0
 """Materials that boil this many K above the goal are to stay in the pot."""
@@ -29,7 +28,7 @@ _MORE = 1.2
 STRIP, COLLECT, DILUTE = range(3)
 
 
-class ScriptedFraction(Remembering, ScriptedRealDistillation):
+class ScriptedFraction(ScriptedRealDistillation):
     """Boils off the lighter materials; takes the goal over where a column can separate it from heavier ones.
 
     Before the goal fraction, the receiver is changed. The fraction ends halfway to the next boiling point. If the goal

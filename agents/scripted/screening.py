@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Memory
+from chemlab.envs.players import Memory, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
@@ -27,12 +27,14 @@ def catalysts(scenario: Scenario) -> list[str]:
     return [name for name in scenario.stock if name in kept]
 
 
-class ScriptedScreening:
+class ScriptedScreening(Remembering):
     """Runs every experiment by rules of thumb, with the next catalyst.
 
     Args:
         bench: the bench, whose scenario has :func:`catalysts`.
     """
+
+    _MEMORY = ("_turns",)
 
     def __init__(self, bench: ReactionBench) -> None:
         spec, names = bench.scenario, bench.reagent_names
@@ -63,14 +65,6 @@ class ScriptedScreening:
         members = np.array([member])
         self._turns.recall(np.zeros(1, dtype=np.int64), members)
         self._turns.keep(members, np.zeros((1, 1)))
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return self._turns.copy()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        self._turns.put_back(memory)
 
 
 @dataclass

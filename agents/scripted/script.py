@@ -107,21 +107,6 @@ def count_pixels(picture: ObservationArray, shades: ObservationArray) -> int:
     return count
 
 
-class Remembering:
-    """Scripted policy of a bench with a memory: dictionaries by environment index, in the attributes ``_MEMORY``."""
-
-    _MEMORY: tuple[str, ...] = ()
-
-    def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`."""
-        return copy.deepcopy([getattr(self, name) for name in self._MEMORY])
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`chemlab.envs.players.Policy`."""
-        for name, kept in zip(self._MEMORY, copy.deepcopy(memory), strict=True):
-            setattr(self, name, kept)
-
-
 class Setting(NamedTuple):
     """A scripted manager's laboratory and options.
 

@@ -5,6 +5,7 @@ Needs the extra: ``pip install ".[train]"``.
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,14 +22,13 @@ from ..former_names import GREEDY, split_way
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..random_policy import RandomPolicy
 from ..runs import RESULT_SEED, Run
-from .arguments import Arguments, Single, recorded_arguments
+from .arguments import Single, recorded_arguments
 from .tasks import Task, find_task, task_of
 
 try:
     import torch
 
     from ..learners import load_learner
-    from .networks import learned_policy
 except ImportError as error:
     raise ImportError(f'exporting needs PyTorch ({error}): pip install ".[train]"') from error
 
@@ -129,6 +129,8 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
         raise ValueError(f"{folder}: contains no checkpoint (not under version control); run chemlab train again")
     arguments = recorded_arguments(config, str(run.config_file))
     team, learned = not isinstance(arguments, Single), sorted(file.stem for file in best.glob("*.safetensors"))
+    if not learned:
+        raise ValueError(f"{folder}: was trained by a version with other learners; train it again")
     if team and role is None and len(learned) == 1:
         role = learned[0]
     if team != (role is not None) or (role is not None and role not in learned):
@@ -141,8 +143,11 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
         task, trained = task_of(card), card.fingerprint
     if trained != task.fingerprint:
         raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
-    model = None if team else _learner(best, str(config["algo"]))
-    policy = _player(best, arguments, config, task, model)
+    policy, model = load_pretrained(best / task.workplace.key), None
+    policy.check(task.workplace)
+    if not team:
+        with suppress(DataError):  # the weights of an untrusted run are exported without a comparison
+            model = load_learner(best, str(config["algo"]))
     if model is not None:
         difference = largest_difference(
             model, policy.as_played(GREEDY), _observations(task, policy.card.advice is not None)
@@ -170,40 +175,3 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     card = policy.card.model_copy(update={"evaluation": evaluation})
     save_policy(path, card, policy.weights)
     return card
-
-
-def _learner(best: Path, algo: str) -> Any:
-    """Return the learner, for the comparison; None for an untrusted run, whose exported weights are used as they
-    are.
-    """
-    try:
-        return load_learner(best, algo)
-    except DataError:
-        if not any(best.glob("*.safetensors")):  # runs of older versions have only the learner
-            raise
-        return None
-
-
-def _player(best: Path, arguments: Arguments, config: dict[str, Any], task: Task, model: Any) -> PretrainedPolicy:
-    """Return the policy of a checkpoint."""
-    role = task.workplace.key
-    if (best / f"{role}.safetensors").exists():
-        policy = load_pretrained(best / role)
-        policy.check(task.workplace)
-        return policy
-    return learned_policy(
-        model,
-        task.workplace,
-        name=role,
-        env_id=config["env_id"],
-        goals=config["goals"],
-        starts=config.get("starts", "paper"),
-        algo=config["algo"],
-        label=config["label"],
-        seed=config["seed"],
-        step=int(best.name.rpartition("-")[2]),
-        command=arguments.command_line(),
-        versions=config.get("versions", {}),
-        evaluation={},
-        background=task.background,
-    )

@@ -34,7 +34,7 @@ try:
     from .loop import Progress, Trainee, reached
     from .networks import card_of
     from .ppo import PPOTeam, wide_columns
-    from .tasks import rewarded, task_fingerprint
+    from .tasks import task_fingerprint
 except ImportError as error:
     raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
@@ -53,7 +53,7 @@ class Team(Trainee):
     def __init__(self, arguments: IPPO) -> None:
         a = self.arguments = arguments
         self.steps, self._background = a.steps, a.background or "scripted"
-        self.scenario = rewarded(a.scenario, a.rewards)
+        self.scenario = load_scenario(a.scenario, rewards=a.rewards)
         labs = Laboratories(load_scenario(a.scenario), 1)
         # A run may use another reward mix than the scenario: the task is the same.
         self._workplaces = {role_of(role.name): role.workplace for role in reversed(labs.roles)}

@@ -31,14 +31,12 @@ except ImportError as error:
     raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 
-def _trainee(arguments: Arguments) -> tuple[Trainee, RunConfig]:
-    """Return the learner of an algorithm, and the run's ``config.json``; a new engine is chosen here."""
+def _trainee(arguments: Arguments) -> Trainee:
+    """Return the learner of an algorithm; a new engine is chosen here."""
     if isinstance(arguments, IPPO):
-        team = Team(arguments)
-        return team, team.config
+        return Team(arguments)
     assert isinstance(arguments, Single), "every other algorithm trains one agent"
-    agent = Agent(arguments)
-    return agent, agent.config
+    return Agent(arguments)
 
 
 def train(arguments: Arguments, out: Path, watcher: Watcher | None = None) -> RunResult:
@@ -57,8 +55,8 @@ def train(arguments: Arguments, out: Path, watcher: Watcher | None = None) -> Ru
         DataError: unknown scenario, bench, goal or starting states.
     """
     run = Run(out)
-    trainee, config = _trainee(arguments)
-    _check_same(run, config)
+    trainee = _trainee(arguments)
+    _check_same(run, trainee.config)
     finished = run.result()
     if finished is not None:
         return finished
@@ -69,10 +67,10 @@ def train(arguments: Arguments, out: Path, watcher: Watcher | None = None) -> Ru
     torch.set_num_threads(1)
     with run.locked():
         if run.config() is None:
-            write_text(run.config_file, to_text(config.model_dump(exclude_none=True)))
+            write_text(run.config_file, to_text(trainee.config.model_dump(exclude_none=True)))
         run.failed_file.unlink(missing_ok=True)
         try:
-            result = train_in_rounds(run, config, trainee, trainee.begin(run), watcher or Watcher())
+            result = train_in_rounds(run, trainee, trainee.begin(run), watcher or Watcher())
             trainee.close()
             return result
         except Exception:

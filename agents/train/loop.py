@@ -87,6 +87,7 @@ class Trainee(ABC):
 
     Attributes:
         arguments: of the run.
+        config: the run's ``config.json``.
         steps: how many of them it learns from.
         logger: set by the loop; losses may be logged there.
         note: what the last round was, where it was not of the episodes that are evaluated.
@@ -94,6 +95,7 @@ class Trainee(ABC):
     """
 
     arguments: Arguments
+    config: RunConfig
     steps: int
     logger: Logger
     note: str = ""
@@ -204,12 +206,11 @@ def _tensorboard(run: Run, step: int) -> Iterator[Logger]:
         threading.excepthook = others
 
 
-def train_in_rounds(run: Run, config: RunConfig, trainee: Trainee, progress: Progress, watcher: Watcher) -> RunResult:
+def train_in_rounds(run: Run, trainee: Trainee, progress: Progress, watcher: Watcher) -> RunResult:
     """Train to the end from ``progress``, and write the result.
 
     Args:
         run: the run's folder, held by the caller.
-        config: its ``config.json``.
         trainee: the learner.
         progress: a fresh one, or that of the last checkpoint.
         watcher: observes the run.
@@ -254,7 +255,7 @@ def train_in_rounds(run: Run, config: RunConfig, trainee: Trainee, progress: Pro
             assess(evaluate, save, point)
             watcher.advanced(p.step, point.return_mean, trainee.note)
     watcher.finishing()
-    result = _result(run, config, trainee, p)
+    result = _result(run, trainee, p)
     write_text(run.result_file, to_text(asdict(result)))
     return result
 
@@ -299,8 +300,8 @@ def _save(run: Run, trainee: Trainee, progress: Progress, evaluation: Evaluation
     commit_checkpoint(run, progress.step, write, best, progress.best_step)
 
 
-def _result(run: Run, config: RunConfig, trainee: Trainee, progress: Progress) -> RunResult:
-    episodes = trainee.arguments.final_episodes
+def _result(run: Run, trainee: Trainee, progress: Progress) -> RunResult:
+    config, episodes = trainee.config, trainee.arguments.final_episodes
     best = run.checkpoint("best")
     assert best is not None, "the last round is followed by an evaluation and a checkpoint"
     assert progress.best_step is not None, "the best checkpoint has been set"

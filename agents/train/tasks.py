@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -105,15 +104,6 @@ class Task(ABC):
         return {goal: float(mean) for goal, mean in zip(self.goals, means, strict=True)}
 
 
-@dataclass(frozen=True)
-class _BenchSource:
-    scenario: Any
-    bench: str
-    goals: tuple[str, ...] | None
-    starts: str
-    splits: tuple[str, str]
-
-
 class BenchTask(Task):
     """One bench of a scenario.
 
@@ -133,7 +123,15 @@ class BenchTask(Task):
         starts: str = "paper",
         splits: tuple[str, str] = ("train", "validation"),
     ) -> None:
-        self._source = _BenchSource(load_scenario(scenario), bench, goals, starts, splits)
+        self._make = partial(
+            RoleVectorEnv,
+            scenario=load_scenario(scenario),
+            bench=bench,
+            goals=goals,
+            starts=starts,
+            autoreset_mode=AutoresetMode.SAME_STEP,
+        )
+        self._starts, self._splits = starts, splits
         self._batches: dict[int, RoleVectorEnv] = {}
         self.workplace: Bench = self.batch(1).bench
         self.scenario, self.agent = self.workplace.scenario, bench
@@ -141,25 +139,13 @@ class BenchTask(Task):
 
     def batch(self, members: int) -> RoleVectorEnv:
         """See :class:`Task`."""
-        return self._made(members, self._source.splits[0])
-
-    def _made(self, members: int, split: str) -> RoleVectorEnv:
-        s = self._source
-        return RoleVectorEnv(
-            members,
-            s.scenario,
-            bench=s.bench,
-            goals=s.goals,
-            starts=s.starts,
-            autoreset_mode=AutoresetMode.SAME_STEP,
-            split=split,
-        )
+        return self._make(members, split=self._splits[0])
 
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
         """See :class:`Task`."""
         count = len(self.goals)
         if episodes not in self._batches:
-            self._batches[episodes] = self._made(episodes * count, self._source.splits[1])
+            self._batches[episodes] = self._make(episodes * count, split=self._splits[1])
         # All goals in one batch, each with the same seeds.
         seeds = [seed + i for i in range(episodes)] * count
         played = play_bench(self._batches[episodes], policy, np.repeat(self.goals, episodes).tolist(), seeds)
@@ -172,7 +158,7 @@ class BenchTask(Task):
     def warning(self) -> str | None:
         """See :class:`Task`; warns if the scenario declares no initial state of the single bench."""
         start, given = self.workplace.spec.start, given_as(self.scenario)
-        if self._source.starts == "lab" or start.contents or start.goal_mol or start.companion:
+        if self._starts == "lab" or start.contents or start.goal_mol or start.companion:
             return None
         recorded = f"; or record vessels with chemlab export starts {given}, and train with --starts lab"
         return (
@@ -276,13 +262,7 @@ def task_fingerprint(arguments: Arguments) -> str:
 def _fingerprint(scenario: str, bench: str | None, roles: Any, actions: Any, rewards: str | None, one: bool) -> str:
     if one:
         return find_task(PPO(scenario=scenario, bench=bench, roles=roles, actions=actions)).fingerprint
-    return fingerprint(Laboratories(rewarded(scenario, rewards), 1).manager.workplace)
-
-
-def rewarded(scenario: str, rewards: str | None) -> Scenario:
-    """Load a scenario, with another reward mix if one is named."""
-    loaded = load_scenario(scenario)
-    return loaded if rewards is None else loaded.configured(rewards=rewards)
+    return fingerprint(Laboratories(load_scenario(scenario, rewards=rewards), 1).manager.workplace)
 
 
 def find_task(arguments: Single) -> Task:
@@ -293,7 +273,7 @@ def find_task(arguments: Single) -> Task:
         ValueError: an argument is for the other kind of task.
     """
     a, splits = arguments, (arguments.split, arguments.evaluation_split)
-    scenario = load_scenario(a.scenario).configured(actions=a.actions)
+    scenario = load_scenario(a.scenario, actions=a.actions)
     if a.bench is not None:
         if a.background is not None:
             raise ValueError(f"background: {a.bench} is a single bench without other roles, given {a.background!r}")

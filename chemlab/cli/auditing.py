@@ -146,7 +146,7 @@ def _tell(search: PlanSearch, found: PlanFile) -> None:
 
     for one in search.found:
         out.print(f"[bold]{plain(', '.join(one.context))}[/bold]: score {one.score:.3f}")
-        for number, line in enumerate(plan_words(search.scenario, one.plan), start=1):
+        for number, line in enumerate(plan_words(search.scenario, one.team.plan), start=1):
             out.print(f"  {number}. {plain(line)}")
     score = interval_text(found.evaluation)
     out.print(

@@ -20,7 +20,7 @@ from .options import (
     check_result,
     prepare,
 )
-from .screen import err, out, plain
+from .screen import counting, err, out, plain
 
 export = typer.Typer(
     cls=DefaultGroup,
@@ -99,9 +99,7 @@ def starts(
     trust: TrustOption = False,
 ) -> None:
     """Record the vessels that reach each bench in laboratory episodes, for environments with starts='lab'."""
-    from rich.progress import Progress
-
-    with Progress(console=err, transient=True) as progress:
+    with counting() as progress:
         spec, _ = prepare(scenario, quiet=True)
         from ..agents.start_recorder import record_starts
         from ..lab.starts import starts_file, write_starts

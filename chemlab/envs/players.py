@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
@@ -10,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..kernels.arrays import IntArray, MaskArray, ObservationArray
+from ..kernels.rng import as_sequence
 from ..lab.engine import Laboratories
 from ..roles.manager_state import RUNNING
 from .inputs import checked_actions
@@ -83,16 +85,44 @@ class Memory:
         for array, own in zip(self._arrays, values, strict=True):
             array[members] = own
 
-    def copy(self) -> list[npt.NDArray[np.float64]]:
-        """Return a copy of all arrays for :meth:`put_back`."""
-        return [array.copy() for array in self._arrays]
 
-    def put_back(self, arrays: Sequence[npt.NDArray[np.float64]]) -> None:
-        """Restore a :meth:`copy`."""
-        self._arrays = [array.copy() for array in arrays]
+class Remembering:
+    """Base class of policies with a memory, in the attributes ``_MEMORY``; of a policy there, its own memory."""
+
+    _MEMORY: tuple[str, ...] = ("_memory",)
+
+    def get_memory(self) -> Any:
+        """See :class:`Policy`."""
+        parts = [getattr(self, name) for name in self._MEMORY]
+        return [_own_memory(part) if _is_policy(part) else copy.deepcopy(part) for part in parts]
+
+    def set_memory(self, memory: Any) -> None:
+        """See :class:`Policy`."""
+        for name, kept in zip(self._MEMORY, memory, strict=True):
+            part = getattr(self, name)
+            if _is_policy(part):
+                _remind(part, kept)
+            else:
+                setattr(self, name, copy.deepcopy(kept))
 
 
-class _RecurrentModel:
+def _is_policy(part: Any) -> bool:
+    """Return whether something is a policy or an advisor, and not data."""
+    return hasattr(part, "act") or hasattr(part, "get_memory")
+
+
+def _own_memory(policy: Any) -> Any:
+    """Return a copy of a policy's memory; None if it has none."""
+    return getattr(policy, "get_memory", lambda: None)()
+
+
+def _remind(policy: Any, memory: Any) -> None:
+    """Restore a :func:`_own_memory`."""
+    if hasattr(policy, "set_memory"):
+        policy.set_memory(memory)
+
+
+class _RecurrentModel(Remembering):
     """A model of sb3-contrib's ``RecurrentPPO`` as a policy; plays its most probable action.
 
     sb3-contrib passes no masks; models whose observations end with the mask receive it there.
@@ -118,14 +148,6 @@ class _RecurrentModel:
         actions, state = self._model.predict(observation, tuple(kept), step == 0, deterministic=True)
         self._memory.keep(members, *(np.swapaxes(array, 0, 1).reshape(len(members), -1) for array in state))
         return np.asarray(actions)
-
-    def get_memory(self) -> Any:
-        """See :class:`Policy`."""
-        return self._memory.copy()
-
-    def set_memory(self, memory: Any) -> None:
-        """See :class:`Policy`."""
-        self._memory.put_back(memory)
 
 
 class _Model:
@@ -193,8 +215,8 @@ class Players:
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Restart the random streams of one laboratory's policies."""
-        whole = seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
-        for policy, sequence in zip(self._policies, whole.spawn(len(self._policies)), strict=True):
+        sequences = as_sequence(seed).spawn(len(self._policies))
+        for policy, sequence in zip(self._policies, sequences, strict=True):
             start = getattr(policy, "seed", None)
             if start is not None:
                 start(member, sequence)
@@ -212,14 +234,12 @@ class Players:
 
     def get_memory(self) -> list[Any]:
         """Return the memory of every policy, for :meth:`set_memory`."""
-        return [getattr(policy, "get_memory", lambda: None)() for policy in self._policies]
+        return [_own_memory(policy) for policy in self._policies]
 
     def set_memory(self, memory: Sequence[Any]) -> None:
         """Restore the memory of a :meth:`get_memory`."""
         for policy, own in zip(self._policies, memory, strict=True):
-            remind = getattr(policy, "set_memory", None)
-            if remind is not None:
-                remind(own)
+            _remind(policy, own)
 
     def decide(self, number: int, members: IntArray) -> npt.NDArray[Any]:
         """Return actions [B, ...] of an agent with a policy, in laboratories [B] in which it has the turn.

@@ -71,6 +71,11 @@ def checked_seed(seed: Any, name: str = "seed") -> int | None:
     raise ValueError(f"{name}: must be an integer of at least 0, or None, given {seed!r:.200}")
 
 
+def as_sequence(seed: int | np.random.SeedSequence | None) -> np.random.SeedSequence:
+    """Return a seed as a seed sequence."""
+    return seed if isinstance(seed, np.random.SeedSequence) else np.random.SeedSequence(seed)
+
+
 def seed_streams(seed: np.random.SeedSequence, streams: Sequence[StreamArray], member: int) -> None:
     """Set the random stream of one member in each of ``streams`` from one seed sequence."""
     for stream, state in zip(streams, seed.generate_state(len(streams), np.uint64), strict=True):

@@ -57,7 +57,7 @@ def play_scripted(
         most: calls, after which it gives up.
         seen: called with every seat and text: False for one that tells it that it has the turn, True for a reply.
     """
-    labs: Any = room._labs
+    labs: Any = room.laboratories
     policies = {seat: agent_policy("scripted", labs, labs.agents.index(seat)) for seat in room.seats}
     made: list[tuple[str, str, dict[str, Any]]] = []
     for _ in range(most):

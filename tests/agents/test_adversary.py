@@ -56,7 +56,7 @@ def test_a_learner_begins_with_an_open_loop_policy() -> None:
     code, goal = ManagerActions.of(CAMPAIGN).encode, CAMPAIGN.goals[0]
     plan = [(code("start", "rxn_0", slot, goal), code("submit", slot, slot)) for slot in range(4)]
     team = TeamPlan(tuple(action for pair in plan for action in pair), ((((1.0, 0.5, 0.0),),),))
-    found = PlanSearch(short, "scripted", [FoundPlan((goal,) * 4, team.plan, 0.0, team.benches)], 0)
+    found = PlanSearch(short, "scripted", [FoundPlan((goal,) * 4, team, 0.0)], 0)
     expected = found.play(20, 5, "test").mean()
     assert expected != 0.0
     assert np.mean(learned_scores(short, 0, 20, 5, {(goal,) * 4: team})) == pytest.approx(expected, abs=1e-9)

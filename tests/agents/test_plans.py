@@ -13,7 +13,7 @@ from helpers import mapping, slow_but
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.evaluate.plans import FoundPlan, PlanSearch, plan_words, replay_actions
+from chemlab.agents.evaluate.plans import FoundPlan, PlanSearch, TeamPlan, plan_words, replay_actions
 from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.open_loop import (
     ConstantPlan,
@@ -107,7 +107,7 @@ def test_the_search_improves_on_what_scripted_managers_do() -> None:
     """It begins there, with what needs eyes left out; nothing in the plan measures."""
     first, best = (search_plan("wurtz_dodecane", budget=budget, seed=0).found[0] for budget in (3, 700))
     assert 0.8 < first.score < best.score
-    assert not any("measure" in words for words in plan_words(load_scenario("wurtz_dodecane"), best.plan))
+    assert not any("measure" in words for words in plan_words(load_scenario("wurtz_dodecane"), best.team.plan))
 
 
 @pytest.mark.slow
@@ -117,7 +117,7 @@ def test_every_public_context_gets_a_plan() -> None:
     scenario = search.scenario
     assert [one.context for one in search.found] == all_contexts(scenario)
     for one in search.found:
-        goals = {word.rpartition("goal ")[2] for word in plan_words(scenario, one.plan) if "start rxn" in word}
+        goals = {word.rpartition("goal ")[2] for word in plan_words(scenario, one.team.plan) if "start rxn" in word}
         assert one.context[0] in goals
     assert search.play(50).mean() > 0.5
 
@@ -230,7 +230,7 @@ def test_stored_plans_reach_what_their_files_say(path: Path) -> None:
     labs = Laboratories(stored.scenario, 20)
     plans = stored.decoded(labs.actions)
     assert list(plans) == all_contexts(labs.scenario)
-    found = [FoundPlan(context, plan, 0.0) for context, plan in plans.items()]
+    found = [FoundPlan(context, TeamPlan(plan), 0.0) for context, plan in plans.items()]
     episodes, seed = stored.evaluation["episodes"], stored.evaluation["seed"]
     scores = PlanSearch(labs.scenario, stored.benches, found, 0).play(episodes, seed)
     assert scores.mean() == pytest.approx(stored.evaluation["value"], abs=1e-9)

@@ -29,7 +29,7 @@ TWO, RELAY = ("manager_0", "dit_0"), ("manager_0", "fin_0")
 
 
 def snapshot(room: Room) -> list[Any]:
-    labs: Any = room._labs
+    labs: Any = room.laboratories
     return labs.snapshot()
 
 
@@ -243,7 +243,7 @@ def test_nothing_on_the_disk_tells_the_world_while_an_episode_runs(tmp_path: Pat
     room.call("manager_0", "wait")
     with pytest.raises(ValueError, match="not over"):
         room.published()
-    labs: Any = room._labs
+    labs: Any = room.laboratories
     secrets = [room._salt, str(room._seed), str(labs.worlds.number(0))]
     secrets += [f"{value:.6f}"[:8] for value in labs.worlds.values(0)["titre"].values()]
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
@@ -316,7 +316,7 @@ def test_every_role_has_typed_verbs_for_all_its_actions(name: str) -> None:
     """Every legal discrete action has a call; signatures, types and docstrings are what frameworks read."""
     labs = Laboratories(name)
     room = Room.__new__(Room)
-    room.seats, room._say, room._name, room._labs = tuple(labs.agents), 0, str, labs
+    room.seats, room._say, room._name, room.laboratories = tuple(labs.agents), 0, str, labs
     room._verbs = {seat: {v.name: v for v in room._make_verbs(seat)} for seat in labs.agents}
     for agent, seat in enumerate(labs.agents):
         count = labs.action_counts[agent]

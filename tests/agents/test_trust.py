@@ -131,7 +131,6 @@ PICKLES = {
         *("--episodes", 1, "--goal", "dodecane"),
     ],
     "run": lambda at: ["run", SCENARIO, "--policy", at / "manager", "--json"],
-    "export": lambda at: ["export", at / "manager", "--out", at / "mine"],
     "imitate": lambda at: [
         *("train", "manager", "--algo", "maskable-ppo", "--bc", at / "manager", "--out", at / "new"),
         *("--steps", 32, "--envs", 2, "--rollout", 16, "--bc-steps", 200),
@@ -144,11 +143,12 @@ PICKLES = {
 }
 """Commands that play or go on from what the folder of a single agent's run holds."""
 WEIGHTS: dict[str, Any] = {
+    "export": lambda at: ["export", at / "manager", "--out", at / "mine"],
     "run, joint": lambda at: ["run", SCENARIO, "--policy", at / "joint", "--json"],
     "plan": lambda at: ["audit", "plan", SCENARIO, "--benches", at / "joint", "--budget", 1, "--episodes", 1],
     "begin, joint": lambda at: ["train", SCENARIO, *JOINT.flags(), "--begin-from", at / "joint", "--out", at / "new"],
 }
-"""The same for roles that have learned together, whose policies are weights alone."""
+"""The same of weights alone: of roles that have learned together, and of what is exported."""
 
 
 @pytest.mark.parametrize("way", [*PICKLES, *WEIGHTS])
@@ -173,9 +173,10 @@ def test_a_strangers_pickles_are_refused(way: str, bait: Path) -> None:
 
 
 @pytest.mark.parametrize("way", WEIGHTS)
-def test_pickles_of_roles_that_learned_together_are_never_played(way: str, bait: Path) -> None:
+def test_where_only_weights_count_pickles_are_never_loaded(way: str, bait: Path) -> None:
     """Neither the state for resuming nor the learners that older versions wrote, even with the flag."""
-    without_weights(bait / "joint")
+    for name in ("manager", "joint"):
+        without_weights(bait / name)
     for folder in (bait / "joint" / "checkpoints").glob("*-*"):
         for name in ("dit.zip", "ext.maskable.zip", "state.pkl"):
             (folder / name).write_bytes(pickle.dumps(Payload(bait / "ran")))

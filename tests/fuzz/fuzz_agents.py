@@ -35,7 +35,7 @@ from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job
 from chemlab.agents.evaluate.leaderboard import check_leaderboard, write_leaderboard
 from chemlab.agents.evaluate.results import read_runs, write_runs
 from chemlab.agents.evaluate.trained_managers import collect_count, write_laboratory
-from chemlab.agents.open_loop import ConstantPlan, all_contexts, plan_for, stored_plans
+from chemlab.agents.open_loop import plan_for, stored_plans
 from chemlab.agents.policies import agent_policy, bench_policy
 from chemlab.agents.pretrained import LSTM, load_pretrained
 from chemlab.agents.runs import Run
@@ -253,34 +253,15 @@ def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
 
 
 def try_part(folder: Path, rng: np.random.Generator) -> None:
-    """A finished part of an audit or a benchmark: what cannot be one is played again, which is no error."""
-    budget = AuditBudget(episodes=3, plans=1, fewer=1, donors=1, planned=1)
-    labs = laboratory(SCENARIO)
-    crew = Crew(labs.scenario, budget, folder)
-    plain = {"scores": [0.0, 0.5, 1.0]}
-    plans = [[list(context), [1, 2]] for context in all_contexts(labs.scenario)]
-    jobs: list[tuple[Job, dict[str, Any]]] = [
-        (Job("a", "plan", {}), {**plain, "plans": plans, "everybody": [0.0, 0.0, 0.0], "chosen": [0.0] * len(plans)}),
-        (
-            Job("a", "everybody", {}),
-            {**plain, "teams": [[*plan, [None] * len(labs.benches)] for plan in plans], "chosen": [0.0] * len(plans)},
-        ),
-        (Job("a", "play", {"policy": "random", "contended": True}), {**plain, "contention": [[0.0] * 5] * 3}),
-        (Job("a", "foresee", {"first": 0, "plans": []}), {**plain, "curves": [[0.0] * 10] * 3}),
-    ]
-    job, result = jobs[rng.integers(len(jobs))]
-    write_json(folder / "a.json", {"stamp": crew._stamp(job), "result": result}, rng)
+    """A finished part of an audit or a benchmark: one that is not as it was written is played again."""
+    crew = Crew(laboratory(SCENARIO).scenario, AuditBudget(episodes=3, plans=1, fewer=1, donors=1, planned=1), folder)
+    job = Job("a", "everybody", {})
+    result = {"scores": [0.0, 0.5, 1.0], "teams": [[["G"], [1, 2], [None, [[[0.5, 1.0]]]]]], "chosen": [0.0]}
+    write_json(folder / "a.json", {"stamp": crew._stamp(job, result), "result": result}, rng)
     kept = crew.kept(job)
     if kept is None:
         raise ValueError(f"{folder}: is played again")
-    assert set(kept) == set(result)
-    assert all(np.isfinite(kept[name]).all() for name in kept if name not in ("plans", "teams"))
-    if "plans" in kept:
-        played = {tuple(context): tuple(plan) for context, plan in kept["plans"]}
-        mask = labs.mask(0, labs.members)
-        assert mask is not None
-        policy = ConstantPlan(labs.scenario, labs.channels, labs.actions, played)
-        act(policy, labs.observation_sizes[0], np.repeat(mask, 3, axis=0))
+    assert kept == result
 
 
 TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
