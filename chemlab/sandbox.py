@@ -945,8 +945,8 @@ class Flask:
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         raise DataError(
             f"unknown material {name!r}; {hint}Flask.known() lists all names; Flask.material({name!r}) looks another "
-            "molecule up (needs pip install '.[chem]'); other salts, and what is not found, need material_files of your "
-            "own"
+            "molecule up (needs pip install '.[chem]'); other salts, and what is not found, need files of your own in "
+            "material_files"
         )
 
     def _sorted_out(self, contents: Mapping[str, float]) -> dict[str, float]:

@@ -42,6 +42,7 @@ REAGENTS: dict[str, dict[str, float]] = {
 }
 """Strong acids, which are ions in water: mol of each ion in a mol of the acid."""
 
+
 @functools.lru_cache(maxsize=1)
 def acids_and_bases() -> frozenset[str]:
     """Return the acids of ``_reactions.toml``, their bases, and the salts of these."""

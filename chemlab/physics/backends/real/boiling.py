@@ -16,11 +16,11 @@ from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import BOILED_DRY, DRY_HEATING
 from ...transfer import add, heat_capacity, within_range
 from .column import LADDER, MOST_STAGES, overhead
-from .heats import add_heat
+from .heats import add_heat, enthalpy, set_enthalpy
 from .liquids import Liquids, clear_liquids, count_ions, gather, on_curve
 from .partition import melt, melting_point
 from .real_chemistry import MOST_FLUIDS, RealChemistry
-from .salts import let_salts_fall_out
+from .salts import let_salts_fall_out, settle_salts, settle_with_heat
 from .vapor import bubble_point, latent_heat, write_back
 
 _STEP = 0.15
@@ -29,6 +29,8 @@ _MOST_STEPS = 400
 _MOST_ATTEMPTS = 6
 _SHORT = 0.999
 """Share of the remaining heat that a step uses if its own demand is larger."""
+_SAME_IONS = 1e-6
+"""Relative change of the ions, by salts that dissolve on warming, below which the boiling point is the same."""
 _TRIFLE = 2e-3
 """Share of the heat that may remain unused at the end by boiling contents."""
 
@@ -129,6 +131,19 @@ def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: floa
 
 
 @helper
+def _warm_salty(row: FloatArray, temperature: float, joules: float, chem: Handle) -> float:
+    """Warm contents with undissolved salts, which dissolve meanwhile, up to a temperature in K; return the J left."""
+    content = enthalpy(row, chem)
+    row[TEMPERATURE] = temperature
+    settle_salts(row, chem)
+    left = content + joules - enthalpy(row, chem)
+    if left < 0.0:
+        set_enthalpy(row, content + joules, chem)
+        settle_with_heat(row, content + joules, chem)
+    return max(left, 0.0)
+
+
+@helper
 def _collect(
     receiver: FloatArray,
     n: int,
@@ -197,6 +212,15 @@ def heat(
             condenser += _collect(receiver, n, distilled, chem, liquids, waste, events)
             n = gather(row, chem, liquids)
             continue
+        if not dry and liquids.ions[1] > TRACE_MOL and row[TEMPERATURE] < min(boiling, hottest):
+            # Salts dissolve while it warms.
+            ions = liquids.ions[0]
+            left = _warm_salty(row, min(boiling, hottest), left, chem)
+            if left <= 0.0:
+                break
+            count_ions(row, chem, liquids)
+            if abs(liquids.ions[0] - ions) > _SAME_IONS * ions:
+                continue
         if dry or boiling > hottest:
             break
         needed = heat_capacity(row, chem) * (boiling - row[TEMPERATURE])

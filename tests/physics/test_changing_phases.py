@@ -1,0 +1,187 @@
+"""Melting, boiling and dissolving in one flask: at equilibrium, with the energy balance, however calls are divided."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from chemlab.config.materials import shipped_materials
+from chemlab.physics.backends.real.heats import enthalpy
+from chemlab.sandbox import Flask
+
+NAPHTHALENE = shipped_materials()["naphthalene"]
+
+
+def state(flask: Flask, *others: Flask) -> list[float]:
+    """Temperature, and the mol of everything in several flasks."""
+    return [flask.temperature_k, *(mol for one in (flask, *others) for mol in one.amounts.values())]
+
+
+def heated(contents: dict[str, float], joules: float, calls: int) -> list[float]:
+    flask = Flask(contents, capacity_l=2.0)
+    receiver = flask.another()
+    for _ in range(calls):
+        flask.heat(joules / calls, receiver)
+    assert flask.vapor_pressure_kpa < 102.0, "open, so it boils before"
+    assert sum(flask.waste.values()) == 0.0
+    return state(flask, receiver)
+
+
+@pytest.mark.parametrize(
+    ("contents", "joules"),
+    [
+        ({"naphthalene": 1.0}, 15e3),
+        ({"naphthalene": 1.0}, 60e3),
+        ({"toluene": 3.0, "naphthalene": 1.0}, 120e3),
+        ({"naphthalene": 0.5, "phenol": 0.5}, 30e3),
+        ({"water": 10.0, "NaCl": 1.0}, 450e3),
+        ({"water": 10.0, "KNO3": 3.0}, 300e3),
+    ],
+    ids=lambda value: "+".join(value) if isinstance(value, dict) else f"{value / 1000:.0f}kJ",
+)
+def test_heating_does_not_depend_on_its_division(contents: dict[str, float], joules: float) -> None:
+    once = heated(contents, joules, 1)
+    for calls in (2, 10):
+        np.testing.assert_allclose(heated(contents, joules, calls), once, rtol=2e-3, atol=2e-3)
+
+
+def test_a_jacket_melts_crystals_at_their_melting_point() -> None:
+    """Without a reaction there is a closed form: warming, melting at one temperature, warming."""
+    assert NAPHTHALENE.real is not None
+    heat, melting, transfer, jacket = NAPHTHALENE.heat_capacity_j_mol_k, NAPHTHALENE.melting_point_k, 5.0, 400.0
+    assert melting is not None
+    warming = heat / transfer * np.log((jacket - 298.15) / (jacket - melting))
+    molten = warming + (NAPHTHALENE.real.fusion_enthalpy_j_mol or 0.0) / transfer / (jacket - melting)
+    for seconds in (0.5 * warming, 0.5 * (warming + molten), 1.5 * molten):
+        for calls in (1, 7):
+            flask = Flask({"naphthalene": 1.0})
+            for _ in range(calls):
+                flask.react(seconds / calls, jacket, jacket_w_k=transfer)
+            solid = sum(mol for layer in flask.layers if layer.name == "solids" for mol in layer.contents.values())
+            share = min(max((molten - seconds) / (molten - warming), 0.0), 1.0)
+            assert solid == pytest.approx(share, abs=2e-3)
+            if 0.0 < share < 1.0:
+                assert flask.temperature_k == pytest.approx(melting, abs=1e-6)
+
+
+def test_a_thermostat_holds_its_temperature() -> None:
+    """It supplies the heat of melting and of dissolving."""
+    for contents, kelvin in (({"phenol": 1.0}, 340.0), ({"water": 20.0, "KNO3": 2.0}, 350.0)):
+        flask = Flask(contents)
+        flask.react(60.0, kelvin)
+        assert flask.temperature_k == pytest.approx(kelvin, abs=1e-6)
+        assert [layer.name for layer in flask.layers] in (["organic"], ["aqueous"])
+
+
+def test_heat_of_dissolving_is_that_of_what_has_dissolved() -> None:
+    """Potassium nitrate cools its water: in one portion or in many, and mixing changes nothing more."""
+    found = []
+    for portions in (1, 2, 20):
+        flask = Flask({"water": 20.0})
+        for _ in range(portions):
+            flask.add("KNO3", 2.0 / portions)
+        found.append(state(flask))
+        for _ in range(3):
+            flask.mix()
+        np.testing.assert_allclose(state(flask), found[-1], rtol=1e-6, atol=1e-7)
+    assert found[0][0] < 285.0
+    np.testing.assert_allclose(found[1:], [found[0]] * 2, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("contents", "last"),
+    [
+        ({"water": 10.0, "ethanol": 1.5, "NaCl": 0.25}, "NaCl"),
+        ({"ethanol": 6.0, "water": 4.0, "NaOH": 0.1}, "NaOH"),
+        ({"ethanol": 5.0, "water": 5.0, "NaCl": 0.1}, "NaCl"),
+        ({"water": 8.0, "diethyl_ether": 2.0, "ethanol": 1.0, "NaCl": 0.5}, "ethanol"),
+    ],
+    ids=lambda value: "+".join(value) if isinstance(value, dict) else value,
+)
+def test_shaken_once_is_at_equilibrium_in_whatever_order(contents: dict[str, float], last: str) -> None:
+    flask = Flask(contents)
+    flask.mix()
+    volumes, once = [layer.volume_l for layer in flask.layers], state(flask)
+    flask.mix()
+    np.testing.assert_allclose([layer.volume_l for layer in flask.layers], volumes, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(state(flask), once, rtol=1e-5, atol=1e-5)
+    other = Flask({name: mol for name, mol in contents.items() if name != last})
+    other.add(last, contents[last])
+    other.mix()
+    assert other.temperature_k == pytest.approx(flask.temperature_k, abs=1e-2)
+    np.testing.assert_allclose([layer.volume_l for layer in other.layers], volumes, rtol=1e-3, atol=1e-5)
+
+
+def test_a_solid_that_distils_into_a_warm_flask_keeps_the_energy_balance() -> None:
+    for warm in (False, True):
+        pot = Flask({"phenol": 1.0}, temperature_k=400.0)
+        receiver = pot.another({"water": 5.0})
+        if warm:
+            receiver.react(60.0, 350.0)
+        before = [enthalpy(flask._row, flask._chem) for flask in (pot, receiver)]
+        taken, condensed = pot.heat(60e3, receiver)
+        after = [enthalpy(flask._row, flask._chem) for flask in (pot, receiver)]
+        assert sum(after) - sum(before) + condensed == pytest.approx(taken, rel=1e-9)
+
+
+def test_salts_of_carboxylic_acids_are_bases() -> None:
+    """Benzoate takes the proton of hydrochloric acid; acetate is a weak base, with or without acetic acid named."""
+    flask = Flask({"water": 55.5, "sodium benzoate": 0.5}, capacity_l=3.0)
+    flask.add("HCl", 0.5)
+    flask.wait(7200.0)
+    assert flask.amounts["benzoic_acid"] == pytest.approx(0.5, abs=0.01)
+    assert float(flask.measure("ph_meter").values[0]) == pytest.approx(2.9, abs=0.1)
+    for named in ({}, {"acetic_acid": 0.0}):
+        acetate = Flask({"water": 55.5, "sodium acetate": 0.1, **named}, capacity_l=3.0)
+        assert float(acetate.measure("ph_meter").values[0]) == pytest.approx(8.8, abs=0.1)
+
+
+def test_what_is_added_above_its_melting_point_is_molten() -> None:
+    flask, other = Flask(), Flask({"naphthalene": 0.5}, temperature_k=400.0)
+    flask.add("naphthalene", 0.5, temperature_k=400.0)
+    np.testing.assert_allclose(state(flask), state(other))
+    assert [layer.name for layer in flask.layers] == ["organic"]
+
+
+@pytest.mark.parametrize("capacity_l", [1.0, 100.0])
+def test_a_share_of_little_in_a_large_flask_drains(capacity_l: float) -> None:
+    for share in (0.5, 1.0):
+        flask = Flask({"water": 0.1}, capacity_l=capacity_l)
+        receiver = flask.another()
+        flask.drain(receiver, share)
+        assert receiver.amounts["water"] == pytest.approx(0.1 * share, rel=1e-9)
+
+
+def test_a_reaction_file_may_name_materials_of_the_catalogue(tmp_path: Path) -> None:
+    file = tmp_path / "ester.toml"
+    file.write_text(
+        'name = "ester"\n[[reaction]]\nreactants = { acetic_acid = 1, methanol = 1 }\nsource = "a guess"\n'
+        "products = { methyl_acetate = 1, water = 1 }\npre_exponential = 1e7\nactivation_energy_j_mol = 60000.0\n"
+    )
+    flask = Flask({"MeOH": 5.0, "AcOH": 5.0}, reactions=file)
+    flask.react(3600.0, 330.0)
+    assert flask.amounts["methyl_acetate"] > 1.0
+    assert flask.amounts["methyl_acetate"] == pytest.approx(flask.amounts["water"])
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda flask: flask.drain(None, 0.5), "receiver: must be a Flask, given None"),
+        (lambda flask: flask.pour("cup", 0.5), "receiver: must be a Flask, given 'cup'"),
+        (lambda flask: flask.another(capacity_l=0), "capacity_l: .* given 0"),
+        (lambda flask: flask.heat(1.0, stages=1.9), "stages: must be a whole number, given 1.9"),
+        (lambda flask: flask.another({"K2CO3": 1.0, "water": 1.0}), "other salts, and what is not found"),
+    ],
+)
+def test_wrong_arguments_are_named(call: Callable[[Flask], object], message: str) -> None:
+    with pytest.raises((TypeError, ValueError), match=message):
+        call(Flask({"water": 1.0}))
+
+
+def test_the_end_of_an_instrument_s_range_is_said() -> None:
+    assert str(Flask({"DCM": 40.0}, capacity_l=3.0).measure("balance")) == "2.000 kg or more, the end of its range"
+    assert str(Flask({"water": 1.0}).measure("balance")) == "0.018 kg"
