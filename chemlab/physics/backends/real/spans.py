@@ -67,12 +67,12 @@ def _changes_shifting(chem: Handle, work: FloatArray, u: int) -> bool:
 
 
 @helper
-def settle_shifts(row: FloatArray, chem: Handle, held: bool, work: FloatArray) -> None:
+def settle_shifts(row: FloatArray, chem: Handle, steady: bool, work: FloatArray) -> None:
     """Bring acids, bases and salts to equilibrium; their heat stays in the vessel, unless its temperature is held."""
     at = row[TEMPERATURE]
     if ionizes(chem):
         settle_acids(row, chem, work)
-    if held:
+    if steady:
         row[TEMPERATURE] = at
         settle_salts(row, chem)
     else:
@@ -98,7 +98,9 @@ def _held(row: FloatArray, chem: Handle, work: FloatArray, column: int, q: int) 
 
 
 @inner
-def _probe(row: FloatArray, chem: Handle, held: bool, work: FloatArray, u: int, mol: float, probe: FloatArray) -> None:
+def _probe(
+    row: FloatArray, chem: Handle, steady: bool, work: FloatArray, u: int, mol: float, probe: FloatArray
+) -> None:
     """Set ``probe`` to the vessel after ``mol`` more of unknown ``u`` have settled."""
     chemistry = opened(RealChemistry, chem)
     n, m = chemistry.independent.shape[0], chemistry.role.shape[0]
@@ -114,11 +116,11 @@ def _probe(row: FloatArray, chem: Handle, held: bool, work: FloatArray, u: int, 
     else:
         probe[AMOUNTS + m + 2 * int(work[PLACE, u - n]) + AQUEOUS] += mol
         probe[AMOUNTS + chemistry.dissolved[int(work[PLACE, u - n])]] += mol
-    settle_shifts(probe, chem, held, work)
+    settle_shifts(probe, chem, steady, work)
 
 
 @inner
-def _find_shifts(row: FloatArray, chem: Handle, held: bool, work: FloatArray, found: int) -> bool:
+def _find_shifts(row: FloatArray, chem: Handle, steady: bool, work: FloatArray, found: int) -> bool:
     """Compute the redistribution by acids, bases and salts for each unknown into the scratch; return True if there
     is any.
     """
@@ -134,14 +136,14 @@ def _find_shifts(row: FloatArray, chem: Handle, held: bool, work: FloatArray, fo
         shifts = shifts or _changes_shifting(chem, work, u)
     if not shifts:
         return False
-    settle_shifts(row, chem, held, work)
+    settle_shifts(row, chem, steady, work)
     mol, probe = _PROBED * _ions(row, chem) + TRACE_MOL, work[PROBE][: row.shape[0]]
     for u in range(n + found):
         if not _changes_shifting(chem, work, u):
             continue
         more = extra(work, u)
         for with_it in range(2):
-            _probe(row, chem, held, work, u, mol if with_it == 0 else 0.0, probe)
+            _probe(row, chem, steady, work, u, mol if with_it == 0 else 0.0, probe)
             for column in range(columns + found):
                 held = _held(probe, chem, work, column, column - columns)
                 work[more, column] = held if with_it == 0 else (work[more, column] - held) / mol
@@ -155,14 +157,14 @@ def _find_shifts(row: FloatArray, chem: Handle, held: bool, work: FloatArray, fo
 
 
 @helper
-def prepare(row: FloatArray, chem: Handle, fresh: bool, held: bool, leaves: bool, work: FloatArray) -> Ways:
+def prepare(row: FloatArray, chem: Handle, fresh: bool, steady: bool, leaves: bool, work: FloatArray) -> Ways:
     """Determine the processes in a vessel besides its reactions.
 
     Args:
         row: vessel row; acids, bases and salts settle.
         chem: the chemistry.
         fresh: whether its saturations are known.
-        held: whether its temperature is held.
+        steady: whether its temperature is held.
         leaves: whether gas leaves it.
         work: scratch.
     """
@@ -174,7 +176,7 @@ def prepare(row: FloatArray, chem: Handle, fresh: bool, held: bool, leaves: bool
         found = find_crystals(row, chem, work)
     shifts = False
     if chemistry.salts.shape[0] > 0 or ionizes(chem):
-        shifts = _find_shifts(row, chem, held, work, found)
+        shifts = _find_shifts(row, chem, steady, work, found)
     else:
         for q in range(found):
             more = extra(work, chemistry.independent.shape[0] + q)
@@ -237,14 +239,14 @@ def _is_factor(chem: Handle, j: int) -> bool:
 
 @helper
 def drifted(
-    row: FloatArray, chem: Handle, held: bool, litres: float, atol: float, ways: Ways, work: FloatArray
+    row: FloatArray, chem: Handle, steady: bool, litres: float, atol: float, ways: Ways, work: FloatArray
 ) -> float:
     """Return the drift of a span relative to the tolerance; equilibria have settled at its end.
 
     Args:
         row: vessel row after the integration of a span.
         chem: the chemistry.
-        held: whether its temperature is held.
+        steady: whether its temperature is held.
         litres: volume of liquids at its beginning.
         atol: mol/L below which a concentration is ignored.
         ways: processes of its integration.
@@ -254,7 +256,7 @@ def drifted(
     worst = 0.0
     if ways.shifts or chemistry.salts.shape[0] > 0:
         warm = row[TEMPERATURE]
-        settle_shifts(row, chem, held, work)
+        settle_shifts(row, chem, steady, work)
         worst = abs(row[TEMPERATURE] - warm) / _KELVIN
     if ways.shifts:
         for j in range(chemistry.species.shape[0]):
