@@ -61,7 +61,8 @@ def printed(page: str, images: Path | None = None) -> str:
     with _folder(page) as folder:
         text = _BLOCKS.sub(_with_output, page)
         for picture in folder.glob("*.png") if images else ():
-            shutil.copy(picture, images or "")
+            if f"images/{picture.name}" in page:
+                shutil.copy(picture, images or "")
     return text
 
 
