@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +103,31 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         )
         yield context
         context.close()
+
+
+@pytest.fixture
+def visitor(browser: Any) -> Iterator[Callable[..., Any]]:
+    """Opens pages that must neither complain nor ask for anything from elsewhere."""
+    pages, complaints, asked = [], [], []
+
+    def visit(url: str, within: str = "", width: int = 1280) -> Any:
+        """A page; ``within`` is how addresses begin that it may ask for: by default its host's, or its own file."""
+        within = within or re.match(r"file:[^#]*|\w+://[^/]+", url)[0]  # type: ignore[index]
+        page = browser.new_page()
+        page.set_default_timeout(60_000)
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("request", lambda request: request.url.startswith((within, "data:")) or asked.append(request.url))
+        page.set_viewport_size({"width": width, "height": 800})
+        page.goto(url)
+        pages.append(page)
+        return page
+
+    yield visit
+    for page in pages:
+        page.close()
+    assert complaints == []
+    assert asked == []
 
 
 @pytest.fixture

@@ -37,23 +37,15 @@ for i in range(10**9):
 SMALL_DISK = """
 import resource, signal, sys
 from pathlib import Path
-from chemlab.config.files import write_bytes
+from chemlab.config.files import write_bytes, write_texts
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+path = Path(sys.argv[1])
 try:
-    write_bytes(Path(sys.argv[1]), b"x" * 5000)
-except OSError as error:
-    print(error)
-"""
-SMALL_DISK_FOR_TWO = """
-import resource, signal, sys
-from pathlib import Path
-from chemlab.config.files import write_texts
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
-folder = Path(sys.argv[1])
-try:
-    write_texts({folder / "first": "a", folder / "second": "b" * 5000, folder / "third": "c"})
+    if path.is_dir():
+        write_texts({path / "first": "a", path / "second": "b" * 5000, path / "third": "c"})
+    else:
+        write_bytes(path, b"x" * 5000)
 except OSError as error:
     print(error)
 """
@@ -170,7 +162,7 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path, in_time: No
 @pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
 def test_files_that_belong_together_are_all_there_or_none(tmp_path: Path) -> None:
     (tmp_path / "third").write_text("kept")
-    command = [sys.executable, "-c", SMALL_DISK_FOR_TWO, tmp_path]
+    command = [sys.executable, "-c", SMALL_DISK, tmp_path]
     found = subprocess.run(command, capture_output=True, text=True, check=True)
     assert f"File too large: '{tmp_path / 'second'}'" in found.stdout
     assert [file.name for file in tmp_path.iterdir()] == ["third"]

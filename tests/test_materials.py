@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pydantic
 import pytest
+from refusals import changed, refused
 
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import atoms_of, load_materials, shipped_materials
@@ -38,12 +39,6 @@ boiling_point_k = "made up"
 vaporization_enthalpy_j_mol = "made up"
 polarity = "made up too"
 """
-
-
-def changed(old: str, new: str) -> str:
-    """GOO with one piece replaced, which must be there exactly once."""
-    assert GOO.count(old) == 1, old
-    return GOO.replace(old, new)
 
 
 def test_every_value_of_a_file_arrives(tmp_path: Path) -> None:
@@ -120,16 +115,13 @@ def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
 )
 def test_a_wrong_entry_is_named_with_file_key_and_bound(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
     file = tmp_path / "goo.toml"
-    file.write_text(changed(old, new))
-    with pytest.raises(DataError) as caught:
-        load_materials([file])
-    for part in [f"{file}: goo", *parts]:
-        assert part in str(caught.value)
+    file.write_text(changed(GOO, old, new))
+    refused(lambda: load_materials([file]), f"{file}: goo", *parts)
 
 
 def test_every_wrong_key_has_a_line(tmp_path: Path) -> None:
     file = tmp_path / "goo.toml"
-    file.write_text(changed("shade = 0.5", "shade = 7.0").replace("polarity = 0.2", "polarity = -3.0"))
+    file.write_text(changed(GOO, "shade = 0.5", "shade = 7.0").replace("polarity = 0.2", "polarity = -3.0"))
     with pytest.raises(DataError) as caught:
         load_materials([file])
     lines = str(caught.value).splitlines()
@@ -141,14 +133,14 @@ def test_a_gas_may_have_its_boiling_point_below_its_melting_point(tmp_path: Path
     # Carbon dioxide and acetylene sublime: the rule is for liquids and solids.
     file = tmp_path / "goo.toml"
     file.write_text(
-        changed('role = "solute"', 'role = "gas"').replace("boiling_point_k = 400.0", "boiling_point_k = 200.0")
+        changed(GOO, 'role = "solute"', 'role = "gas"').replace("boiling_point_k = 400.0", "boiling_point_k = 200.0")
     )
     assert load_materials([file])["goo"].boiling_point_k == 200.0
 
 
 def test_a_material_may_do_without_a_melting_point(tmp_path: Path) -> None:
     file = tmp_path / "goo.toml"
-    text = changed("melting_point_k = 250.0\n", "").replace('melting_point_k = "made up"\n', "")
+    text = changed(GOO, "melting_point_k = 250.0\n", "").replace('melting_point_k = "made up"\n', "")
     file.write_text(text)
     assert load_materials([file])["goo"].melting_point_k is None
 
@@ -162,7 +154,7 @@ def test_a_folder_of_a_great_many_files(tmp_path: Path) -> None:
 
 def test_of_very_many_mistakes_some_are_shown(tmp_path: Path) -> None:
     file = tmp_path / "goo.toml"
-    file.write_text(changed("shade = 0.5\n", "shade = 0.5\n" + "".join(f"x{i} = 1\n" for i in range(1000))))
+    file.write_text(changed(GOO, "shade = 0.5\n", "shade = 0.5\n" + "".join(f"x{i} = 1\n" for i in range(1000))))
     with pytest.raises(DataError, match="and 980 more") as caught:
         load_materials([file])
     assert len(str(caught.value).splitlines()) == 21
@@ -171,10 +163,7 @@ def test_of_very_many_mistakes_some_are_shown(tmp_path: Path) -> None:
 def test_a_material_defined_twice_names_both_files(tmp_path: Path) -> None:
     for name in ("a.toml", "b.toml"):
         (tmp_path / name).write_text(GOO)
-    with pytest.raises(DataError) as caught:
-        load_materials([tmp_path])
-    for part in (str(tmp_path / "a.toml"), str(tmp_path / "b.toml"), "goo", "already defined"):
-        assert part in str(caught.value)
+    refused(lambda: load_materials([tmp_path]), tmp_path / "a.toml", tmp_path / "b.toml", "goo", "already defined")
 
 
 @pytest.mark.parametrize("text", ["[goo\nname = 1", "= 3", 'name = "open'])

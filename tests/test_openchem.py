@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from refusals import refused
 from typer.testing import CliRunner
 
 if sys.version_info >= (3, 11):
@@ -214,10 +215,7 @@ def test_a_fitted_vapor_pressure_is_the_curve_it_was_fitted_to() -> None:
     ],
 )
 def test_what_is_no_compound_is_refused(text: str, parts: list[str]) -> None:
-    with pytest.raises(DataError) as caught:
-        compound_of(text)
-    for part in parts:
-        assert part in str(caught.value)
+    refused(lambda: compound_of(text), *parts)
 
 
 @pytest.mark.parametrize(
@@ -315,28 +313,14 @@ def test_values_of_ones_own_are_never_left_out_in_silence(tmp_path: Path) -> Non
     assert not path.exists()
 
 
-def test_a_result_never_replaces_another_or_what_is_read(tmp_path: Path) -> None:
-    """Whatever is forced: results of one command under one name, and files that it reads."""
-    materials, values = tmp_path / "m.toml", tmp_path / "own.toml"
-    done = run(
-        "data", "material", "benzyl chloride", "-o", materials, "--pairs", tmp_path / "x" / ".." / "m.toml", fails=True
-    )
+def test_a_result_never_replaces_another(tmp_path: Path) -> None:
+    """Results of one command under one name. Files that it reads: tests/test_cli.py."""
+    words = ("data", "material", "benzyl chloride", "-o", tmp_path / "m.toml")
+    done = run(*words, "--pairs", tmp_path / "x" / ".." / "m.toml", fails=True)
     assert "is given for two outputs" in " ".join(done.output.split())
+    done = run("data", "material", "--name", "toluene=CCCCCCCCCCCCO", *words[3:], fails=True)
+    assert "id of another bundled material" in " ".join(done.output.split())
     assert not list(tmp_path.iterdir())
-    values.write_text("")
-    run("data", "material", "benzyl chloride", "-o", materials)
-    before = materials.read_text()
-    for words in (
-        ["data", "material", "benzyl chloride", "-o", values, "--values", values],
-        ["data", "material", "benzyl chloride", "-o", tmp_path / "n.toml", "--pairs", values, "--values", values],
-        ["data", "pairs", "benzyl_chloride", "water", "-o", materials, "--materials", materials],
-        ["data", "reactions", "--smarts", WURTZ, "--reactants", "water", "-o", materials, "--materials", materials],
-        ["new", "lab", "--reactions", materials, "-o", materials],
-        ["new", "lab", "--reactions", "wurtz_real", "-o", materials, "--materials", materials],
-    ):
-        done = run(*words, "--force", fails=True)
-        assert "is an input of this command" in " ".join(done.output.split()), words
-    assert (values.read_text(), materials.read_text()) == ("", before)
 
 
 def test_a_molecule_that_estimates_are_not_made_for() -> None:
@@ -366,21 +350,6 @@ def test_the_command_writes_pairs_of_its_own_and_of_shipped_materials(tmp_path: 
     made = load_pairs([pairs])
     assert set(made) == {frozenset(("benzyl_chloride", "hexane"))}
     assert not made.keys() & shipped_pairs().keys()
-
-
-@pytest.mark.parametrize(
-    ("words", "part"),
-    [
-        (["data", "pairs", "toluene", "toluene"], "with itself"),
-        (["data", "pairs", "toluene", "NaCl"], "not a molecule in a liquid (its role is 'solid')"),
-        (["data", "pairs", "toluene", "H2"], "not a molecule in a liquid (its role is 'gas')"),
-        (["data", "pairs", "toluene", "4-nitrotoluene"], "make it with chemlab data material"),
-        (["data", "material", "--name", "toluene=CCCCCCCCCCCCO"], "id of another bundled material"),
-    ],
-)
-def test_what_no_file_can_be_made_of_is_refused(tmp_path: Path, words: list[str], part: str) -> None:
-    assert part in " ".join(run(*words, "-o", tmp_path / "made.toml", fails=True).output.split())
-    assert not list(tmp_path.iterdir())
 
 
 # Reactions ----------------------------------------------------------------------------------------------------------
@@ -455,7 +424,7 @@ def test_a_tick_is_as_long_as_crystals_take_to_dissolve() -> None:
         ("[C:1][Cl>>[C:1]", ["not a reaction SMARTS"]),
         ("[C:1]>>", ["no reactants or no products"]),
         ("[C:1][Cl:2]>[Pd]>[C:1].[Cl:2]", ["[Pd] over the arrow", "--catalyst"]),
-        ("[C:1][Br:2].[Na:3]>>[C:1].[Na:3][Br:2]", ["fits none of 1-chlorohexane, Na"]),
+        ("[C:1][Br:2].[Na:3]>>[C:1].[Na:3][Br:2]", ["changes none of 1-chlorohexane, Na"]),
         ("[C:1][Cl].[C:2][Cl].[Na].[Na]>>[C:1][C:2]", ["not balanced: Cl 2 -> 0, Na 2 -> 0", "template"]),
         ("[C:1][Cl:3].[Na:5]>>[C:1][Na+:5].[Cl-:3]", ["charge of +1", "pair of brackets"]),
         ("[C:1][Cl:3].[Na:5]>>[C:1]([F])([F])([F])([F])[Na:5][Cl:3]", ["too many bonds"]),
@@ -463,10 +432,7 @@ def test_a_tick_is_as_long_as_crystals_take_to_dissolve() -> None:
     ],
 )
 def test_a_wrong_template_is_refused(smarts: str, parts: list[str]) -> None:
-    with pytest.raises(DataError) as caught:
-        expand([Template(smarts)], ["1-chlorohexane", "Na"], shipped_materials())
-    for part in parts:
-        assert part in str(caught.value)
+    refused(lambda: expand([Template(smarts)], ["1-chlorohexane", "Na"], shipped_materials()), *parts)
 
 
 def test_a_reaction_of_a_template_may_have_a_rate_of_its_own(tmp_path: Path) -> None:

@@ -72,22 +72,6 @@ def test_the_keyboards_interrupt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert "interrupted" in shown
 
 
-@pytest.mark.parametrize(
-    ("options", "part"),
-    [
-        (["--role", "chef"], "no agent is called chef"),
-        (["--background", "clever"], "clever"),
-        (["--goal", "gold"], "gold"),
-    ],
-)
-def test_mistakes_are_explained(options: list[str], part: str, tmp_path: Path) -> None:
-    code, shown = play(tmp_path / "x.jsonl", [], *options)
-    assert code == 2
-    assert part in shown
-    assert "Traceback" not in shown
-    assert not list(tmp_path.iterdir())
-
-
 def test_records_are_not_replaced(tmp_path: Path) -> None:
     path = tmp_path / "there.jsonl"
     path.write_text("mine")

@@ -194,24 +194,6 @@ def test_pictures_are_written_once(kind: str, ending: str, scripted: Path, tmp_p
     assert list(tmp_path.iterdir()) == [path]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "part"),
-    [
-        (["timeline", "{record}", "-o", "x.gif"], "choose from png"),
-        (["moles", "{record}", "--only", "Au"], "Au is not in this record"),
-        (["moles", "none.jsonl"], "No such file"),
-        (["curves", "{folder}"], "no training run"),
-    ],
-)
-def test_mistakes_are_explained(arguments: list[str], part: str, scripted: Path, tmp_path: Path) -> None:
-    given = [text.format(record=scripted, folder=tmp_path) for text in arguments]
-    more = [] if "-o" in given else ["-o", str(tmp_path / "x.png")]
-    done = runner.invoke(app, ["plot", *given, *more])
-    assert done.exit_code == 2
-    assert part in done.output
-    assert "Traceback" not in done.output
-
-
 def test_matplotlib_is_asked_for_by_its_extra(scripted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     real = builtins.__import__
 

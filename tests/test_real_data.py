@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 import re
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import changed, refused
 from test_materials import GOO
-from test_materials_data import cited_key, database
 
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.loading import load_scenario
@@ -39,8 +38,6 @@ def curve(name: str) -> VaporPressure:
 MATERIALS = shipped_materials()
 KNOWN = {name: material for name, material in MATERIALS.items() if material.real is not None}
 VOLATILE = sorted(name for name, material in KNOWN.items() if real(material).vapor_pressure)
-NEW = {name: table for file in ("organics", "acids") for name, table in read_toml(DATA / f"{file}.toml").items()}
-NEW |= {name: table for name, table in read_toml(DATA / "snar.toml").items() if "cas" in table}
 FICTITIOUS = set(read_toml(DATA / "fictitious.toml"))
 
 
@@ -147,34 +144,6 @@ def test_heats_of_vaporization_follow_from_the_vapor_pressures(name: str) -> Non
     assert 0.84 < ratio < 1.02
 
 
-# Transcription ------------------------------------------------------------------------------------------------------
-
-
-def listed(name: str, field: str, key: str) -> float:
-    package, material = chemicals(), MATERIALS[name]
-    if field == "critical_temperature_k":
-        return float(package.Tc(material.cas, method=key))
-    if field == "fusion_enthalpy_j_mol":
-        return float(package.Hfus(material.cas, method=key))
-    state = real(material).formation_state
-    return float({"l": package.Hfl, "s": package.Hfs, "g": package.Hfg}[state](material.cas, method=key))
-
-
-CITED = [
-    (name, field, match.group(1))
-    for name, material in KNOWN.items()
-    for field, text in real(material).source.items()
-    if field != "vapor_pressure"
-    and (match := re.search(r"\[([A-Z0-9_]+)\]$", text))
-    and match.group(1) != "CRC_AQUEOUS"
-]
-
-
-@pytest.mark.parametrize(("name", "field", "key"), CITED)
-def test_value_is_the_one_its_source_lists(name: str, field: str, key: str) -> None:
-    assert getattr(real(MATERIALS[name]), field) == pytest.approx(listed(name, field, key), rel=3e-4)
-
-
 @pytest.mark.parametrize("name", [name for name in KNOWN if KNOWN[name].role == "ion"])
 def test_ions_have_the_formation_enthalpy_of_the_handbook(name: str) -> None:
     source = real(MATERIALS[name]).source["formation_enthalpy_j_mol"]
@@ -186,48 +155,6 @@ def test_ions_have_the_formation_enthalpy_of_the_handbook(name: str) -> None:
     column = rows[0].split("\t").index("Hf(aq)")
     value = next(row.split("\t")[column] for row in rows if row.startswith(f"{MATERIALS[name].cas}\t"))
     assert real(MATERIALS[name]).formation_enthalpy_j_mol == float(value)
-
-
-# Second sources: NIST Chemistry WebBook, ATcT.
-
-
-PROPERTIES = (
-    "density_kg_l",
-    "heat_capacity_j_mol_k",
-    "melting_point_k",
-    "boiling_point_k",
-    "vaporization_enthalpy_j_mol",
-)
-LISTED = [
-    (name, field, key)
-    for name, table in NEW.items()
-    for field in PROPERTIES
-    if field in table and (key := cited_key(table, field)) is not None
-]
-
-
-@pytest.mark.parametrize(("name", "field", "key"), LISTED)
-def test_new_materials_are_the_ones_their_sources_list(name: str, field: str, key: str) -> None:
-    table = NEW[name]
-    if field == "heat_capacity_j_mol_k" and table.get("melting_point_k", 0.0) > 300.0:
-        table = {**table, "role": "solid"}
-    assert table[field] == pytest.approx(database(table, field, key), rel=5e-4)
-
-
-@pytest.mark.parametrize("name", list(NEW))
-def test_new_materials_are_the_substances_they_say(name: str) -> None:
-    table = NEW[name]
-    if table.get("cas") is None:
-        assert name == "acetylsalicylate"  # has no CAS number of its own in the package
-        return
-    found = chemicals().search_chemical(table["cas"])
-    if found.charge != table.get("charge", 0):
-        assert name == "salicylate"  # the package files it with its acid
-        return
-    masses = chemicals().periodic_table
-    expected = sum(masses[element].MW * number for element, number in table["composition"].items())
-    assert table["molar_mass_g_mol"] == pytest.approx(expected, rel=1e-5)
-    assert table["molar_mass_g_mol"] == pytest.approx(found.MW, rel=1e-3)
 
 
 # Heats --------------------------------------------------------------------------------------------------------------
@@ -282,10 +209,6 @@ def test_making_ions_keeps_volume_heat_capacity_and_mass(ion: str) -> None:
     assert sum(m.heat_capacity_j_mol_k for m in parts) == pytest.approx(whole.heat_capacity_j_mol_k, rel=1e-6)
 
 
-def test_all_ions_have_one_polarity() -> None:
-    assert {m.polarity for m in MATERIALS.values() if m.role == "ion"} == {1.3}
-
-
 @pytest.mark.parametrize(
     ("reaction", "rate", "activation"), [(0, 0.579, 33.3), (1, 0.027, 35.3), (2, 0.00865, 38.9), (3, 0.0163, 44.8)]
 )
@@ -304,45 +227,6 @@ def test_every_material_but_the_fictitious_ones_is_known_to_the_tier() -> None:
     assert set(MATERIALS) - set(KNOWN) == FICTITIOUS
     liquid = [name for name, m in KNOWN.items() if m.role == "solvent"]
     assert set(liquid) <= set(VOLATILE)
-
-
-def test_colors_tell_new_materials_apart() -> None:
-    def rgb(name: str) -> np.ndarray:
-        return np.array([int(MATERIALS[name].color[i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
-
-    for one, other in itertools.combinations([name for name in MATERIALS if name not in FICTITIOUS], 2):
-        assert np.linalg.norm(rgb(one) - rgb(other)) >= 10.0, (one, other)
-
-
-WAVELENGTHS = np.linspace(200.0, 800.0, 200)
-FLASKS = {
-    "esterification": ["acetic_acid", "ethanol", "ethyl_acetate", "water", "toluene"],
-    "aspirin": ["salicylic_acid", "acetic_anhydride", "acetylsalicylic_acid", "acetic_acid", "water", "ethanol"],
-    "acid-base": ["benzoic_acid", "naphthalene", "benzoate", "Na+", "OH-", "H+", "Cl-", "water", "diethyl_ether"],
-    "recrystallization": ["acetanilide", "benzoic_acid", "naphthalene", "ethanol", "water", "hexane"],
-    "substitution": [
-        "2,4-difluoronitrobenzene",
-        "pyrrolidine",
-        "ethanol",
-        "ortho_pyrrolidinyl",
-        "para_pyrrolidinyl",
-        "bis_pyrrolidinyl",
-    ],
-    "wurtz with olefins": ["1-chlorohexane", "dodecane", "hexane", "1-hexene", "trans-2-hexene", "NaCl", "Na"],
-}
-
-
-@pytest.mark.parametrize("flask", list(FLASKS))
-def test_spectra_of_a_flask_are_told_apart(flask: str) -> None:
-    columns = []
-    for name in FLASKS[flask]:
-        peaks = MATERIALS[name].absorption
-        assert peaks
-        columns.append(
-            sum(p.height_l_mol * np.exp(-(((WAVELENGTHS - p.center_nm) / p.width_nm) ** 2) / 2.0) for p in peaks)
-        )
-    matrix = np.stack(columns, axis=1)
-    assert np.linalg.cond(matrix / np.linalg.norm(matrix, axis=0)) < 200.0
 
 
 REAL = """
@@ -384,12 +268,8 @@ def test_wrong_properties_are_named(tmp_path: Path, old: str, new: str, parts: l
     file = tmp_path / "goo.toml"
     file.write_text(GOO + REAL)
     assert real(load_materials([file])["goo"]).critical_temperature_k == 600.0
-    assert REAL.count(old) == 1
-    file.write_text(GOO + REAL.replace(old, new))
-    with pytest.raises(DataError) as caught:
-        load_materials([file])
-    for part in (f"{file}: goo", *parts):
-        assert part in str(caught.value)
+    file.write_text(GOO + changed(REAL, old, new))
+    refused(lambda: load_materials([file]), f"{file}: goo", *parts)
 
 
 # The tier "paper" ---------------------------------------------------------------------------------------------------
@@ -479,9 +359,5 @@ def test_solubilities_are_straight_lines_between_points(tmp_path: Path) -> None:
 )
 def test_wrong_solubilities_are_named(tmp_path: Path, old: str, new: str, part: str) -> None:
     file = tmp_path / "brine.toml"
-    assert SALT.count(old) == 1
-    file.write_text(SALT.replace(old, new))
-    with pytest.raises(DataError) as caught:
-        load_reactions(str(file), MATERIALS)
-    assert str(file) in str(caught.value)
-    assert part in str(caught.value)
+    file.write_text(changed(SALT, old, new))
+    refused(lambda: load_reactions(str(file), MATERIALS), file, part)

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from helpers import litres
 
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
@@ -21,12 +22,6 @@ def shelf() -> Shelf:
     shelf = Shelf.empty(load_scenario(SCENARIO), 2, 3)
     shelf.fill(1, 1, 1.5, {"water": 10.0, "diethyl_ether": 2.0, "NaCl": 0.5})
     return shelf
-
-
-def litres(name: str, mol: float) -> float:
-    """Volume of ``mol`` of a material, from the cited molar mass and density."""
-    material = load_scenario(SCENARIO).materials[name]
-    return mol * material.molar_mass_g_mol / (1000.0 * material.density_kg_l)
 
 
 def test_every_view_shares_the_vessels_memory(shelf: Shelf) -> None:
@@ -61,8 +56,7 @@ def test_a_filled_vessel_is_at_rest(shelf: Shelf) -> None:
     assert vessel.temperature_k == load_scenario(SCENARIO).ambient_temperature_k
     assert vessel.settling == 1.0
     assert vessel.amounts(1e-9) == {"water": 10.0, "diethyl_ether": 2.0, "NaCl": 0.5}
-    expected = litres("water", 10.0) + litres("diethyl_ether", 2.0) + litres("NaCl", 0.5)
-    assert vessel.volume_l == pytest.approx(expected, rel=1e-12)
+    assert vessel.volume_l == pytest.approx(litres(load_scenario(SCENARIO), vessel.amounts()), rel=1e-12)
 
 
 def test_filling_replaces_what_stood_there(shelf: Shelf) -> None:

@@ -21,7 +21,6 @@ from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
-from chemlab.sandbox import Flask
 
 ROOT = Path(__file__).parent.parent
 SYNTHESES = synthesis_names()
@@ -144,13 +143,6 @@ def test_benzoic_acid_follows_the_base_into_water_and_leaves_it_with_the_acid() 
 def test_water_takes_aspirin_and_the_anhydride_apart_as_fast_as_was_measured() -> None:
     for row in rows_of("aspirin"):
         assert row.chemlab == pytest.approx(row.published, rel=0.05), row.quantity
-
-
-def test_what_is_solid_dissolves_while_it_reacts() -> None:
-    flask = Flask({"acetic_acid": 1.0, "acetic_anhydride": 0.75, "salicylic_acid": 0.3}, reactions="aspirin")
-    for _ in range(60):
-        flask.react(60.0, temperature_k=350.0, jacket_w_k=6.0)
-    assert flask.amounts["acetylsalicylic_acid"] > 0.28
 
 
 def test_snar_follows_the_published_profile() -> None:

@@ -28,7 +28,6 @@ from chemlab.lab.experiments import ExperimentBatch
         ("ext", "process", [{"kind": "settle", "vessel": "EV", "magnitudes": [1.0] * 1001}]),
         ("dit", "hottest_k", 1e4),
         ("dit", "hottest_k", 2.0),
-        ("dit", "coolest_k", 1.0),
     ],
 )
 def test_out_of_bounds_is_refused(bench: str, key: str, value: Any) -> None:

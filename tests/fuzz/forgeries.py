@@ -17,7 +17,7 @@ from chemlab.config.loading import dump_scenario, load_scenario, restore_scenari
 from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, verify_record
 
-NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999")
+NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60)
 Lines = list[str]
 
 
@@ -64,22 +64,27 @@ def cut_short(lines: Lines, path: Path) -> Iterator[Path]:
 
 
 def impossible_numbers(lines: Lines, path: Path) -> Iterator[Path]:
-    """A score that is no number, of an episode that was played elsewhere."""
+    """A score that is no number, of an episode that was played here, or elsewhere."""
     header = json.loads(lines[0])
     header["environment"]["machine"] = "abacus"
     score = json.dumps(json.loads(lines[-1])["end"]["score"])
-    for number in NUMBERS:
-        end = lines[-1].replace(f'"score":{score}', f'"score":{number}')
-        yield store(path, [text_of(header), *lines[1:-1], end])
+    for first in (lines[0], text_of(header)):
+        for number in NUMBERS:
+            end = lines[-1].replace(f'"score":{score}', f'"score":{number}')
+            yield store(path, [first, *lines[1:-1], end])
 
 
 def other_spellings(lines: Lines, path: Path) -> Iterator[Path]:
     """Keys twice, keys that mean nothing, numbers written otherwise: readers may differ about what they read."""
-    seed = f'"seed":{json.loads(lines[0])["seed"]}'
-    for new in (f'{seed},"audited":true', f'"seed":0,{seed}', f"{seed}.0"):
-        yield store(path, [lines[0].replace(seed, new, 1), *lines[1:]])
-    for new in ('"score":1.0,"score":', '"score": '):
-        yield store(path, [*lines[:-1], lines[-1].replace('"score":', new, 1)])
+    last, seed = len(lines) - 1, f'"seed":{json.loads(lines[0])["seed"]}'
+    spellings = [(0, seed, new) for new in (f'{seed},"audited":true', f'"note":"audited",{seed}', f"{seed},{seed}")]
+    spellings += [(0, seed, f'"seed":{new}') for new in (f"0,{seed}", f"{seed[7:]}.0", "true", 2**128)]
+    spellings += [(0, '"rounds":false', '"rounds":0'), (1, '"tick":', '"tick":0,"tick":')]
+    spellings += [(last, '"score":', new) for new in ('"score":1.0,"score":', '"score": ')]
+    backwards = {"end": dict(reversed(json.loads(lines[-1])["end"].items()))}
+    spellings += [(last, '"turns":', '"turns":1e0,"turns":'), (last, lines[-1], text_of(backwards))]
+    for number, old, new in spellings:
+        yield store(path, [*lines[:number], lines[number].replace(old, new, 1), *lines[number + 1 :]])
 
 
 def easier_scenario(lines: Lines, path: Path) -> Iterator[Path]:

@@ -27,7 +27,7 @@ def test_forged_records_are_not_believed(scenario: str, tmp_path: Path) -> None:
     assert found["paid_more"].keys() == {"tampered"}
     assert found["paid_more"]["tampered"] >= 4
     assert found["cut_short"].keys() == {"tampered"}
-    assert found["impossible_numbers"] == {"tampered": 2 * len(NUMBERS)}
+    assert found["impossible_numbers"] == {"tampered": 2 * 2 * len(NUMBERS)}
     assert found["other_spellings"].keys() <= {"tampered", "unchecked"}
     assert found["easier_scenario"] == {"foreign": 4}
     assert found["invented_world"] == ({} if scenario == "wurtz_dodecane" else {"tampered": 4})

@@ -8,13 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import chemlab
 from chemlab.kernels.arrays import FloatArray
 from chemlab.kernels.jit import COMPILED, chained, inner, kernel, scratch
-from chemlab.kernels.rng import normal
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="nothing is compiled")
 
@@ -199,9 +197,3 @@ def _choose(number: int) -> float:
 
 def test_chains_call_by_number() -> None:
     assert [_choose(number) for number in range(3)] == [2111.0, 1121.0, -201.0]
-
-
-def test_normal_numbers_are_those_of_the_formula() -> None:
-    stream = np.array([7], dtype=np.uint64)
-    assert [normal(stream) for _ in range(200)] != [0.0] * 200
-    assert int(stream[0]) != 7

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import Glassware, molar_volume, network_table
+from helpers import Glassware, network_table
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -268,13 +268,6 @@ def test_the_facts_that_pin_the_wurtz_constants() -> None:
     assert (3 * symmetric + 3 * mixed + salt) / 7 == pytest.approx(0.605, abs=1e-3)
     # Two moles of salt for each mole of product: the six products together are half the salt.
     assert (salt / 2 + salt) / 7 == pytest.approx(0.445, abs=1e-3)
-
-
-def test_product_volumes_come_from_the_data_files() -> None:
-    """The helper's molar volumes are the arrays' (so the facts above were computed for the shipped materials)."""
-    glass = Glassware("wurtz_dodecane", 1)
-    expected = [molar_volume(glass.scenario, name) for name in glass.layout.materials]
-    assert glass.known.molar_volume == pytest.approx(expected, rel=1e-12)
 
 
 # -- reactants that are used up ----------------------------------------------------------------------------------------

@@ -6,8 +6,6 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from helpers import Glassware
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from chemlab.config.scenario import Scenario
 from chemlab.physics.spectra import spectrum
@@ -68,22 +66,3 @@ def test_strong_absorption_is_cut_at_one() -> None:
 def test_without_liquid_there_is_nothing_to_see(contents: dict[str, float]) -> None:
     """No liquid, no spectrum: zeros."""
     assert (seen(Glassware("wurtz_dodecane", 1), contents) == 0.0).all()
-
-
-@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
-@given(data=st.data())
-@settings(max_examples=25)
-def test_a_linear_fit_recovers_every_reactant_and_product(scenario: str, data: st.DataObject) -> None:
-    """Least squares on a clean float32 spectrum, as agents see it, finds each concentration to 1e-4 mol/L."""
-    glass = Glassware(scenario, 1)
-    wanted = chemicals(glass.scenario)
-    amounts = data.draw(st.lists(st.floats(0.0, 0.1), min_size=len(wanted), max_size=len(wanted)))
-    found = seen(glass, {"diethyl_ether": 8.0, **dict(zip(wanted, amounts, strict=True))}).astype(np.float32)
-    assert found.max() < 1.0
-    basis = peaks(glass.scenario)
-    absorbing = np.flatnonzero(basis.any(axis=1))
-    fit, _, rank, _ = np.linalg.lstsq(basis[absorbing].T, found.astype(np.float64), rcond=None)
-    assert rank == len(absorbing)
-    names = [glass.layout.materials[i] for i in absorbing]
-    concentration = [fit[names.index(name)] for name in wanted]
-    np.testing.assert_allclose(concentration, np.array(amounts) / litres_of_liquid(glass), rtol=0.0, atol=1e-4)

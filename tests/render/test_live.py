@@ -6,7 +6,7 @@ import http.client
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -68,28 +68,6 @@ def served(
         found.server.should_exit = True
         found.thread.join(20)
         assert not found.thread.is_alive()
-
-
-@pytest.fixture
-def visitor(browser: Any) -> Iterator[Callable[[str], Any]]:
-    """Opens pages that must neither complain nor ask another host."""
-    pages, complaints, asked = [], [], set()
-
-    def visit(url: str) -> Any:
-        page = browser.new_page()
-        page.set_default_timeout(60_000)
-        page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
-        page.on("pageerror", lambda error: complaints.append(str(error)))
-        page.on("request", lambda request: asked.add(request.url.split("/")[2] if "//" in request.url else "data"))
-        page.goto(url)
-        pages.append(page)
-        return page
-
-    yield visit
-    for page in pages:
-        page.close()
-    assert complaints == []
-    assert all(host.startswith("127.0.0.1:") or host == "data" for host in asked)
 
 
 # -- in the browser ---------------------------------------------------------------------------------------------------
