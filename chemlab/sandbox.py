@@ -109,7 +109,7 @@ class Moment(NamedTuple):
     seconds: float
     """s that it has stood, stirred or reacted so far"""
     joules: float
-    """J that it was given so far, less what was taken from it"""
+    """J that ``heat`` has given so far, less what ``cool`` has taken; thermostats and jackets are not counted"""
     temperature_k: float
     volume_l: float
     amounts: Mapping[str, float]
