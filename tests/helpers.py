@@ -9,6 +9,7 @@ import functools
 import hashlib
 import importlib.util
 import json
+import re
 import time
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
@@ -19,11 +20,14 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 import pytest
+from gymnasium.error import ResetNeeded
+from gymnasium.vector import AutoresetMode
 
 from chemlab.config.loading import dump_scenario, load_scenario
 from chemlab.config.materials import Material
 from chemlab.config.scenario import SAFETY_EVENTS, Scenario
 from chemlab.envs.aec import raw_env
+from chemlab.envs.players import Memory
 from chemlab.kernels.arrays import declared
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories
@@ -111,6 +115,21 @@ def random_actions(space: gymnasium.Space[Any], steps: int, members: int, seed: 
 def weights(model: Any) -> npt.NDArray[Any]:
     """All parameters of a model of Stable-Baselines3 in one array."""
     return np.concatenate([one.detach().numpy().ravel() for one in model.policy.parameters()])
+
+
+def watched(model: Any, steps: int) -> dict[str, Any]:
+    """Train such a model; lost turns, ends and steps, and the ticks between turns."""
+    found: dict[str, Any] = {"illegal": 0, "ends": 0, "steps": 0, "ticks": []}
+
+    def watch(now: dict[str, Any], _: Any) -> bool:
+        found["illegal"] += sum(info["illegal_action"] for info in now["infos"])
+        found["ends"] += int(now["dones"].sum())
+        found["steps"] += len(now["infos"])
+        found["ticks"] += [info["elapsed_ticks"] for info in now["infos"] if "elapsed_ticks" in info]
+        return True
+
+    model.learn(steps, watch)
+    return found
 
 
 def until(met: Callable[[], Any], seconds: float = 600.0) -> None:
@@ -401,3 +420,250 @@ def record_episode(
     with Recorder(path, labs, policies=dict.fromkeys(labs.agents, policy) if named else None, force=True) as recorder:
         play_episode(env, policies, seed, policy, options=options, recorder=recorder)
     return path
+
+
+# -- what all interfaces have in common -------------------------------------------------------------------------------
+
+
+def digest(*values: Any) -> str:
+    """Of arrays (with their types and shapes), numbers, names and objects in nested dictionaries and sequences."""
+    found = hashlib.blake2b(digest_size=16)
+
+    def add(value: Any) -> None:
+        if isinstance(value, dict):
+            for key in sorted(value):
+                found.update(str(key).encode())
+                add(value[key])
+        elif isinstance(value, (tuple, list)) or (isinstance(value, np.ndarray) and value.dtype == object):
+            found.update(f"{len(value)}".encode())
+            for one in value:
+                add(one)
+        elif isinstance(value, np.ndarray):
+            found.update(f"{value.dtype}{value.shape}".encode())
+            found.update(np.ascontiguousarray(value).tobytes())
+        elif isinstance(value, Memory):
+            add(vars(value))
+        else:
+            found.update(repr(value).encode())
+
+    add(values)
+    return found.hexdigest()
+
+
+def state_of(env: Any) -> str:
+    """Digest of all that changes in an environment: arrays, generators, and what was last shown."""
+    names = ("agents", "agent_selection", "rewards", "_cumulative_rewards", "infos", "_begun", "_unfinished", "_turns")
+    arrays = env.get_state() if hasattr(env, "get_state") else env.laboratories.snapshot()
+    random = [getattr(env, name).bit_generator.state for name in ("np_random", "_random") if hasattr(env, name)]
+    return digest(arrays, random, *(vars(env).get(name) for name in names))
+
+
+def refused(case: str, match: str, call: Callable[..., Any], *arguments: Any, **named: Any) -> str:
+    """The message of the ValueError that a call raises, which must match."""
+    try:
+        call(*arguments, **named)
+    except ValueError as error:
+        message = str(error)
+    else:
+        raise AssertionError(f"{case}: nothing was refused")
+    assert re.search(match, message), f"{case}: {message}"
+    return message
+
+
+def choose(
+    labs: Laboratories, number: int, member: int, rng: np.random.Generator, bold: float = 0.2, submit: float = 0.05
+) -> Any:
+    """An action of one agent: legal, but with probability ``bold`` any of the space; with probability ``submit`` a
+    submission or an experiment's end; corners of a box are frequent."""
+    mask = labs.mask(number, np.array([member]))
+    if mask is None:
+        numbers = rng.random(labs.action_space(number).shape)  # type: ignore[arg-type]
+        return np.where(rng.random(numbers.shape) < 0.3, numbers.round(), numbers)
+    legal = np.arange(mask.shape[1]) if rng.random() < bold else np.flatnonzero(mask[0])
+    rare = legal == labs.benches[number - 1].end_action if number else labs.actions.table[legal, 0] == SUBMIT
+    if number == 0 and (wait := labs.actions.encode("wait")) in legal and rng.random() < 0.3:
+        return wait
+    wanted = rare if rng.random() < submit else ~rare
+    legal = legal[wanted] if wanted.any() else legal
+    return int(rng.choice(legal))
+
+
+def lasting(labs: Laboratories) -> list[npt.NDArray[Any]]:
+    """Every array that changes, but what the last turn or round alone has earned; and the totals of accidents."""
+    passing = (labs.state.rewards, labs.state.cost, labs.state.scores)
+    kept = [array for array in labs.arrays() if not any(np.shares_memory(array, own) for own in passing)]
+    return [*kept, np.asarray(labs.safety_totals)]
+
+
+class Rounds:
+    """A laboratory in rounds (an action of the manager, or a tick) that is played turn by turn in AEC: the reference of
+    every interface for all agents."""
+
+    def __init__(self, scenario: Any) -> None:
+        self.env = raw_env(scenario)
+        self.laboratories = self.env.laboratories
+        self.turn: list[str] = []
+        self._arrays = lasting(self.laboratories)
+
+    def choose(self, rng: np.random.Generator, submit: float) -> dict[str, Any]:
+        """Actions of all who have the turn."""
+        labs = self.laboratories
+        return {agent: choose(labs, labs.agents.index(agent), 0, rng, submit=submit) for agent in self.turn}
+
+    def reset(self, seed: int | None = None) -> dict[str, Any]:
+        """See :meth:`step`."""
+        self.env.reset(seed=seed)
+        self._last = dict.fromkeys(self.env.possible_agents, 0)
+        return self._shown(self._nothing())
+
+    def step(self, actions: dict[str, Any]) -> dict[str, Any]:
+        """Play a round; all that an interface may show after it."""
+        env, labs, agents = self.env, self.laboratories, self.env.possible_agents
+        tick, managed = labs.state.ticks[0], self.turn == ["manager_0"]
+        rewards, infos = dict.fromkeys(agents, 0.0), self._nothing()
+        for agent in self.turn:
+            assert (env.agent_selection, env.infos[agent]["elapsed_ticks"]) == (agent, self._elapsed[agent])
+            env.step(actions[agent])
+            for number, name in enumerate(agents):
+                rewards[name] += env.rewards[name]
+                if name == agent or labs.cost[0, number]:  # an experiment may start with an accident
+                    infos[name].update({key: env.infos[name][key] for key in ("cost", "events")})
+                if np.isfinite(labs.scores[0, number]):
+                    infos[name].update(experiment_over=True, score=float(labs.scores[0, number]))
+            infos[agent]["illegal_action"] = env.infos[agent]["illegal_action"]
+        over = bool(labs.state.status[0] != 0)
+        assert managed or over or labs.state.ticks[0] != tick, "the round is over"
+        paid = 0.0
+        if over:
+            infos["manager_0"].update(experiment_over=True, score=float(labs.result(labs.members)[0]))
+            paid = infos["manager_0"]["score"] + sum(labs.costs().values())
+        ends = {"terminated": dict.fromkeys(agents, over), "truncated": dict.fromkeys(agents, False)}
+        assert (env.terminations, env.truncations) == (ends["terminated"], ends["truncated"])
+        return {**self._shown(infos), **ends, "rewards": rewards, "paid": round(paid, 9)}
+
+    def _nothing(self) -> dict[str, dict[str, Any]]:
+        nothing = {"cost": 0.0, "illegal_action": False, "experiment_over": False, "score": 0.0}
+        events = np.zeros(len(self.env.scenario.safety_events))
+        return {agent: {**nothing, "events": events} for agent in self.env.possible_agents}
+
+    def _shown(self, infos: dict[str, dict[str, Any]]) -> dict[str, Any]:
+        env, labs = self.env, self.laboratories
+        turns, ticks = labs.turns(labs.members)[:, 0], labs.state.ticks[0]
+        self.turn = [agent for agent, turn in zip(env.possible_agents, turns, strict=True) if turn]
+        self._elapsed = {agent: int(ticks - last) for agent, last in self._last.items()}
+        for number, (agent, info) in enumerate(infos.items()):
+            info.update(has_turn=turns[number], elapsed_ticks=self._elapsed[agent])
+            self._last[agent] = ticks if turns[number] else self._last[agent]
+            if count := labs.action_counts[number]:
+                resting = labs.benches[number - 1].end_action if number else labs.actions.encode("wait")
+                mask: Any = labs.mask(number, labs.members)
+                info["action_mask"] = mask[0] if turns[number] else np.eye(count, dtype=np.int8)[resting]
+        infos["manager_0"].update({**labs.manager.accounts(0), "costs": list(labs.costs().values())})
+        if self.turn in ([], ["manager_0"]):
+            for key in ("costs", "goals", "submitted_mol", "purity", "elapsed_ticks"):
+                np.testing.assert_array_equal(infos["manager_0"][key], env.infos["manager_0"][key], key)
+        for agent in self.turn[:1] or env.possible_agents:  # at the end, all of them
+            assert env.infos[agent]["elapsed_ticks"] == infos[agent]["elapsed_ticks"]
+            np.testing.assert_equal(infos[agent].get("action_mask"), env.infos[agent].get("action_mask"))
+        seen = {agent: env.observe(agent) for agent in env.possible_agents}
+        return {"observations": seen, "infos": infos, "state": env.state(), "arrays": self._arrays}
+
+
+def assert_agrees(found: Any, expected: Any, where: str) -> None:
+    """Everything that was found is as expected, bit for bit."""
+    if isinstance(found, dict):
+        for key, value in found.items():
+            assert_agrees(value, expected[key], f"{where} {key}")
+    elif isinstance(found, list):
+        for one, other in zip(found, expected, strict=True):
+            assert_agrees(one, other, where)
+    else:
+        np.testing.assert_array_equal(found, expected, where)
+
+
+def assert_plays_rounds(
+    interface: Any, scenario: Any, members: int, rounds: int, seed: int = 30, submit: float = 0.15
+) -> int:
+    """An interface shows what AEC shows of ``members`` laboratories, through several episodes; the number of ends.
+
+    ``reset(seed)`` or ``reset(which)`` and ``step(actions)`` give, for every laboratory, a part of what :class:`Rounds`
+    gives (all infos if ``whole``), and ``final`` observations of an end; ``autoreset`` has then begun the next episode.
+    """
+    ours, rngs = [Rounds(scenario) for _ in range(members)], [np.random.default_rng([seed, i]) for i in range(members)]
+    for space in ("state_space", "state_channels"):
+        assert getattr(interface.env, space) == getattr(ours[0].env, space)
+    found, expected, ends = interface.reset(seed), [one.reset(seed + i) for i, one in enumerate(ours)], 0
+    for step in range(rounds):
+        for member in range(members):
+            assert_agrees(found[member], expected[member], f"round {step}, laboratory {member}:")
+            for agent, info in expected[member]["infos"].items() if interface.whole else ():
+                assert found[member]["infos"][agent].keys() == info.keys()
+        over = np.array([not one.turn for one in ours])
+        if over.any() and not interface.autoreset:
+            found = interface.reset(which=over)
+            for member in np.flatnonzero(over):
+                assert_agrees(found[member], ours[member].reset(), f"begun in round {step}, {member}:")
+        actions = [one.choose(rng, submit) for one, rng in zip(ours, rngs, strict=True)]
+        found = interface.step(actions)
+        expected = [one.step(own) for one, own in zip(ours, actions, strict=True)]
+        for member, one in enumerate(ours):
+            if one.turn:
+                assert "final" not in found[member]
+                continue
+            ends += 1
+            assert_agrees(found[member].pop("final", {}), expected[member]["observations"], "final")
+            if interface.autoreset:
+                fresh = one.reset()
+                for agent, info in expected[member]["infos"].items():
+                    info.update({key: fresh["infos"][agent][key] for key in ("has_turn", "action_mask") if key in info})
+                expected[member].update(observations=fresh["observations"], state=fresh["state"])
+    return ends
+
+
+def assert_is_singles(
+    batch: Any, singles: list[Any], steps: int, act: Callable[[int, int], Any], seed: int, whole: bool = True
+) -> int:
+    """Members of a batch are single environments with seeds ``seed``, ``seed + 1``, ..., in all that they show, begun
+    again as the batch's mode says; the number of ends.
+
+    ``act(step, member)`` is played. With ``whole`` the batch has all infos that single environments have but accounts.
+    """
+    mode, ends, waiting = batch.autoreset_mode, 0, np.zeros(len(singles), dtype=np.bool_)
+
+    def check(member: int, own: Any, info: dict[str, Any], where: str) -> None:
+        np.testing.assert_array_equal(seen[member], own, where)
+        told = {key for key in infos if not key.startswith("_")} - {"final_obs"}
+        assert told == info.keys() - {"costs", "goals", "submitted_mol", "purity"} or not whole
+        for key in told & info.keys():
+            np.testing.assert_array_equal(infos[key][member], info[key], f"{key} {where}")
+            assert not whole or infos[f"_{key}"][member]
+
+    seen, infos = batch.reset(seed=seed)
+    for i, one in enumerate(singles):
+        check(i, *one.reset(seed=seed + i), f"member {i} at first")
+    for step in range(steps):
+        actions = np.array([act(step, i) for i in range(len(singles))])
+        seen, rewards, terminated, truncated, infos = batch.step(actions)
+        for i, one in enumerate(singles):
+            where = f"member {i}, step {step}"
+            begun = one.reset() if waiting[i] else None  # NEXT_STEP: this step has been the reset
+            own, *paid, info = (begun[0], 0.0, False, False, begun[1]) if begun else one.step(actions[i])
+            assert (rewards[i], terminated[i], truncated[i]) == (rewards.dtype.type(paid[0]), *paid[1:]), where
+            if any(paid[1:]) and mode is AutoresetMode.SAME_STEP:
+                assert infos["_final_obs"][i]
+                np.testing.assert_array_equal(infos["final_obs"][i], own, where)
+                own, fresh = one.reset()
+                info = {**info, **{key: fresh[key] for key in ("action_mask",) if key in fresh}}
+            check(i, own, info, where)
+        over = terminated | truncated
+        ends += int(over.sum())
+        waiting = over & (mode is AutoresetMode.NEXT_STEP)
+        if mode is AutoresetMode.DISABLED and over.any():
+            before = state_of(batch)
+            with pytest.raises(ResetNeeded):
+                batch.step(actions)
+            assert state_of(batch) == before
+            seen, infos = batch.reset(options={"reset_mask": over})
+            for i in np.flatnonzero(over):
+                check(i, *singles[i].reset(), f"member {i} begun after step {step}")
+    return ends

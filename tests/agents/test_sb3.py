@@ -17,12 +17,11 @@ pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip ins
 
 import torch
 from gymnasium.wrappers.vector import TransformReward
-from helpers import random_actions, weights
+from helpers import random_actions, watched, weights
 from sb3_contrib import MaskablePPO, RecurrentPPO
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
 from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
 
@@ -282,36 +281,19 @@ def test_ppo_learns_reproducibly_and_hears_of_episodes() -> None:
     learned(3, lambda: VecNormalize(ChemlabVecEnv(4, bench="rxn")))
 
 
-class NeverIllegal(BaseCallback):
-    """Counts lost turns and ends."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.illegal = self.ends = 0
-
-    def _on_step(self) -> bool:
-        self.illegal += sum(info["illegal_action"] for info in self.locals["infos"])
-        self.ends += int(self.locals["dones"].sum())
-        return True
-
-
 @pytest.mark.parametrize("bench", ["ext", "dit"])
 def test_masked_ppo_never_plays_a_masked_action(bench: str) -> None:
-    watch, unmasked = NeverIllegal(), NeverIllegal()
-    model = MaskablePPO("MlpPolicy", ChemlabVecEnv(4, bench=bench), n_steps=64, n_epochs=1, seed=0, device="cpu")
-    model.learn(512, watch)
-    assert watch.ends >= 8
-    assert watch.illegal == 0
-    remembering, watch_it = ChemlabVecEnv(4, bench=bench, show_masks=True), NeverIllegal()
-    small = {"lstm_hidden_size": 8}
-    RecurrentPPO(
-        MaskedLstmPolicy, remembering, n_steps=64, n_epochs=1, seed=0, device="cpu", policy_kwargs=small
-    ).learn(512, watch_it)
-    assert watch_it.ends >= 8
-    assert watch_it.illegal == 0
-    plain = PPO("MlpPolicy", ChemlabVecEnv(4, bench=bench), n_steps=64, n_epochs=1, seed=0, device="cpu")
-    plain.learn(256, unmasked)
-    assert unmasked.illegal > 0, "without masks it does"
+    common: dict[str, Any] = {"n_steps": 64, "n_epochs": 1, "seed": 0, "device": "cpu"}
+    remembering, small = ChemlabVecEnv(4, bench=bench, show_masks=True), {"lstm_hidden_size": 8}
+    for model in (
+        MaskablePPO("MlpPolicy", ChemlabVecEnv(4, bench=bench), **common),
+        RecurrentPPO(MaskedLstmPolicy, remembering, policy_kwargs=small, **common),
+    ):
+        found = watched(model, 512)
+        assert found["ends"] >= 8
+        assert found["illegal"] == 0
+    plain = PPO("MlpPolicy", ChemlabVecEnv(4, bench=bench), **common)
+    assert watched(plain, 256)["illegal"] > 0, "without masks it does"
 
 
 def test_a_sequence_goes_through_the_memory_at_once_as_turn_by_turn() -> None:

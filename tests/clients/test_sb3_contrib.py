@@ -14,12 +14,11 @@ import pytest
 pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install ".[train]"')
 pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip install ".[train]"')
 
-from helpers import weights
+from helpers import watched, weights
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
 from sb3_contrib.common.maskable.utils import is_masking_supported
 from stable_baselines3 import PPO
-from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
@@ -33,32 +32,14 @@ from chemlab.config.loading import load_scenario
 SMALL: dict[str, Any] = {"n_steps": 16, "batch_size": 32, "n_epochs": 1, "seed": 0, "device": "cpu"}
 
 
-class Watch(BaseCallback):
-    """Counts lost turns, ends and steps."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.illegal = self.ends = self.steps = 0
-        self.ticks: list[int] = []
-
-    def _on_step(self) -> bool:
-        infos = self.locals["infos"]
-        self.illegal += sum(info["illegal_action"] for info in infos)
-        self.ends += int(self.locals["dones"].sum())
-        self.steps += len(infos)
-        self.ticks += [info["elapsed_ticks"] for info in infos if "elapsed_ticks" in info]
-        return True
-
-
-def learned(model: Any, steps: int) -> Watch:
+def learned(model: Any, steps: int) -> dict[str, Any]:
     """Train the model a little; its parameters must have moved, finitely."""
-    watch, before = Watch(), weights(model)
-    model.learn(steps, watch)
-    after = weights(model)
+    before = weights(model)
+    found, after = watched(model, steps), weights(model)
     assert np.isfinite(after).all()
     assert not np.array_equal(before, after)
-    assert watch.steps >= steps
-    return watch
+    assert found["steps"] >= steps
+    return found
 
 
 def manager_batch(members: int, name: str = "wurtz_dodecane") -> ChemlabVecEnv:
@@ -86,9 +67,9 @@ def test_masked_ppo_manages_a_batch_of_laboratories(name: str) -> None:
     assert is_masking_supported(venv)
     model = MaskablePPO("MlpPolicy", venv, **SMALL)
     watch = learned(model, 256)
-    assert watch.illegal == 0
-    assert watch.ends > 0
-    assert max(watch.ticks) > 1, "the benches' experiments are single steps of the manager"
+    assert watch["illegal"] == 0
+    assert watch["ends"] > 0
+    assert max(watch["ticks"]) > 1, "the benches' experiments are single steps of the manager"
     rewards, lengths = evaluate_masked(model, manager_batch(2, name), n_eval_episodes=4, return_episode_rewards=True)
     limit = load_scenario(name).limits.manager_actions
     assert len(rewards) == len(lengths) == 4  # type: ignore[arg-type]
@@ -115,14 +96,14 @@ def test_single_and_batched_views_train_alike() -> None:
 @pytest.mark.parametrize("agent", ["ext_0", "dit_0"])
 def test_masked_ppo_operates_a_bench_in_a_running_laboratory(agent: str) -> None:
     venv = ChemlabVecEnv(role_vector_env(4, agent=agent, autoreset_mode="SameStep"))
-    assert learned(MaskablePPO("MlpPolicy", venv, **SMALL), 256).illegal == 0
+    assert learned(MaskablePPO("MlpPolicy", venv, **SMALL), 256)["illegal"] == 0
 
 
 def test_ppo_operates_a_reaction_in_a_running_laboratory() -> None:
     venv = ChemlabVecEnv(role_vector_env(4, agent="rxn_0", autoreset_mode="SameStep"))
     assert not is_masking_supported(venv)
     model = PPO("MlpPolicy", venv, **SMALL)
-    assert learned(model, 256).ends > 0
+    assert learned(model, 256)["ends"] > 0
     env = Monitor(role_env(agent="rxn_0"))
     mean, _ = evaluate_policy(model, env, n_eval_episodes=1)
     assert np.isfinite(mean)

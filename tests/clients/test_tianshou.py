@@ -19,13 +19,12 @@ from tianshou.algorithm import DQN
 from tianshou.algorithm.modelfree.dqn import DiscreteQLearningPolicy
 from tianshou.algorithm.optim import AdamOptimizerFactory
 from tianshou.data import Collector, CollectStats, VectorReplayBuffer
-from tianshou.env import DummyVectorEnv, PettingZooEnv
+from tianshou.env import DummyVectorEnv
 from tianshou.trainer import OffPolicyTrainerParams
 from tianshou.utils.net.common import Net
 
 import chemlab  # noqa: F401 - registers the environments
 from chemlab.agents.background import role_env
-from chemlab.laboratory import env as laboratory_env
 
 
 class MaskInObservation(gymnasium.Wrapper[Any, Any, Any, Any]):
@@ -103,8 +102,3 @@ def test_dqn_with_masks_learns(agent: str) -> None:
     assert not data.info.illegal_action.any()
     assert (data.info.elapsed_ticks >= 0).all()
     assert (data.done == (data.terminated | data.truncated)).all()
-
-
-def test_its_multi_agent_environment_wants_equal_roles() -> None:
-    with pytest.raises(AssertionError, match="must be identical"):
-        PettingZooEnv(laboratory_env())

@@ -11,16 +11,14 @@ import os
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
-from helpers import random_actions, random_legal
+from helpers import assert_is_singles, random_actions, random_legal
 
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
@@ -48,22 +46,6 @@ def single(name: str, **arguments: Any) -> RoleEnv:
 def batch(name: str, num_envs: int, **arguments: Any) -> RoleVectorEnv:
     """The bare batch of an id."""
     return RoleVectorEnv(num_envs, **{**gymnasium.spec(name).kwargs, **arguments})
-
-
-def episode(env: RoleEnv, seed: int, actions: npt.NDArray[Any]) -> Iterator[tuple[Any, ...]]:
-    """(observation, reward, terminated, mask) at the reset and after each step, begun anew (unseeded) where it ends."""
-    observation, info = env.reset(seed=seed)
-    yield observation, 0.0, False, info.get("action_mask")
-    over = False
-    for action in actions:
-        if over:
-            observation, info = env.reset()
-            over = False
-            yield observation, 0.0, False, info.get("action_mask")
-        else:
-            observation, reward, over, truncated, info = env.step(action)
-            assert not truncated
-            yield observation, reward, over, info.get("action_mask")
 
 
 def assert_same_arrays(first: Any, second: Any) -> None:
@@ -166,64 +148,13 @@ def test_a_state_of_another_environment_changes_nothing() -> None:
 
 @pytest.mark.parametrize("name", IDS)
 def test_members_are_single_environments(name: str) -> None:
-    seed = 40
-    actions = random_actions(single(name).action_space, STEPS, 20)
-    members = [list(episode(single(name), seed + i, actions[:, i])) for i in range(0, 20, 9)]
-    # Every ninth of a batch is compared; all of them are, between batches of different sizes and threads.
-    whole: list[Any] = []
-    for num_envs, threads in ((20, 1), (20, 2), (7, 2), (1, 1)):
-        env = batch(name, num_envs, threads=threads)
-        observations, infos = env.reset(seed=seed)
-        rows = [(observations, np.zeros(num_envs), np.zeros(num_envs, dtype=bool), infos.get("action_mask"))]
-        for action in actions:
-            observations, rewards, terminated, truncated, infos = env.step(action[:num_envs])
-            assert not truncated.any()
-            rows.append((observations, rewards, terminated, infos.get("action_mask")))
-        whole = whole or rows
-        for row, first in zip(rows, whole, strict=True):
-            for one, two in zip(row, first, strict=True):
-                np.testing.assert_array_equal(one, two if two is None else two[:num_envs])
+    """Whatever the numbers of members and threads are, and however they are begun again."""
+    actions = random_actions(single(name).action_space, STEPS, 7)
+    for mode, count, threads in (("NextStep", 7, 2), ("NextStep", 3, 1), ("Disabled", 1, 1), ("SameStep", 3, 2)):
+        env = batch(name, count, threads=threads, autoreset_mode=mode)
+        ends = assert_is_singles(env, [single(name) for _ in range(count)], STEPS, lambda t, i: actions[t, i], 40)
+        assert ends >= count
         env.close()
-    assert sum(row[2].sum() for row in whole) >= 20
-    for t, row in enumerate(whole):
-        for j, member in enumerate(members):
-            for one, two in zip(row, member[t], strict=True):
-                if two is None:
-                    assert one is None
-                else:
-                    np.testing.assert_array_equal(one[9 * j], two)
-
-
-@pytest.mark.parametrize("name", KINDS)
-def test_same_step_resets_at_once(name: str) -> None:
-    """Compared with single environments that are reset by hand as soon as they end."""
-    actions = random_actions(single(name).action_space, STEPS, 3)
-    env = batch(name, 3, autoreset_mode="SameStep")
-    singles = [single(name) for _ in range(3)]
-    observations, _ = env.reset(seed=7)
-    for i, one in enumerate(singles):
-        np.testing.assert_array_equal(observations[i], one.reset(seed=7 + i)[0])
-    ends = 0
-    for action in actions:
-        observations, rewards, terminated, _, infos = env.step(action)
-        for i, one in enumerate(singles):
-            observation, reward, over, _, info = one.step(action[i])
-            assert rewards[i] == reward
-            assert terminated[i] == over
-            assert infos["illegal_action"][i] == info["illegal_action"]
-            assert infos["cost"][i] == info["cost"]
-            np.testing.assert_array_equal(infos["events"][i], info["events"])
-            assert infos["experiment_over"][i] == info["experiment_over"] == over
-            if over:
-                ends += 1
-                assert infos["_final_obs"][i]
-                np.testing.assert_array_equal(infos["final_obs"][i], observation)
-                assert infos["score"][i] == info["score"]
-                observation, info = one.reset()
-            np.testing.assert_array_equal(observations[i], observation)
-            if "action_mask" in info:
-                np.testing.assert_array_equal(infos["action_mask"][i], info["action_mask"])
-    assert ends >= 6
 
 
 def test_a_lost_last_turn_is_reported_when_reset_at_once() -> None:
@@ -261,25 +192,6 @@ def test_lists_of_seeds() -> None:
     np.testing.assert_array_equal(observations[1], goes_on.reset()[0])
 
 
-@pytest.mark.parametrize("options", [{"reset_mask": [True]}, {"reset_mask": np.ones(3)}, {"goals": "dodecane"}])
-def test_bad_reset_options(options: dict[str, Any]) -> None:
-    env = batch("chemlab/WurtzReaction-v0", 3)
-    env.reset(seed=0)
-    before = env.get_state()
-    with pytest.raises(ValueError, match=r"reset_mask|reset options"):
-        env.reset(options=options)
-    assert_same_arrays(env.get_state(), before)
-
-
-def test_bad_options_leave_generators_as_they_are() -> None:
-    for each in (batch("chemlab/WurtzExtraction-v0", 3), single("chemlab/WurtzExtraction-v0")):
-        each.reset(seed=7)
-        random = each.np_random.bit_generator.state
-        with pytest.raises(ValueError, match="reset options"):
-            each.reset(seed=1, options={"gaol": 1})
-        assert each.np_random.bit_generator.state == random
-
-
 FORK = """
 import os, sys
 import numpy as np
@@ -312,15 +224,6 @@ def test_batches_refuse_render_modes_when_they_are_made(mode: str) -> None:
     for name in ("chemlab/WurtzReaction-v0", "chemlab/LabManager-v1"):
         with pytest.raises(ValueError, match=f"render_mode: must be None.*{mode}"):
             gymnasium.make_vec(name, num_envs=2, render_mode=mode)
-
-
-def test_bad_numbers_of_seeds_members_and_threads() -> None:
-    with pytest.raises(ValueError, match="3 members, given 2"):
-        batch("chemlab/WurtzReaction-v0", 3).reset(seed=[1, 2])
-    with pytest.raises(ValueError, match="num_envs"):
-        batch("chemlab/WurtzReaction-v0", 0)
-    with pytest.raises(ValueError, match="threads"):
-        batch("chemlab/WurtzReaction-v0", 1, threads=0)
 
 
 def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,6 @@ Run as a script, this file prints the digests of its episodes, which is how the 
 from __future__ import annotations
 
 import copy
-import hashlib
 import json
 import os
 import pickle
@@ -20,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from gymnasium.vector import AutoresetMode
-from helpers import FEATURED
+from helpers import FEATURED, digest
 
 from chemlab.agents.background import role_vector_env
 from chemlab.agents.policies import make_policies
@@ -33,39 +32,18 @@ from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 
 
-class Digest:
-    """blake2b over everything an episode shows."""
-
-    def __init__(self) -> None:
-        self._hash = hashlib.blake2b(digest_size=16)
-
-    def add(self, *values: Any) -> None:
-        """Take in arrays, numbers, flags and names."""
-        for value in values:
-            if isinstance(value, np.ndarray):
-                self._hash.update(f"{value.dtype}{value.shape}".encode())
-                self._hash.update(np.ascontiguousarray(value).tobytes())
-            elif isinstance(value, dict):
-                for key in sorted(value):
-                    self.add(key, value[key])
-            else:
-                self._hash.update(repr(value).encode())
-
-    def __str__(self) -> str:
-        return self._hash.hexdigest()
-
-
 def episode(env: raw_env, policy: str, seed: int, reset: bool = True) -> str:
     """Digest of every observation, reward, mask, flag and info of one episode, of all agents at every turn."""
     policies = make_policies(policy, env.laboratories, seed=seed)
     if reset:
         env.reset(seed=seed)
-    digest, labs = Digest(), env.laboratories
+    found, labs = list[Any](), env.laboratories
     while True:
         agent = env.agent_selection
-        digest.add(agent, env.rewards, env.terminations, env.truncations, env.infos, *map(env.observe, env.agents))
+        shown = env.rewards, env.terminations, env.truncations, env.infos
+        found.append(digest(agent, shown, *map(env.observe, env.agents)))
         if labs.state.status[0] != 0:
-            return str(digest)
+            return digest(found)
         number = env.possible_agents.index(agent)
         mask = env.infos[agent].get("action_mask")
         step = (labs.state.actions if number == 0 else labs.experiments[number - 1].steps)[:1]
@@ -75,7 +53,7 @@ def episode(env: raw_env, policy: str, seed: int, reset: bool = True) -> str:
         action = policies[agent].act(
             env.observe(agent)[None], None if mask is None else mask[None], step, labs.members
         )[0]
-        digest.add(np.asarray(action))
+        found.append(digest(np.asarray(action)))
         env.step(action)
 
 
@@ -160,16 +138,12 @@ def drawn_scenario(name: str) -> Scenario:
 
 def beginning(labs: Any, member: int, *shown: Any) -> str:
     """Digest of all that an episode begins with: vessels, goals, orders, world, and every random stream."""
-    digest = Digest()
-    digest.add(*shown)
-    digest.add(labs.shelf.vessels[member], labs.worlds.table.arrays.values[member] if labs.worlds.active else None)
+    world = labs.worlds.table.arrays.values[member] if labs.worlds.active else None
     if isinstance(labs, Laboratories):
-        digest.add(labs.state.goal[member], labs.state.terms[member], labs.state.stream[member])
-        digest.add(*(experiments.stream[member] for experiments in labs.experiments))
+        own = [labs.state.goal, labs.state.terms, labs.state.stream, *(one.stream for one in labs.experiments)]
     else:
-        own = labs.experiments
-        digest.add(own.goal[member], own.stream[member], labs.start_stream[member])
-    return str(digest)
+        own = [labs.experiments.goal, labs.experiments.stream, labs.start_stream]
+    return digest(*shown, labs.shelf.vessels[member], world, [array[member] for array in own])
 
 
 def hasty_manager(mask: npt.NDArray[Any], labs: Laboratories, rng: np.random.Generator) -> int:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
-from helpers import mapping
+from helpers import assert_is_singles, choose, mapping
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.policies import make_policies
@@ -24,9 +24,8 @@ from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.parallel import parallel_env
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
-from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import named_events
-from chemlab.roles.manager_actions import SUBMIT, WAIT, ManagerActions
+from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_state import LIMIT
 
 WURTZ = "wurtz_dodecane"
@@ -44,32 +43,6 @@ CASES = [
 ]
 BACKGROUNDS = ("scripted", "random")
 MEMBERS = [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")]
-
-
-def choose(labs: Laboratories, number: int, member: int, rng: np.random.Generator) -> Any:
-    """An action for one agent: four of five legal, seldom a submission, seldom the end of an experiment."""
-    mask = labs.mask(number, np.array([member]))
-    if mask is None:
-        return rng.random(labs.action_space(number).shape)  # type: ignore[arg-type]
-    legal = np.flatnonzero(mask[0]) if rng.random() < 0.8 else np.arange(mask.shape[1])
-    if number == 0:
-        kinds = labs.actions.table[legal, 0]
-        if WAIT in kinds and rng.random() < 0.4:
-            legal = legal[kinds == WAIT]
-        elif rng.random() < 0.9 and (kinds != SUBMIT).any():
-            legal = legal[kinds != SUBMIT]
-    elif rng.random() < 0.9 and len(legal) > 1:
-        legal = legal[legal != labs.benches[number - 1].end_action]
-    return int(rng.choice(legal))
-
-
-def assert_same_state(one: list[Any], other: list[Any]) -> None:
-    """Bit for bit; policies' memories stand in an array of objects."""
-    for a, b in zip(one, other, strict=True):
-        if a.dtype == object:
-            np.testing.assert_equal(list(a), list(b))
-        else:
-            np.testing.assert_array_equal(a, b)
 
 
 class ByHand:
@@ -279,73 +252,16 @@ def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
 )
 def test_members_are_single_environments(name: str, agent: str, background: str, mode: AutoresetMode) -> None:
     """Member i of N = 3 or 8 is the environment with seed s + i, whichever way it is reset."""
-    actions: dict[int, list[Any]] = {}
     for count in (8, 3):
         batch = role_vector_env(count, name, agent, background, autoreset_mode=mode)
         singles = [role_env(name, agent, background) for _ in range(count)]
         rngs = [np.random.default_rng([7, i]) for i in range(count)]
-        seen, infos = batch.reset(seed=60)
-        for i, single in enumerate(singles):
-            own, info = single.reset(seed=60 + i)
-            np.testing.assert_array_equal(seen[i], own)
-            check_infos(infos, i, info)
-        over, ends = [False] * count, 0
-        for step in range(70):
-            chosen = [
-                choose(single.laboratories, single.focal, 0, rng) for single, rng in zip(singles, rngs, strict=True)
-            ]
-            actions.setdefault(step, chosen)
-            assert len(np.atleast_1d(actions[step][0])) == len(np.atleast_1d(chosen[0]))
-            seen, rewards, terminated, truncated, infos = batch.step(np.array(chosen))
-            for i, single in enumerate(singles):
-                if over[i]:  # NEXT_STEP: this step has been the reset
-                    own, info = single.reset()
-                    assert (rewards[i], terminated[i], truncated[i]) == (0.0, False, False)
-                    assert not infos["experiment_over"][i]
-                    over[i] = False
-                else:
-                    own, reward, ended, cut, info = single.step(chosen[i])
-                    assert rewards[i] == reward
-                    assert (terminated[i], truncated[i]) == (ended, cut)
-                    for key in ("experiment_over", "score", "events"):
-                        np.testing.assert_array_equal(infos[key][i], info[key], key)
-                    if ended or cut:
-                        ends += 1
-                        if mode is AutoresetMode.SAME_STEP:
-                            np.testing.assert_array_equal(infos["final_obs"][i], own)
-                            assert infos["_final_obs"][i]
-                            for key in ("cost", "lab_cost", "illegal_action", "elapsed_ticks", "experiment_over"):
-                                assert infos[key][i] == info[key]
-                            own, fresh = single.reset()
-                            np.testing.assert_array_equal(seen[i], own)
-                            if "action_mask" in fresh:
-                                np.testing.assert_array_equal(infos["action_mask"][i], fresh["action_mask"])
-                            continue
-                        over[i] = True
-                np.testing.assert_array_equal(seen[i], own)
-                check_infos(infos, i, info)
-            if mode is AutoresetMode.DISABLED and any(over):
-                before = batch.get_state()
-                with pytest.raises(ResetNeeded):
-                    batch.step(np.array(chosen))
-                assert_same_state(before, batch.get_state())
-                seen, infos = batch.reset(options={"reset_mask": np.array(over)})
-                for i in np.flatnonzero(over):
-                    own, info = singles[i].reset()
-                    np.testing.assert_array_equal(seen[i], own)
-                    check_infos(infos, int(i), info)
-                over = [False] * count
+
+        def act(step: int, i: int, singles: Any = singles, rngs: Any = rngs) -> Any:
+            return choose(singles[i].laboratories, singles[i].focal, 0, rngs[i])
+
+        ends = assert_is_singles(batch, singles, 70, act, 60)
         assert ends > 0 or count < 8 or agent != "manager_0"
-
-
-def check_infos(infos: dict[str, Any], member: int, info: dict[str, Any]) -> None:
-    """Infos of one member and of a single environment."""
-    for key in ("cost", "lab_cost", "illegal_action", "elapsed_ticks", "experiment_over"):
-        assert infos[key][member] == info[key], key
-        assert infos[f"_{key}"][member]
-    assert ("action_mask" in infos) == ("action_mask" in info)
-    if "action_mask" in info:
-        np.testing.assert_array_equal(infos["action_mask"][member], info["action_mask"])
 
 
 def test_random_members_do_not_play_alike() -> None:
@@ -507,41 +423,9 @@ def test_an_agent_that_never_has_a_turn_is_named() -> None:
 # -- Gymnasium's interface ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("alone", [False, True])
-@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0"])
-def test_a_bad_action_changes_nothing(agent: str, alone: bool) -> None:
-    """In the laboratory, and for benches alone; of single environments and of batches."""
-    if alone and agent == "manager_0":
-        return
-    key = agent.partition("_")[0]
-    env: Any = RoleEnv(WURTZ, bench=key) if alone else role_env(WURTZ, agent)
-    batch: Any = RoleVectorEnv(2, WURTZ, bench=key) if alone else role_vector_env(2, WURTZ, agent)
-    bad: list[Any] = [None, "x", -1, 10**6, True, np.full(5, 0.5), np.full(6, np.nan), np.full(6, 1.01), object()]
-    for one, actions in ((env, bad), (batch, [*bad, np.array([0, -1]), np.array([0.0, 0.5]), np.full((2, 6), 1.01)])):
-        one.reset(seed=0)
-        before = one.get_state()
-        for action in actions:
-            with pytest.raises(ValueError, match=agent):
-                one.step(action)
-        assert_same_state(before, one.get_state())
-
-
-def test_batches_are_made_and_refused() -> None:
-    with pytest.raises(ValueError, match="at least 1"):
-        role_vector_env(0)
+def test_masks_are_methods_of_discrete_views() -> None:
     batch = role_vector_env(2)
-    with pytest.raises(ResetNeeded):
-        batch.step(np.zeros(2, dtype=np.int64))
-    with pytest.raises(ValueError, match="first reset"):
-        batch.reset(options={"reset_mask": np.array([True, False])})
     batch.reset(seed=0)
-    before = batch.get_state()
-    for options in ({"goal": "gold"}, {"gaol": 1}, {"reset_mask": [1, 0]}, {"reset_mask": np.ones(3, dtype=bool)}):
-        with pytest.raises(ValueError, match=r"reset options|reset_mask"):
-            batch.reset(options=options)
-    with pytest.raises(ValueError, match="manager_0: actions must be 2 integers"):
-        batch.step(np.array([0, -1]))
-    assert_same_state(before, batch.get_state())
     assert batch.action_masks().shape == (2, len(batch.laboratories.actions))
     with pytest.raises(ValueError, match="rxn_0: continuous"):
         role_vector_env(1, WURTZ, "rxn_0").action_masks()

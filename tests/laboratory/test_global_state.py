@@ -10,8 +10,7 @@ import pytest
 from helpers import FEATURED
 
 from chemlab.config.loading import load_scenario
-from chemlab.envs.batch import BatchedLaboratory
-from chemlab.laboratory import parallel_env, raw_env
+from chemlab.laboratory import raw_env
 from chemlab.roles.bench import channel_slices
 
 ELSEWHERE = {
@@ -151,31 +150,3 @@ def test_it_knows_what_nobody_sees() -> None:
     for agent, before in zip(env.agents, seen, strict=True):
         np.testing.assert_allclose(env.observe(agent), before, atol=1e-6)
     assert np.abs(env.state() - state).max() > 0.05
-
-
-@pytest.mark.parametrize("name", ["wurtz_any", "wurtz_two_lines"])
-def test_a_batch_has_the_state_of_each(name: str) -> None:
-    batch, singles = BatchedLaboratory(3, name), [parallel_env(name) for _ in range(3)]
-    assert batch.state_space == singles[0].state_space
-    assert batch.state_channels == singles[0].state_channels
-    _, infos = batch.reset(seed=5)
-    rng = np.random.default_rng(0)
-    for i, single in enumerate(singles):
-        single.reset(seed=5 + i)
-    for _ in range(60):
-        assert batch.state().shape == (3, *batch.state_space.shape)
-        assert batch.state().dtype == np.float32
-        for i, single in enumerate(singles):
-            np.testing.assert_array_equal(batch.state()[i], single.state())
-        actions: dict[str, npt.NDArray[Any]] = {}
-        for agent in batch.possible_agents:
-            mask = infos[agent].get("action_mask")
-            shape = batch.action_space(agent).shape or ()
-            actions[agent] = (
-                rng.random((3, *shape)) if mask is None else np.array([rng.choice(np.flatnonzero(row)) for row in mask])
-            )
-        *_, infos = batch.step(actions)
-        for i, single in enumerate(singles):
-            single.step({agent: rows[i] for agent, rows in actions.items()})
-            if not single.agents:
-                single.reset()

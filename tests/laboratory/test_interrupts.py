@@ -6,7 +6,6 @@ does is the reference.
 
 from __future__ import annotations
 
-import hashlib
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -17,6 +16,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
+from helpers import digest
 
 import chemlab
 from chemlab.agents.background import role_env, role_vector_env
@@ -72,27 +72,6 @@ def interrupted(call: Callable[[], Any], line: int) -> bool:
     finally:
         sys.settrace(before)
     return False
-
-
-def digest(values: Any) -> str:
-    """Of anything that environments return."""
-    found = hashlib.blake2b(digest_size=16)
-
-    def add(value: Any) -> None:
-        if isinstance(value, dict):
-            for key in sorted(value):
-                found.update(str(key).encode())
-                add(value[key])
-        elif isinstance(value, (tuple, list)):
-            for one in value:
-                add(one)
-        elif isinstance(value, np.ndarray) and value.dtype != object:
-            found.update(value.tobytes())
-        else:
-            found.update(repr(value).encode())
-
-    add(values)
-    return found.hexdigest()
 
 
 class Played:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import allowed, laboratory, manager, mapping, slow_but
+from helpers import allowed, choose, laboratory, manager, mapping, slow_but
 
 import chemlab.scenarios
 from chemlab.agents.background import role_env, role_vector_env
@@ -278,18 +278,6 @@ def paid_as_mixed(
     assert price >= 0.0
 
 
-def random_action(env: parallel_env, agent: str, info: dict[str, Any], rng: np.random.Generator) -> Any:
-    """Any action, legal three times of four; no early submission."""
-    if "action_mask" not in info:
-        return rng.random(env.action_space(agent).shape)  # type: ignore[arg-type]
-    mask = info["action_mask"]
-    legal = np.flatnonzero(mask) if rng.random() < 0.75 else np.arange(len(mask))
-    if agent == "manager_0":
-        others = legal[env.laboratories.actions.table[legal, 0] != SUBMIT]
-        legal = others if len(others) and rng.random() < 0.97 else legal
-    return int(rng.choice(legal))
-
-
 @pytest.mark.parametrize(("name", "rewards"), list(zip([LINES, "wurtz_safe"] * 2, MIXES, strict=True)), ids=str)
 def test_returns_are_the_mix(name: str, rewards: Any) -> None:
     """In the parallel environment, the AEC environment and a batch, from the scores and the result they report."""
@@ -308,8 +296,9 @@ def test_returns_are_the_mix(name: str, rewards: Any) -> None:
         agents = env.possible_agents
         paid, in_turns, in_batch, scores, lost = (dict.fromkeys(agents, 0.0) for _ in range(5))
         while env.agents:
-            actions = {agent: random_action(env, agent, infos[agent], rng) for agent in agents}
             turn = [agent for agent in agents if infos[agent]["has_turn"]]
+            labs = env.laboratories
+            actions = {agent: choose(labs, agents.index(agent), 0, rng, submit=0.02) for agent in turn}
             _, rewarded, *_, infos = env.step(actions)
             _, others, *_, batch_infos = batch.step({agent: np.array([actions[agent]]) for agent in turn})
             for agent in turn:

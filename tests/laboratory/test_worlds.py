@@ -14,9 +14,8 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
-from chemlab.laboratory import parallel_env
 from chemlab.physics.chemistry import element_matrix
 
 HALIDES = ("1-chlorohexane", "2-chlorohexane", "3-chlorohexane")
@@ -276,29 +275,6 @@ def begun(spec: Scenario, world: int) -> Any:
     labs.seed(0, 5)
     labs.reset(labs.members, world=world)
     return labs.shelf.vessels[0].copy()
-
-
-@pytest.mark.parametrize(
-    ("world", "message"),
-    [(-1, "must be a seed"), ("x", "must be a seed"), (True, "must be a seed"), ({"rote": 1.0}, "'rote' is not drawn")],
-)
-def test_worlds_that_cannot_be_asked_for_change_nothing(world: Any, message: str) -> None:
-    spec = scenario()
-    makers: list[Any] = [
-        raw_env(spec),
-        parallel_env(spec),
-        BatchedLaboratory(2, spec),
-        RoleEnv(spec, bench="rxn"),
-        RoleVectorEnv(2, spec, bench="rxn"),
-    ]
-    for env in makers:
-        env.reset(seed=1)
-        before = worlds(env)
-        with pytest.raises(ValueError, match=message):
-            env.reset(seed=3, options={"world": world})
-        assert worlds(env) == before
-    with pytest.raises(ValueError, match="no hidden parameters"):
-        raw_env("wurtz_dodecane").reset(seed=0, options={"world": 1})
 
 
 # -- what agents see --------------------------------------------------------------------------------------------------
