@@ -288,9 +288,7 @@ def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> N
 @pytest.mark.parametrize("scenario", ["failing", "crude", "rush"])
 def test_credit_comes_at_once_and_adds_up_to_the_score(scenario: str) -> None:
     """Without help, the rewards of an episode are its score, less what its vessels were nearly worth at first."""
-    none = dict.fromkeys(
-        ("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0
-    )
+    none = dict.fromkeys(("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0)
     made = managers(scenario, **{**none, "rollout": 600, "envs": 2, "self_imitation": 0.0})
     before = made._earned.copy()
     made.collect(1.0)
