@@ -224,6 +224,11 @@ def agent_policy(
         saved = find_saved(own)
         if role_of(agent) in saved.load:
             return as_trained(saved.load[role_of(agent)](role, seed), laboratories, number, seed, deep)
+        if own != name.partition(",")[0]:
+            raise ValueError(
+                f"policy: {role_of(agent)}={own}: has no policy of its own for this role, but for "
+                f"{', '.join(saved.load)}; leave it out, or give what is to play: {role_of(agent)}={saved.background}"
+            )
         try:
             return agent_policy(saved.background, laboratories, number, seed, deep + 1)
         except ValueError as error:

@@ -20,13 +20,15 @@ def role_of(agent: str) -> str:
 
 
 def chosen_roles(laboratories: Laboratories, roles: Sequence[str] | None) -> list[str]:
-    """Return the chosen roles in the laboratory's order; None selects all.
+    """Return the chosen roles in the laboratory's order; None selects all. The only agent of a role may stand for it.
 
     Raises:
         ValueError: a role is unknown, or none is given.
     """
-    known = list(dict.fromkeys(role_of(agent) for agent in laboratories.agents))
-    wanted = known if roles is None else list(roles)
+    every = [role_of(agent) for agent in laboratories.agents]
+    known = list(dict.fromkeys(every))
+    only = {agent: role_of(agent) for agent in laboratories.agents if every.count(role_of(agent)) == 1}
+    wanted = known if roles is None else [only.get(role, role) for role in roles]
     if not wanted or set(wanted) - set(known):
         name = laboratories.scenario.name
         raise ValueError(f"roles: {name} has {', '.join(known)}; given {', '.join(wanted) or 'none'}")

@@ -123,7 +123,11 @@ MISTAKES = {
     "play fictitious --role chef --record x.jsonl": ["no agent is called chef"],
     "play fictitious --background clever --record x.jsonl": ["clever"],
     "play fictitious --goal gold --record x.jsonl": ["gold"],
-    "replay a.jsonl -o a.mov": ["name a .gif, .webp or .mp4"],
+    "replay a.jsonl -o a.mov": ["unknown suffix .mov; choose from .html, .gif"],
+    "replay a.jsonl -o a.png": ["unknown suffix .png; choose from .html, .gif"],
+    "new My-Lab --reactions fischer": ["lower-case letters, digits and _", "given 'My-Lab'"],
+    "run wurtz_dodecane --policy scripted,rxn=wurtz_ext": ["rxn=wurtz_ext: has no policy of its own", "but for ext"],
+    "train rush --roles rxn_7 --algo ippo": ["rush has manager, rxn; given rxn_7"],
     "replay a.jsonl b -o a.gif": ["an animation or a protocol one"],
     "replay a.jsonl b c -o a.html": ["at most two"],
     "plot timeline a.jsonl -o x.gif": ["choose from png"],
@@ -135,7 +139,7 @@ MISTAKES = {
     "data pairs toluene H2 -o x.toml": ["not a molecule in a liquid (its role is 'gas')"],
     "data pairs toluene 4-nitrotoluene -o x.toml": ["make it with chemlab data material"],
 }
-NEEDS = {"plot": "matplotlib", "data": "ugropy"}
+NEEDS = {"plot": "matplotlib", "data": "ugropy", "train": "torch"}
 
 
 def test_mistakes_are_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -161,14 +161,15 @@ class Team(Trainee):
         Benches over which the manager learns are greedy, as in training.
         """
         learned = self._taken or {role: self._policy(role, 0, None) for role in self.learning}
-        return self._played(learned, episodes, seed, SAMPLED if sampled else GREEDY)
+        return self._played(learned, self._background, episodes, seed, SAMPLED if sampled else GREEDY)
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`: the background plays every role."""
-        return self._played({}, episodes, seed)
+        """See :class:`~chemlab.agents.train.loop.Trainee`: scripted policies play the roles that learn."""
+        background = ",".join([self._background, *(f"{role}=scripted" for role in self.learning)])
+        return self._played({}, background, episodes, seed)
 
     def _played(
-        self, learned: Mapping[str, PretrainedPolicy], episodes: int, seed: int, way: str = GREEDY
+        self, learned: Mapping[str, PretrainedPolicy], background: str, episodes: int, seed: int, way: str = GREEDY
     ) -> dict[str, float]:
         """Return mean scores by goal of what has been learned, among the background's policies."""
         labs = Laboratories(self.scenario, episodes, split=self.arguments.evaluation_split)
@@ -177,10 +178,9 @@ class Team(Trainee):
             policies: dict[str, Policy] = {}
             for number, agent in enumerate(labs.agents):
                 mine = learned.get(role_of(agent))
-                other = self._background
                 how = GREEDY if role_of(agent) in self.team.fixed else way
                 if mine is None:
-                    policies[agent] = agent_policy(other, labs, number)
+                    policies[agent] = agent_policy(background, labs, number)
                 else:
                     policies[agent] = as_trained(mine.as_played(how), labs, number)
             found[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())

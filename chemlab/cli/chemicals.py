@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import re
 import shlex
 import sys
 import tempfile
@@ -442,6 +443,8 @@ def new(
     from ..config.reactions import load_reactions
     from ..openchem import designs
 
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise ValueError(f"name: must be lower-case letters, digits and _, beginning with a letter; given {name!r}")
     path = output or Path(f"{name}.toml")
     read = [*(materials or ()), *(pairs or ())]
     _free(path, force, *read)

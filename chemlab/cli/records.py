@@ -23,7 +23,6 @@ _COLORS = {
     "chosen": "yellow",
     "unchecked": "red",
 }
-_VIDEOS = (".webm", ".mov", ".avi", ".mkv")
 _WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "chosen", "torn", "ok")
 
 
@@ -121,10 +120,10 @@ def replay(
     animated, written = path.suffix in (".gif", ".webp", ".mp4"), path.suffix == ".md"
     if len(files) > (1 if animated or written else 2):
         raise ValueError(f"a page shows at most two records, an animation or a protocol one, given {len(files)}")
-    if path.suffix in _VIDEOS:
-        raise ValueError(f"{path}: is not made; name a .gif, .webp or .mp4, which other programs convert")
     check_new(path, force)
     check_result(path, *files)
+    if not animated and not written and path.suffix not in (".html", ".htm"):
+        raise ValueError(f"{path}: unknown suffix {path.suffix or 'none'}; choose from .html, .gif, .webp, .mp4, .md")
     records = [read_record(file) for file in files]
     for record in records:
         if record.torn:
