@@ -69,8 +69,11 @@ def train(arguments: Arguments, out: Path, watcher: Watcher | None = None) -> Ru
         if run.config() is None:
             write_text(run.config_file, to_text(trainee.config.model_dump(exclude_none=True)))
         run.failed_file.unlink(missing_ok=True)
+        watcher, shown = watcher or Watcher(), getattr(arguments, "bc", None)
+        if begins and shown is not None:
+            watcher.cloning(shown)
         try:
-            result = train_in_rounds(run, trainee, trainee.begin(run), watcher or Watcher())
+            result = train_in_rounds(run, trainee, trainee.begin(run), watcher)
             trainee.close()
             return result
         except Exception:

@@ -42,6 +42,9 @@ evaluation begins at :data:`~chemlab.agents.runs.RESULT_SEED`; no two share a se
 class Watcher:
     """Observer of a training run; this one ignores everything."""
 
+    def cloning(self, policy: str) -> None:
+        """Behaviour cloning of a policy begins."""
+
     def begun(self, step: int, steps: int) -> None:
         """Training begins, or resumes from a step above 0."""
 

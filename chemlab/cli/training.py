@@ -47,6 +47,10 @@ class _Account:
         console = self._progress.console if self._progress is not None else err
         console.print(text)
 
+    def cloning(self, policy: str) -> None:
+        """See :class:`chemlab.agents.train.loop.Watcher`."""
+        self._say(f"cloning {policy}, which can take a minute")
+
     def begun(self, step: int, steps: int) -> None:
         """See :class:`chemlab.agents.train.loop.Watcher`."""
         self._steps = steps

@@ -197,6 +197,16 @@ def test_benches_practise_what_a_laboratory_asks_of_them(scenario: str, expected
     assert practised == expected
 
 
+def test_scripted_scores_are_those_of_scripted_policies_in_the_roles_that_learn() -> None:
+    found = []
+    for background in ("scripted", "random"):
+        run = joint.Team(IPPO(**{**SMALL, "scenario": "wurtz_dodecane_direct", "background": background}))
+        run.make()
+        found.append(run.scripted(2, 0))
+    assert found[0] == found[1]
+    assert min(found[0].values()) > 0.5
+
+
 def test_benches_that_have_practised_are_greedy_under_a_sampled_manager() -> None:
     run = joint.Team(IPPO(scenario="wurtz_dodecane_direct", roles=("all",), envs=4, rollout=16))
     run.make()
