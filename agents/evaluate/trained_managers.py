@@ -66,6 +66,9 @@ _PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
 _COLUMNS = ("scenario", "background", "policy", "run", "goal", "episodes", "seed", "chemlab", "same_task", *MEASURES)
 _NUMBERS: dict[str, type] = {"episodes": int, "seed": int, **dict.fromkeys(MEASURES, float)}
 _LEARNED, _SCRIPTED = "learned", "scripted"
+_KIND = ("algo", "preset", "bc", "hints", "begin_from")
+"""Settings in which runs of one folder that stand in one row agree, besides their roles."""
+_Series = tuple[PurePosixPath, tuple[str, ...]]
 
 Means = dict[str, dict[str, float]]
 """By goal and measure."""
@@ -118,21 +121,23 @@ def _learned(run: TrainedRun) -> list[str]:
 def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Group]:
     """The finished runs of managers, in order of scenario, background and label, with what a folder's table has."""
     played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS, _NUMBERS)
-    groups: dict[tuple[str, str], dict[PurePosixPath, list[TrainedRun]]] = {}
+    groups: dict[tuple[str, str], dict[_Series, list[TrainedRun]]] = {}
     for run in runs:
         if run.result is not None and has_manager(run):
             key = str(run.config["scenario"]), str(run.config.get("background") or "scripted")
-            groups.setdefault(key, {}).setdefault(PurePosixPath(run.name).parent, []).append(run)
+            series = PurePosixPath(run.name).parent, (*_learned(run), *(str(run.config.get(name)) for name in _KIND))
+            groups.setdefault(key, {}).setdefault(series, []).append(run)
     found = []
-    for (scenario, background), parents in sorted(groups.items()):
-        names = [parent.name for parent in parents]
-        labels = {
-            # Two trainers may have folders of one name; a folder of seeds alone has none.
-            parent: (parent.name if names.count(parent.name) == 1 else str(parent)) or some[0].finished.label
-            for parent, some in parents.items()
-        }
-        ordered = sorted(parents.items(), key=lambda item: labels[item[0]])
-        by_label = {labels[parent]: sorted(some, key=lambda run: run.finished.seed) for parent, some in ordered}
+    for (scenario, background), several in sorted(groups.items()):
+        parents = [parent for parent, _ in several]
+        names = [parent.name for parent in dict.fromkeys(parents)]
+        labels = {}
+        for (parent, kind), some in several.items():
+            # Two trainers may have folders of one name; a folder of seeds alone has none; one may hold several kinds.
+            own = (parent.name if names.count(parent.name) == 1 else str(parent)) or some[0].finished.label
+            labels[parent, kind] = own if parents.count(parent) == 1 else some[0].name
+        ordered = sorted(several.items(), key=lambda item: labels[item[0]])
+        by_label = {labels[series]: sorted(some, key=lambda run: run.finished.seed) for series, some in ordered}
         rows = [row for row in played if (row["scenario"], row["background"]) == (scenario, background)]
         found.append(_Group(scenario, background, by_label, rows))
     return found

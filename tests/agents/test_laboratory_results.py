@@ -105,6 +105,14 @@ def test_runs_are_grouped_by_background_and_folder(tmp_path: Path) -> None:
     assert collect_count(tmp_path) == 6 + 2 * len(BASELINES)
 
 
+def test_runs_of_other_kinds_in_one_folder_are_rows_of_their_own(tmp_path: Path) -> None:
+    """They are no seeds of one another."""
+    for name, more in (("first", {}), ("clone", {"bc": "scripted"}), ("team", {"bench": "manager,rxn,ext,dit"})):
+        write_run(tmp_path / "runs" / name, **{"label": "ippo", "algo": "ippo", **more})
+    (group,) = trained_managers._groups(read_runs(tmp_path / "runs"))
+    assert {label: len(runs) for label, runs in group.labels.items()} == {"clone": 1, "first": 1, "team": 1}
+
+
 def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
     source, tables, out = tmp_path / "results", tmp_path / "tables", tmp_path / "out"
     write_run(source / "rxn" / "seed-0", bench="rxn")
@@ -273,7 +281,9 @@ def test_a_real_run_from_training_to_the_page(tmp_path: Path) -> None:
     result = Run(path).result()
     assert result is not None
     assert scores["learned", "joint/seed-0"] == pytest.approx(result.mean, abs=1e-12)
-    assert scores["scripted", ""] == pytest.approx(result.scripted_mean, abs=1e-12)
+    labs = Laboratories("wurtz_dodecane", 2)
+    beside = make_policies("pretrained-isolated,manager=scripted,dit=scripted", labs)
+    assert play_laboratory(labs, beside, "dodecane", RESULT_SEED).returns.mean() == pytest.approx(result.scripted_mean)
     # 200 turns teach nobody to distil: what its own benches come to with the scripted manager is far less.
     assert scores["scripted", "joint/seed-0"] < 0.5 * scores["scripted", ""]
     done = runner.invoke(app, ["plot", "runs", str(tables), "-o", str(tmp_path)])
