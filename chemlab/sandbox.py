@@ -543,8 +543,7 @@ class Flask:
             raise ValueError(
                 f"add: {name!r} is an ion; pour a neutral mixture: flask.another({{{name!r}: ..., ...}}).pour(flask, 1)"
             )
-        melts = self._material(key).melting_point_k
-        if melts is not None and self._setting.room_k < melts < warm:  # it is molten
+        if self._is_molten(key, warm):
             self._pour_in({key: mol}, warm)
             return
         self._learn(self._names | {key})
@@ -1028,15 +1027,18 @@ class Flask:
         for array, before in zip(self._changing(), saved.arrays, strict=True):
             array[:] = before
 
+    def _is_molten(self, name: str, temperature_k: float) -> bool:
+        """Return True for a molecule that is solid in the room and liquid at a temperature (backend ``real``)."""
+        material = self._material(name)
+        melts, fluid = material.melting_point_k, material.role in ("solvent", "solute")
+        melts = melts if fluid and self._setting.physics == "real" else None
+        return melts is not None and self._setting.room_k < melts < temperature_k
+
     def _put_in_molten(self, contents: Mapping[str, float]) -> None:
-        """Make contents above their melting point liquid (backend ``real``)."""
+        """Make contents above their melting point liquid."""
         layout = self._shelf.layout
-        if self._setting.physics != "real":
-            return
         for name, mol in contents.items():
-            melts = self._material(name).melting_point_k
-            fluid = self._material(name).role in ("solvent", "solute")
-            if fluid and melts is not None and self._setting.room_k < melts < self.temperature_k:
+            if self._is_molten(name, self.temperature_k):
                 self._shelf.dissolved[0, 0, layout.dissolved.index(name), layout.solvents.index("organic")] = mol
 
     def _join(self, other: Flask) -> None:
