@@ -10,11 +10,11 @@ from chemlab.config.pairs import log_activity_coefficients, pair_table
 from chemlab.config.reactions import HYDROXIDE, PROTON, WATER
 from chemlab.config.scenario import Scenario
 from chemlab.kernels.arrays import MaskArray, ObservationArray
+from chemlab.physics.constants import ROOM_K
 from chemlab.roles.separation_benches import ExtractionBench
 
 from .real import ScriptedRealExtraction
 
-_ROOM_K = 298.15
 _APART = 30.0
 """Activity coefficient at infinite dilution in water above which a liquid counts as immiscible with water."""
 _SOLVENT_L = 0.3
@@ -31,7 +31,7 @@ def keeps_apart(scenario: Scenario, name: str) -> bool:
     if name == WATER or scenario.materials[name].role != "solvent":
         return False
     table = pair_table((name, WATER), scenario.pairs)
-    dilute = log_activity_coefficients(np.array([0.0, 1.0]), table.tau(_ROOM_K), table.alpha)
+    dilute = log_activity_coefficients(np.array([0.0, 1.0]), table.tau(ROOM_K), table.alpha)
     return float(dilute[0]) > math.log(_APART)
 
 

@@ -13,9 +13,8 @@ from typing import NamedTuple
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
-from ...constants import GAS_CONSTANT, TRACE_MOL
+from ...constants import GAS_CONSTANT, ROOM_K, TRACE_MOL
 from ...transfer import heat_capacity
-from .fields import STANDARD_K
 from .real_chemistry import RealChemistry
 
 _LN10 = math.log(10.0)
@@ -112,7 +111,7 @@ def _log_gamma(strength: float, temperature: float, chem: Handle) -> float:
     """
     t = min(max(temperature - 273.15, 0.0), 100.0)
     permittivity = 87.740 - 0.40008 * t + 9.398e-4 * t * t - 1.410e-6 * t * t * t
-    closer = 78.304 * STANDARD_K / (permittivity * (t + 273.15))
+    closer = 78.304 * ROOM_K / (permittivity * (t + 273.15))
     root = math.sqrt(min(strength, _SALTIEST))
     davies = root / (1.0 + root) - 0.3 * root * root
     return float(-_LN10 * opened(RealChemistry, chem).debye * closer * math.sqrt(closer) * davies)
@@ -122,9 +121,7 @@ def _log_gamma(strength: float, temperature: float, chem: Handle) -> float:
 def _log_water(temperature: float, chem: Handle) -> float:
     """Return ln Kw at a temperature in K."""
     chemistry = opened(RealChemistry, chem)
-    return float(
-        -_LN10 * chemistry.water_pk + chemistry.water_heat / GAS_CONSTANT * (1.0 / STANDARD_K - 1.0 / temperature)
-    )
+    return float(-_LN10 * chemistry.water_pk + chemistry.water_heat / GAS_CONSTANT * (1.0 / ROOM_K - 1.0 / temperature))
 
 
 # -- the balance of protons ------------------------------------------------------------------------------------------
@@ -138,7 +135,7 @@ def _share(chem: Handle, work: FloatArray, a: int, log_h: float, solution: _Solu
         Per mole of acid: protons (relative to the last species), their variance, squared charge.
     """
     chemistry = opened(RealChemistry, chem)
-    inverse = (1.0 / STANDARD_K - 1.0 / solution.temperature) / GAS_CONSTANT
+    inverse = (1.0 / ROOM_K - 1.0 / solution.temperature) / GAS_CONSTANT
     ladder, highest, count = 0.0, -math.inf, 0
     for p in range(chemistry.acid.shape[1]):
         if chemistry.acid[a, p] < 0:
@@ -316,7 +313,7 @@ def settle_acids(row: FloatArray, chem: Handle, work: FloatArray) -> None:
         heat, more = _heat_released(chem, work, proton - proton_was, -formed)
         before = mass, temperature, gamma
         capacity = max(capacity_was + more, 1e-3 * capacity_was)
-        temperature = STANDARD_K + (capacity_was * (start - STANDARD_K) + heat) / capacity
+        temperature = ROOM_K + (capacity_was * (start - ROOM_K) + heat) / capacity
         mass = kilograms * max(1.0 + formed / water_was, _WATER_KEPT)
         gamma = _log_gamma(0.5 * charges / mass, temperature, chem)
         change = abs(gamma - before[2]) + abs(temperature / before[1] - 1.0) + abs(mass / before[0] - 1.0)

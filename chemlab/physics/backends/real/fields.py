@@ -16,8 +16,6 @@ from ...chemistry import Parameter, Structure
 if TYPE_CHECKING:
     from ....config.scenario import Scenario
 
-STANDARD_K = 298.15
-"""Temperature of tabulated constants and formation enthalpies, K."""
 _HEAT_TOLERANCE = 5000.0
 """Allowed difference in J/mol between a reaction's heat and its materials' formation enthalpies, as between
 compilations.

@@ -5,9 +5,8 @@ from __future__ import annotations
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
-from ...constants import LEAST_CAPACITY
+from ...constants import LEAST_CAPACITY, ROOM_K
 from ...transfer import heat_capacity, within_range
-from .fields import STANDARD_K
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
 
@@ -45,7 +44,7 @@ def enthalpy(row: FloatArray, chem: Handle) -> float:
 
     It is the sum of n (formation + Cp (T - 298.15 K)), less the heat of fusion of crystals.
     """
-    return _standard_enthalpy(row, chem) + float(heat_capacity(row, chem) * (row[TEMPERATURE] - STANDARD_K))
+    return _standard_enthalpy(row, chem) + float(heat_capacity(row, chem) * (row[TEMPERATURE] - ROOM_K))
 
 
 @helper
@@ -70,6 +69,6 @@ def set_enthalpy(row: FloatArray, value: float, chem: Handle) -> None:
     """
     capacity = heat_capacity(row, chem)
     if capacity > LEAST_CAPACITY:
-        row[TEMPERATURE] = within_range(STANDARD_K + (value - _standard_enthalpy(row, chem)) / capacity)
+        row[TEMPERATURE] = within_range(ROOM_K + (value - _standard_enthalpy(row, chem)) / capacity)
     else:
         row[TEMPERATURE] = opened(RealChemistry, chem).ambient_temperature

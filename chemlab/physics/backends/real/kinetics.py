@@ -17,11 +17,10 @@ from typing import NamedTuple
 from ....kernels.arrays import FloatArray, Handle, IntArray
 from ....kernels.jit import helper, inner, opened
 from ...chemistry import AMOUNTS, ROLE_GAS, ROLE_ION, TEMPERATURE
-from ...constants import GAS_CONSTANT, TRACE_MOL
+from ...constants import GAS_CONSTANT, ROOM_K, TRACE_MOL
 from ...mass_action import arrhenius as rate_constant
 from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume, within_range
-from .fields import STANDARD_K
 from .heats import dissolved
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
@@ -273,7 +272,7 @@ def _temperature(chem: Handle, vessel: _Vessel, y: FloatArray) -> tuple[float, f
     if vessel.transfer < 0.0:
         return vessel.jacket, capacity
     capacity = max(capacity, 1e-3 * vessel.capacity)
-    return STANDARD_K + (energy + y[n]) / capacity, capacity
+    return ROOM_K + (energy + y[n]) / capacity, capacity
 
 
 @helper
@@ -291,7 +290,7 @@ def _set_constants(chem: Handle, vessel: _Vessel, temperature: float) -> None:
     """Set forward and reverse rate constants at a temperature (K); 0 for reactions of gas that leaves."""
     chemistry, work = opened(RealChemistry, chem), vessel.work
     bounded = min(max(temperature, _COLDEST_K), _HOTTEST_K)
-    inverse = (1.0 / bounded - 1.0 / STANDARD_K) / GAS_CONSTANT
+    inverse = (1.0 / bounded - 1.0 / ROOM_K) / GAS_CONSTANT
     for r in range(chemistry.stoichiometry.shape[0]):
         forward = rate_constant(r, bounded, chem)
         power = min(max(chemistry.equilibrium_heat[r] * inverse, _SMALLEST_POWER), _LARGEST_POWER)
@@ -506,7 +505,7 @@ def _set_jacobian(chem: Handle, vessel: _Vessel, y: FloatArray) -> None:
     for b in range(n + 1):
         slope = matrix[b, n] / capacity if vessel.transfer >= 0.0 else 0.0
         for s in range(n):
-            matrix[b, s] -= slope * (work[_HEAT, s] + work[_CAPACITY, s] * (temperature - STANDARD_K))
+            matrix[b, s] -= slope * (work[_HEAT, s] + work[_CAPACITY, s] * (temperature - ROOM_K))
         matrix[b, n] = slope
 
 
@@ -604,7 +603,7 @@ def _error(chem: Handle, vessel: _Vessel) -> float:
         temperature, capacity = _temperature(chem, vessel, work[_TRIAL])
         heat = work[_K4, n] if vessel.transfer > 0.0 else 0.0
         for b in range(n):
-            heat -= (work[_HEAT, b] + work[_CAPACITY, b] * (temperature - STANDARD_K)) * work[_K4, b]
+            heat -= (work[_HEAT, b] + work[_CAPACITY, b] * (temperature - ROOM_K)) * work[_K4, b]
         off = abs(heat / capacity) / (vessel.rtol * _HEAT_SCALE_K)
         # Not max(), which would hide NaN.
         worst = off if not off <= worst else worst
@@ -834,7 +833,7 @@ def integrate(
         return 0, _exchange_heat(row, chem, dt, around, hottest)
     capacity = heat_capacity(row, chem) / litres
     through = around.transfer / litres if around.transfer < math.inf else -1.0
-    energy = capacity * (row[TEMPERATURE] - STANDARD_K)
+    energy = capacity * (row[TEMPERATURE] - ROOM_K)
     vessel = _Vessel(energy, capacity, around.jacket, through, around.rtol, around.atol, hottest, ways, litres, work)
     first = _begin(row, chem, vessel, dt)
     if first <= 0.0:
