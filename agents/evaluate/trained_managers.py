@@ -9,6 +9,7 @@ Runs belong together if they have one scenario, one background (who plays the ro
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -67,7 +68,8 @@ _COLUMNS = ("scenario", "background", "policy", "run", "goal", "episodes", "seed
 _NUMBERS: dict[str, type] = {"episodes": int, "seed": int, **dict.fromkeys(MEASURES, float)}
 _LEARNED, _SCRIPTED = "learned", "scripted"
 _KIND = ("algo", "preset", "bc", "hints", "begin_from")
-"""Settings in which runs of one folder that stand in one row agree, besides their roles."""
+"""Settings in which runs of one folder that stand in one row agree, besides their roles; each seed may begin from its
+own checkpoint."""
 _Series = tuple[PurePosixPath, tuple[str, ...]]
 
 Means = dict[str, dict[str, float]]
@@ -125,7 +127,8 @@ def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Gro
     for run in runs:
         if run.result is not None and has_manager(run):
             key = str(run.config["scenario"]), str(run.config.get("background") or "scripted")
-            series = PurePosixPath(run.name).parent, (*_learned(run), *(str(run.config.get(name)) for name in _KIND))
+            kind = (re.sub(r"seed-\d+", "seed", str(run.config.get(name))) for name in _KIND)
+            series = PurePosixPath(run.name).parent, (*_learned(run), *kind)
             groups.setdefault(key, {}).setdefault(series, []).append(run)
     found = []
     for (scenario, background), several in sorted(groups.items()):

@@ -109,8 +109,10 @@ def test_runs_of_other_kinds_in_one_folder_are_rows_of_their_own(tmp_path: Path)
     """They are no seeds of one another."""
     for name, more in (("first", {}), ("clone", {"bc": "scripted"}), ("team", {"bench": "manager,rxn,ext,dit"})):
         write_run(tmp_path / "runs" / name, **{"label": "ippo", "algo": "ippo", **more})
+    for seed in (0, 1):
+        write_run(tmp_path / "runs" / f"on-{seed}", label="ippo", algo="ippo", begin_from=f"first/seed-{seed}")
     (group,) = trained_managers._groups(read_runs(tmp_path / "runs"))
-    assert {label: len(runs) for label, runs in group.labels.items()} == {"clone": 1, "first": 1, "team": 1}
+    assert {label: len(runs) for label, runs in group.labels.items()} == {"clone": 1, "first": 1, "on-0": 2, "team": 1}
 
 
 def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
