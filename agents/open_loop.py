@@ -223,27 +223,29 @@ def load_plans(path: Path) -> PlanFile:
     Raises:
         ValueError: the file does not exist or is not a plan file.
     """
+    content = read_json(path)
     try:
-        found = validated(PlanFile, read_json(path), str(path))
+        found = validated(PlanFile, content, str(path))
     except DataError as error:
         what = "cannot be read: not a file of plans of this version; see `chemlab audit plan --out`"
         raise DataError(f"{path}: {what}\n{error}") from error
     return found
 
 
-def plan_for(laboratories: Laboratories, benches: str = "scripted") -> ConstantPlan:
-    """Return the best stored open-loop policy for a laboratory's manager.
+def plan_for(laboratories: Laboratories, benches: str = "scripted", file: str | None = None) -> ConstantPlan:
+    """Return an open-loop policy for a laboratory's manager: the best stored one, or that of a file.
 
     Args:
         laboratories: the laboratories of the manager.
-        benches: policy of the benches, or the path of a file written by ``chemlab audit plan --out``.
+        benches: policy of the benches.
+        file: written by ``chemlab audit plan --out``.
 
     Raises:
         ValueError: no plan is stored for this scenario, or it does not fit.
     """
-    benches = current_name(benches)
-    labs, path = laboratories, Path(benches)
-    if path.suffix != ".json":
+    labs, path = laboratories, Path(file or "")
+    if file is None:
+        benches = current_name(benches)
         path = plan_file(labs.scenario.name, benches)
         if not path.exists():
             known = ", ".join(file.stem for file in stored_plans()) or "none"

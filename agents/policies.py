@@ -211,7 +211,8 @@ def agent_policy(
     if own == "plan" or own.startswith("plan:"):
         if not operates:
             operators = name.split(",")[0].partition("@")[0]
-            return plan_for(laboratories, own[5:] or ("scripted" if operators == "plan" else operators))
+            operators = "scripted" if operators.partition(":")[0] == "plan" else operators
+            return plan_for(laboratories, operators, own.partition(":")[2] or None)
         own = "scripted"
     own, way = _way(own)
     if own not in policy_names():

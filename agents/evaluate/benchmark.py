@@ -65,6 +65,7 @@ from ..runs import Run, differences, find_runs, versions
 from . import statistics
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .leaderboard import on_scale, runs_of, write_leaderboard
+from .play import Target
 
 DEFAULT_ROWS = ("scripted", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``oracle``."""
@@ -312,6 +313,25 @@ def _entered(
 def _fitting(spec: Scenario, rows: Sequence[Row]) -> list[Row]:
     """Return the rows that may play a scenario: trained rows play the scenario of their training."""
     return [row for row in rows if row.scenario is None or row.scenario in (spec.name, spec.origin)]
+
+
+def check_rows(scenarios: Sequence[Scenario], rows: Sequence[Row]) -> None:
+    """Check that each row that plays fits one of the scenarios at least.
+
+    Raises:
+        ValueError: one does not; why.
+    """
+    for row in (row for row in rows if row.policies):
+        reasons = [f"was trained in {row.scenario}"] * (row.scenario is not None)
+        for spec in (spec for spec in scenarios if _fitting(spec, [row])):
+            try:
+                Target(spec).check(row.policies[0])
+            except ValueError as error:
+                reasons.append(str(error))
+            else:
+                break
+        else:
+            raise ValueError(f"policies: {row.name}: {reasons[-1]}")
 
 
 def benchmark(

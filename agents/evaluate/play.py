@@ -121,13 +121,15 @@ def find_target(name: str, bench: str | None = None, starts: str = "paper", spli
         split: worlds, of a scenario that draws some.
 
     Raises:
-        ValueError: ``name`` is an id that is not registered or not a bench's.
+        ValueError: ``name`` is an id that is not registered or not a bench's, or an argument does not apply to it.
         DataError: unknown scenario or bench.
     """
     if name in gymnasium.registry:
         spec = gymnasium.spec(name)
         if not str(spec.vector_entry_point).endswith(":RoleVectorEnv"):
             raise ValueError(f"{name}: not a single bench of chemlab")
+        if bench is not None:
+            raise ValueError(f"bench: {name} is a bench already; leave it out, or give a scenario")
         arguments: dict[str, Any] = {"scenario": "wurtz_dodecane", "bench": "rxn", "starts": starts, **spec.kwargs}
         return Target(load_scenario(arguments["scenario"]), arguments["bench"], arguments["starts"], name, split)
     if name.startswith("chemlab/"):
@@ -136,6 +138,8 @@ def find_target(name: str, bench: str | None = None, starts: str = "paper", spli
     scenario = load_scenario(name)
     if bench is not None and bench not in scenario.benches:
         raise DataError(f"bench: {scenario.name} has {', '.join(scenario.benches)}, given {bench!r}")
+    if bench is None and starts != "paper":
+        raise ValueError(f"starts: only for single benches, not for a laboratory; given {starts!r}")
     return Target(scenario, bench, starts, split=split)
 
 

@@ -26,7 +26,7 @@ import numpy as np
 from chemlab.config.datafile import DataError, parse_json
 from chemlab.kernels.arrays import FloatArray
 
-from ..runs import Evaluation, Run, RunResult, checked_config, checked_result, find_runs
+from ..runs import Evaluation, Run, RunResult, checked_config, checked_result, differences, find_runs
 from . import statistics
 from .csv_tables import markdown_table, number, read_table, write_table
 from .statistics import interval_text, number_text
@@ -293,7 +293,9 @@ def cells_of(runs: Sequence[TrainedRun], task_of: Callable[[TrainedRun], str] = 
         chosen = max(groups.values(), key=lambda some: (len(some), some[0].finished.steps))
         cells.setdefault(task, {})[label] = Cell(task, label, sorted(chosen, key=lambda run: run.finished.seed))
         others = (run for some in groups.values() if some is not chosen for run in some)
-        left_out += [f"{run.name}: trained in another way than most {label} runs there" for run in others]
+        for run in others:
+            other = [name for name in differences(run.config, chosen[0].config) if name not in _PER_RUN]
+            left_out.append(f"{run.name}: {', '.join(other)} differ from most {label} runs there ({chosen[0].name})")
     return cells, left_out
 
 

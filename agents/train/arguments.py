@@ -481,6 +481,8 @@ class IPPO(Clipped, Arguments, Cloning):
 
     @model_validator(mode="after")
     def _check_weights(self) -> Self:
+        if self.regime == "together" and self.period != type(self).model_fields["period"].default:
+            raise ValueError("period: is for regime in-turns; leave it out")
         if self.tied and self.begin_from is not None:
             raise ValueError("tied: the policy of begin_from has weights of its own for each slot; leave it out")
         return self
@@ -564,8 +566,10 @@ def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> A
     given = {**PRESETS[preset], **given}
     roles = _several(given.get("roles", "all"))
     one = "bench" in given or (len(roles) == 1 and roles != ("all",))
-    managed = roles in (("manager",), ("manager_0",)) and set(given) <= set(IPPO.model_fields)
-    algo = given.get("algo", "ippo" if managed or not one else "ppo")
+    usual = "ppo" if one else "ippo"
+    if roles in (("manager",), ("manager_0",)):
+        usual = "ippo" if set(given) <= set(IPPO.model_fields) else "maskable-ppo"
+    algo = given.get("algo", usual)
     if str(algo) not in ALGORITHMS:
         raise DataError(f"{where}: algo: choose from {', '.join(ALGORITHMS)}; given {shown(algo)}")
     kind, known = ALGORITHMS[algo], {name for model in ALGORITHMS.values() for name in model.model_fields}

@@ -72,7 +72,7 @@ def plan(file: Path, out: Path) -> list[Planned]:
 
     Raises:
         DataError: the file is missing or not TOML.
-        ValueError: a key or value is unknown, or two runs have one folder.
+        ValueError: a key, a value, a scenario or what it is to train is unknown, or two runs have one folder.
     """
     content = read_toml(file)
     unknown = [key for key in content if key not in ("defaults", "runs")]
@@ -93,6 +93,10 @@ def plan(file: Path, out: Path) -> list[Planned]:
             for chosen in itertools.product(*(_several(values, key) for key in _LISTS)):
                 own = {k: v for k, v in values.items() if k not in _OWN}
                 arguments = training_arguments({**own, "seed": seed, **dict(zip(_LISTS, chosen, strict=True))}, where)
+                try:
+                    task_fingerprint(arguments)
+                except ValueError as error:
+                    raise DataError(f"{where}: {error}") from error
                 label = str(values.get("name", arguments.label))
                 path = out / _folder(arguments, label, where)
                 one = Planned(path.relative_to(out).as_posix(), arguments, Run(path))
@@ -157,7 +161,13 @@ def status_of(planned: Planned) -> Status:
 
 def _unfinished(planned: Planned, step: int, mean: float | None, otherwise: str) -> Status:
     state = "running" if planned.run.busy() else "failed" if planned.run.failed_file.exists() else otherwise
-    return Status(state, step, planned.arguments.steps, mean, str(planned.log) if state == "failed" else "")
+    return Status(state, step, planned.arguments.steps, mean, _reason(planned.log) if state == "failed" else "")
+
+
+def _reason(log: Path) -> str:
+    """Return a log's file and its last line, which says why a run has failed."""
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n") if log.exists() else []
+    return ": ".join([str(log), *[line.strip() for line in lines if line.strip()][-1:]])
 
 
 def run_sweep(

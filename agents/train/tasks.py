@@ -24,7 +24,7 @@ from ..background import background_policies, role_vector_env
 from ..episodes import play_bench, play_laboratory
 from ..policies import agent_policy, as_trained, bench_policy, is_scripted
 from ..pretrained import Card, fingerprint, given_as
-from ..roles import MANAGER_ROLE
+from ..roles import MANAGER_ROLE, role_of
 from .arguments import PPO, Arguments, Single
 
 
@@ -280,4 +280,10 @@ def find_task(arguments: Single) -> Task:
         return BenchTask(scenario, a.bench, a.goals, a.starts, splits)
     if a.starts != "paper":
         raise ValueError(f"starts: only for single benches, not for a laboratory; given {a.starts!r}")
+    alike = [agent for agent in Laboratories(scenario, 1).agents if role_of(agent) == role_of(a.agent)]
+    if len(alike) > 1 and a.roles not in [(agent,) for agent in alike]:
+        raise ValueError(
+            f"roles: {a.algo} trains one agent, and {scenario.name} has {', '.join(alike)}; give one of them, or algo "
+            "ippo for a policy that they share"
+        )
     return LaboratoryTask(scenario, a.agent, a.background or "scripted", a.goals, splits)

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.evaluate import statistics
-from chemlab.agents.evaluate.benchmark import Row, benchmark, find_rows, part_count, write_benchmark
+from chemlab.agents.evaluate.benchmark import Row, benchmark, check_rows, find_rows, part_count, write_benchmark
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget
 from chemlab.agents.evaluate.leaderboard import (
     check_leaderboard,
@@ -513,6 +513,12 @@ def test_what_cannot_be_is_refused() -> None:
         benchmark(["unlabelled"], [], "huge")
     with pytest.raises(ValueError, match="baseline: known: random, plan, oracle; given 'scripted'"):
         benchmark(["unlabelled"], [], TINY, 2)
+    with pytest.raises(ValueError, match="policies: scriptd: .*did you mean scripted"):
+        check_rows([load_scenario("unlabelled")], find_rows(["scriptd"]))
+    elsewhere = Row("team (best)", ("scripted",), scenario="rush")
+    with pytest.raises(ValueError, match=r"policies: team \(best\): was trained in rush"):
+        check_rows([load_scenario("unlabelled")], [elsewhere])
+    check_rows([load_scenario("unlabelled"), load_scenario("rush")], [elsewhere, *find_rows(["scripted"])])
 
 
 @pytest.mark.slow

@@ -136,14 +136,16 @@ def test_targets() -> None:
         "split": "train",
     }
     assert find_target("chemlab/FictitiousReaction-v0").goals == ("E", "F", "G", "H", "I")
-    for wrong, bench, words in (
-        ("CartPole-v1", None, "not a single bench"),
-        ("chemlab/Nothing-v0", None, "chemlab/WurtzReaction-v0"),
-        ("wurtz_dodecane", "oven", "rxn, ext, dit"),
-        ("no_such", None, "no_such"),
+    for wrong, bench, starts, words in (
+        ("CartPole-v1", None, "paper", "not a single bench"),
+        ("chemlab/Nothing-v0", None, "paper", "chemlab/WurtzReaction-v0"),
+        ("wurtz_dodecane", "oven", "paper", "rxn, ext, dit"),
+        ("no_such", None, "paper", "no_such"),
+        ("chemlab/WurtzReaction-v0", "rxn", "paper", "bench: .* is a bench already"),
+        ("wurtz_dodecane", None, "lab", "starts: only for single benches"),
     ):
         with pytest.raises(ValueError, match=words):
-            find_target(wrong, bench)
+            find_target(wrong, bench, starts)
 
 
 def test_command_for_people_and_programs(tmp_path: Path) -> None:

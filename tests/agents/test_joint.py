@@ -114,7 +114,7 @@ class _Stopping(Watcher):
 
 @pytest.mark.parametrize(("regime", "critic"), [("together", "own"), ("in-turns", "own"), ("together", "state")])
 def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -> None:
-    arguments = CRITICS[critic](**SMALL, regime=regime, period=1)
+    arguments = CRITICS[critic](**SMALL, regime=regime, **({"period": 1} if regime == "in-turns" else {}))
     whole = train(arguments, tmp_path / "whole")
     with pytest.raises(_Stop):
         train(arguments, tmp_path / "stopped", _Stopping())

@@ -255,8 +255,8 @@ def test_plans_by_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        (None, ["cannot be read"]),
-        ("{", ["not a file of plans"]),
+        (None, ["no such file"]),
+        ("{", ["not valid JSON"]),
         ("[]", ["not a file of plans"]),
         ('{"kind": "evaluation", "format": 1}', ["not a file of plans"]),
         ('{"kind": "plan", "format": 1, "scenario": "x"}', ["not a file of plans", "chemlab audit plan --out"]),
@@ -274,9 +274,9 @@ def test_damaged_files_are_refused(tmp_path: Path, text: str | None, words: list
 def test_a_plan_that_does_not_fit_is_refused() -> None:
     """Another laboratory's plan names actions that are not there, or goals that it has no plan for."""
     with pytest.raises(ValueError, match="does not fit this laboratory"):
-        plan_for(Laboratories("salt_from_oil"), str(plan_file("wurtz_dodecane", "scripted")))
+        plan_for(Laboratories("salt_from_oil"), file=str(plan_file("wurtz_dodecane", "scripted")))
     with pytest.raises(ValueError, match="may draw the goals 5-methylundecane"):
-        plan_for(Laboratories("wurtz_any"), str(plan_file("wurtz_dodecane", "scripted")))
+        plan_for(Laboratories("wurtz_any"), file=str(plan_file("wurtz_dodecane", "scripted")))
     with pytest.raises(ValueError, match="chemlab audit plan wurtz_dodecane --benches scripted:unsafe --out"):
         plan_for(Laboratories("wurtz_dodecane"), "scripted:unsafe")
 

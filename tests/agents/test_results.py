@@ -84,7 +84,7 @@ def test_what_is_no_table_is_named(runs: Path, tmp_path: Path) -> None:
 def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
     """The way that most were trained in counts; the table has their mean, interval, best, last and scripted."""
     cells, left_out = cells_of(read_runs(runs))
-    assert left_out == ["z: not finished", "y: trained in another way than most ppo runs there"]
+    assert left_out == ["z: not finished", "y: envs, curriculum differ from most ppo runs there (x/seed-0)"]
     ((title, labels),) = cells.items()
     cell = labels["ppo"]
     assert title == "lab, rxn, 2 goals"

@@ -78,6 +78,8 @@ def test_order_and_folders(tmp_path: Path) -> None:
         ("", r"needs \[\[runs\]\]"),
         ("[[runs]]\nseeds = 0", "seeds: needs a list"),
         ('[[runs]]\nsedes = 3\nalgo = "ppo"', "sedes: unknown argument; did you mean seed"),
+        ('[[runs]]\nscenario = "rusch"', "runs 1: .*rusch"),
+        ('[[runs]]\nroles = "rxm"', "runs 1: .*rxm"),
         ('[[runs]]\nbench = "rxn"\n[[runs]]\nbench = "rxn"\ngamma = 0.9', "another run above; give this table a name"),
         *(
             (f"[[runs]]\nname = {json.dumps(name)}", "a run's folder cannot be called")
@@ -112,7 +114,8 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
     states = {row["run"]: row for row in json.loads(first.stdout)}
     failed, done = states["FictitiousReaction/dqn/seed-0"], states["FictitiousReaction/ppo/seed-0"]
     assert (failed["state"], done["state"]) == ("failed", "done")
-    assert "actions are continuous" in Path(failed["note"]).read_text()
+    assert failed["note"].startswith(f"{out / 'FictitiousReaction' / 'dqn' / 'seed-0' / 'log.txt'}: ")
+    assert "actions are continuous" in failed["note"]
     clone = Run(out / "FictitiousReaction" / "clone" / "seed-0")
     assert states["FictitiousReaction/clone/seed-0"]["state"] == "failed"
     assert "heuristc" in (clone.path / "log.txt").read_text()

@@ -50,7 +50,7 @@ from chemlab.agents.train.arguments import (
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.single import _learner
-from chemlab.agents.train.tasks import BenchTask, LaboratoryTask
+from chemlab.agents.train.tasks import BenchTask, LaboratoryTask, find_task
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
@@ -391,6 +391,29 @@ def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) ->
     assert training_arguments({}) == IPPO()
 
 
+@pytest.mark.parametrize(
+    ("values", "algo"),
+    [
+        ({"bench": "rxn"}, "ppo"),
+        ({"roles": "rxn_0"}, "ppo"),
+        ({"roles": ["rxn", "manager"]}, "ippo"),
+        ({"roles": "manager"}, "ippo"),
+        ({"roles": "manager", "goals": "dodecane"}, "maskable-ppo"),
+        ({"roles": "manager", "hints": "scripted"}, "maskable-ppo"),
+    ],
+)
+def test_the_usual_algorithm_has_what_is_asked_for(values: dict[str, Any], algo: str) -> None:
+    """A manager that learns has masks in any case."""
+    assert training_arguments(values).algo == algo
+
+
+def test_one_agent_of_several_is_named() -> None:
+    with pytest.raises(ValueError, match="roles: ppo trains one agent, and .* has rxn_0, rxn_1; give one of them"):
+        find_task(PPO(scenario="wurtz_two_lines", roles=("rxn",)))
+    assert find_task(PPO(scenario="wurtz_two_lines", roles=("rxn_1",))).agent == "rxn_1"
+    assert find_task(PPO(scenario="unlabelled", roles=("rxn",))).agent == "rxn_0"
+
+
 def test_the_papers_protocol_is_the_default() -> None:
     ppo, dqn = (ALGORITHMS[algo](bench="rxn") for algo in ("ppo", "dqn"))
     assert (ppo.envs, ppo.rollout, ppo.steps) == (10, 256, 1_000_000)
@@ -471,6 +494,7 @@ def test_flags_of_a_clone_say_what_only_others_have_by_default() -> None:
         ({"buffer_size": 10}, "is for dqn, qr-dqn, sac, td3, not for ppo"),
         ({"learning_rate": -1.0}, "learning_rate: Input should be greater than 0, given -1.0"),
         ({"bc_rounds": 3}, "bc_rounds: no policy is cloned"),
+        ({"bench": None, "algo": "ippo", "period": 3}, "period: is for regime in-turns"),
     ],
 )
 def test_wrong_arguments(values: dict[str, Any], message: str) -> None:

@@ -139,7 +139,7 @@ def try_plan(folder: Path, rng: np.random.Generator) -> None:
     labs = laboratory(source.name.partition(".")[0])
     mask = labs.mask(0, labs.members)
     assert mask is not None
-    act(plan_for(labs, str(folder / "plans.json")), labs.observation_sizes[0], np.repeat(mask, 3, axis=0))
+    act(plan_for(labs, file=str(folder / "plans.json")), labs.observation_sizes[0], np.repeat(mask, 3, axis=0))
 
 
 def write_finished(folder: Path, manager: bool, seed: int = 0) -> Run:

@@ -134,7 +134,7 @@ def test_runs_find_their_cells(tmp_path: Path) -> None:
     assert [(line.partition(":")[0], line.partition(": ")[2]) for line in sorted(results.left_out)] == [
         ("b/wurtz_dit/ppo/seed-0", "not finished"),
         ("b/wurtz_rxn/a2c/seed-0", "not one of the paper's experiments"),
-        ("b/wurtz_rxn/ppo/seed-0", "trained in another way than most ppo runs there"),
+        ("b/wurtz_rxn/ppo/seed-0", "steps differ from most ppo runs there (a/wurtz_rxn/ppo/seed-0)"),
     ]
 
 
