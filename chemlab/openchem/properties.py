@@ -138,6 +138,8 @@ _WITNESS = 0.25
 _MET = 0.04
 """Maximum relative distance of a vapour pressure from an atmosphere at the boiling point; a material accepts 0.1."""
 _WATSON = 0.38
+_NEARLY_K = 3.0
+"""What melts less above room temperature is handled as a liquid."""
 _VOLUMES = {"H": 1.0, **dict.fromkeys(("Li", "Be", "B", "C", "N", "O", "F"), 2.0)} | {
     **dict.fromkeys(("Na", "Mg", "Al", "Si", "P", "S", "Cl"), 4.0),
     **dict.fromkeys(("K", "Ca", "Ga", "Ge", "As", "Se", "Br"), 5.0),
@@ -356,16 +358,17 @@ class Properties:
         if field in constants:
             return self._listed(constants[field])
         boils = self.boiling_point.number if self.boiling_point else ROOM_K
+        state, kelvin = self._handled
         if field == "vaporization_enthalpy":
             return self._tabulated("EnthalpyVaporization", boils, _VAPORIZATION)
         if field == "vapor_pressure":
             return self._tabulated("VaporPressure", 0.85 * boils, _VAPOR_PRESSURE)
         if field == "heat_capacity":
-            return self._tabulated(_HEAT[self.state][0], ROOM_K, _HEAT[self.state][1])
+            return self._tabulated(_HEAT[state][0], kelvin, _HEAT[state][1])
         kind, methods = {"l": ("VolumeLiquid", _LIQUID_VOLUME), "s": ("VolumeSolid", _SOLID_VOLUME)}.get(
-            self.state, ("VolumeGas", ())
+            state, ("VolumeGas", ())
         )
-        return {m: self.mass / volume / 1e6 for m, volume in self._tabulated(kind, ROOM_K, methods).items()}
+        return {m: self.mass / volume / 1e6 for m, volume in self._tabulated(kind, kelvin, methods).items()}
 
     @functools.cache  # noqa: B019 - a compound's object lives as long as the command
     def _thermo(self, kind: str) -> Any:
@@ -450,6 +453,15 @@ class Properties:
         if boils is not None and boils.number <= ROOM_K:
             return "g"
         return "s" if melts is not None and melts.number > ROOM_K else "l"
+
+    @property
+    def _handled(self) -> tuple[str, float]:
+        """State and temperature in K of the density and the heat capacity, of which a material has one each: those of
+        the melt, for what melts a little above room temperature and is handled as a liquid (tert-butanol)."""
+        melts = self.melting_point
+        if self.state == "s" and not self.metal and melts is not None and melts.number < ROOM_K + _NEARLY_K:
+            return "l", melts.number + 0.05  # where correlations of the melt begin
+        return self.state, ROOM_K
 
     # Derived values --------------------------------------------------------------------------------------------------
 
@@ -548,13 +560,14 @@ class Properties:
         """Density in kg/L at 298.15 K; of a gas at 101.325 kPa."""
         if given := self.given.get("density_kg_l"):
             return given
-        if self.state == "g":
+        state, kelvin = self._handled
+        if state == "g":
             return Value(
                 self.mass * ATMOSPHERE_PA / (GAS_CONSTANT * ROOM_K) / 1e6, "ideal gas law at 298.15 K and 101.325 kPa"
             )
-        if self.state == "s":
+        if state == "s":
             return self._solid_density()
-        known = self._correlation("VolumeLiquid", ROOM_K, _LIQUID_VOLUME)
+        known = self._correlation("VolumeLiquid", kelvin, _LIQUID_VOLUME)
         if known is not None:
             return Value(self.mass / known.number / 1e6, known.source)
         tc, pc, critical = self.critical_temperature, self.critical_pressure, self._critical()
@@ -614,16 +627,17 @@ class Properties:
         """Heat capacity in J/mol/K at 298.15 K."""
         if given := self.given.get("heat_capacity_j_mol_k"):
             return given
-        kind, methods = _HEAT[self.state]
+        state, kelvin = self._handled
+        kind, methods = _HEAT[state]
         guess = self._heat_estimate()
-        known = self._correlation(kind, ROOM_K, methods, guess.number if guess else None)
-        if known is None or guess is None or len(self._tabulated(kind, ROOM_K, methods)) > 1:
+        known = self._correlation(kind, kelvin, methods, guess.number if guess else None)
+        if known is None or guess is None or len(self._tabulated(kind, kelvin, methods)) > 1:
             return known or guess
         off = min((abs(math.log(known.number / number)) for number in self._heat_referees()), default=0.0)
-        if off <= math.log(_FACTOR.get(self.state, math.inf)):
+        if off <= math.log(_FACTOR.get(state, math.inf)):
             return known
         times = f"{math.exp(off):.2g} times off all estimates"
-        if self.state == "s":
+        if state == "s":
             return Value(known.number, f"{DOUBTFUL}{times}; {known.source}")
         return Value(guess.number, f"{guess.source}; {_not_taken(known, 'J/mol/K', times)}")
 
@@ -634,7 +648,7 @@ class Properties:
         guess, critical = self._heat_estimate(), self._critical()
         if guess is None or self._joback is None or not {"C", "H"} <= self.compound.composition.keys():
             return []
-        if self.state != "l":
+        if self._handled[0] != "l":
             return [guess.number]
         gas = self._joback.Cpig(ROOM_K)
         if not gas or critical is None or critical[1] < 1.05 * ROOM_K:
@@ -643,10 +657,10 @@ class Properties:
         return [guess.number, float(chemicals.Rowlinson_Poling(ROOM_K, critical[1], omega, gas))]
 
     def _heat_estimate(self) -> Value | None:
-        similarity = sum(self.compound.composition.values()) / self.mass
-        if self.state == "g":
+        similarity, (state, _) = sum(self.compound.composition.values()) / self.mass, self._handled
+        if state == "g":
             return self._estimate("Cp", _JOBACK, self._joback.Cpig(ROOM_K)) if self._joback else None
-        if self.state == "s":
+        if state == "s":
             method = "Lastovka et al., Fluid Phase Equilib. 268 (2008) 51"
             return self._estimate("Cp", method, chemicals.Lastovka_solid(ROOM_K, similarity, self.mass))
         method = "Dadgostar and Shaw, Fluid Phase Equilib. 313 (2012) 211"
