@@ -104,7 +104,13 @@ def learned(run: Run) -> dict[str, Any]:
         own["gains"] = gains(spec, str(run.path))
     if learners(roles) == "benches":
         own["alone"] = {bench: alone(spec, bench, str(run.path)) for bench in roles.split(",")}
-    found = {"best_step": result.best_step, "best": score, "unpaid": unpaid, "last": result.last_mean}
+    found = {
+        "best_step": result.best_step,
+        "updates": len(run.curve()),
+        "best": score,
+        "unpaid": unpaid,
+        "last": result.last_mean,
+    }
     return {**own, **found, "sampled": result.sampled, **curve(run)}
 
 
@@ -117,7 +123,7 @@ def curve(run: Run) -> dict[str, Any]:
 
 def table(scores: dict[str, Any]) -> list[str]:
     """Return the lines of the table: medians over the seeds of training, and the worst where there are several."""
-    rows, numbers = [], (*MANAGERS, "learned", "unpaid", "last", "steps of best, of all", "seeds")
+    rows, numbers = [], (*MANAGERS, "learned", "unpaid", "last", "steps of best, of all", "updates", "seeds")
     keys = sorted({(run["scenario"], len(run["roles"]), run["roles"]) for run in scores["runs"]})
     for scenario, _, roles in keys:
         runs = [run for run in scores["runs"] if (run["scenario"], run["roles"]) == (scenario, roles)]
@@ -127,7 +133,9 @@ def table(scores: dict[str, Any]) -> list[str]:
             worst = f" ({min(values):.3f})" if len(values) > 1 else ""
             cells.append(f"{statistics.median(values):.3f}{worst}" if values else "")
         best, steps = (statistics.median(run[name] for run in runs) for name in ("best_step", "steps"))
-        rows.append([f"`{scenario}`", learners(roles), *cells, f"{best:,.0f} of {steps:,.0f}", str(len(runs))])
+        counts = [run["updates"] for run in runs if "updates" in run]
+        updates = f"{statistics.median(counts):,.0f}" if counts else ""
+        rows.append([f"`{scenario}`", learners(roles), *cells, f"{best:,.0f} of {steps:,.0f}", updates, str(len(runs))])
     return markdown_table({"scenario": False, "learners": False, **dict.fromkeys(numbers, True)}, rows)
 
 
