@@ -128,6 +128,17 @@ def play_bench(
     return played
 
 
+def _in_order(policies: Mapping[str, Policy], agents: Sequence[str]) -> list[Policy]:
+    """Return the policies of agents.
+
+    Raises:
+        ValueError: they are not exactly these agents', as where roles (``rxn``) are named, which would not be played.
+    """
+    if set(policies) != set(agents):
+        raise ValueError(f"policies: needs one for each of {', '.join(agents)}, given {', '.join(map(str, policies))}")
+    return [policies[agent] for agent in agents]
+
+
 def _unsafe(labs: Laboratories) -> npt.NDArray[np.bool_]:
     """Return [N] whether a harmful safety event happened; amounts below ``_TRACE_EVENT`` are rounding errors."""
     harmful = [kind not in ("boiled_dry", "dry_heating") for kind in labs.scenario.safety_events]
@@ -149,7 +160,7 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         was spilled or vented, or a metal burned, else 0), ``limit`` (1 if actions or ticks ran out), ``nothing`` (1 if
         nothing was submitted), and the reward of every bench's agent.
     """
-    n = len(labs.members)
+    n, own = len(labs.members), _in_order(policies, labs.agents)
     labs.begin(seed, goal)
     cost, illegal, rewards = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros((n, len(labs.agents)))
 
@@ -158,7 +169,7 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         cost[members] += labs.cost[members].sum(axis=1)
         illegal[members] += labs.illegal(number)[members]
 
-    players = Players(labs, [policies[agent] for agent in labs.agents])
+    players = Players(labs, own)
     for member in labs.members.tolist():
         players.seed(member, seed + member)
     players.play_on(labs.members, count)
@@ -192,7 +203,8 @@ class PlayedTurn:
 class EpisodeResult:
     """Results of an episode; ``chemlab run --json`` prints its fields.
 
-    ``score`` is the manager's result: product by amount and purity, minus costs. ``status`` says how the episode ended
+    ``score`` is the manager's result: what the orders pay, as a mean, minus ``missed`` for those that pay nothing and
+    minus costs. ``paid`` of the ``orders`` pay something. ``status`` says how the episode ended
     (:data:`~chemlab.roles.manager_state.STATUS_WORDS`).
     """
 
@@ -200,20 +212,26 @@ class EpisodeResult:
     policy: str
     seed: int
     goal: str
+    orders: int
+    paid: int
     submitted_mol: float
     purity: float
     score: float
     manager_actions: int
     ticks: int
     rewards: dict[str, float]
+    missed: float
     costs: dict[str, float]
     safety_events: dict[str, float]
     status: str
 
     def words(self) -> str:
         """The outcome, the costs and the score as a line."""
-        costs = ", ".join(f"{item} {value:.4f}" for item, value in self.costs.items() if value > 0.0)
+        items = {**self.costs, "missed orders" if self.orders > 1 else "missed order": self.missed}
+        costs = ", ".join(f"{item} {value:.4f}" for item, value in items.items() if value > 0.0)
         end = f"submitted {self.submitted_mol:.3f} mol {self.goal} at purity {self.purity:.3f}"
+        if self.orders > 1:
+            end = f"{self.paid} of {self.orders} orders paid; {end}"
         if self.status == STATUS_WORDS[LIMIT]:
             end = f"ran out of actions or ticks; {end if self.submitted_mol > 0.0 else 'nothing submitted'}"
         return f"{end}; costs: {costs or 'none'}; score {self.score:.3f}"
@@ -242,6 +260,7 @@ def play_episode(
     Returns:
         The episode's result.
     """
+    own = _in_order(policies, env.possible_agents)
     env.reset(seed=seed, options=options)
     if recorder is not None:
         recorder.begin(seed, options)
@@ -259,7 +278,7 @@ def play_episode(
         if watch is not None:
             watch(PlayedTurn(agent, tick, action, env.rewards[agent], env.infos[agent]))
 
-    players = Players(labs, [policies[agent] for agent in labs.agents], act)
+    players = Players(labs, own, act)
     players.seed(0, seed)
     players.play_on(labs.members)
     outcome, state = labs.outcome(), labs.state
@@ -268,13 +287,16 @@ def play_episode(
         env.scenario.name,
         policy_name,
         seed,
-        ", ".join(env.scenario.goals[goal] for goal in state.goal[0]),
+        ", ".join(dict.fromkeys(env.scenario.goals[goal] for goal in state.goal[0])),
+        state.goal.shape[1],
+        int(np.count_nonzero(labs.worth(labs.members))),
         outcome["submitted_mol"],
         outcome["purity"],
         float(labs.result(labs.members)[0]),
         int(state.actions[0]),
         int(state.ticks[0]),
         rewards,
+        float(labs.missed(labs.members)[0]),
         dict(zip(COST_ITEMS, state.charges[0].tolist(), strict=True)),
         {kind: value for kind, value in totals if value > 0.0},
         STATUS_WORDS[state.status[0]],

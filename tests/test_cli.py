@@ -41,6 +41,9 @@ FIELDS = {
     "policy",
     "seed",
     "goal",
+    "orders",
+    "paid",
+    "missed",
     "submitted_mol",
     "purity",
     "score",
@@ -275,6 +278,9 @@ def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatc
     assert hint == f"export starts {shlex.quote(str(given))}"
     assert runner.invoke(app, [*shlex.split(hint), "--episodes", "1"]).exit_code == 0
     assert runner.invoke(app, arguments).exit_code == 0
+    done = runner.invoke(app, ["export", "starts", "fictitious"])
+    assert done.exit_code == 2
+    assert "fictitious: its recorded vessels come with chemlab" in " ".join(done.output.split())
     assert load_scenario("fictitious").argument == "fictitious"
     assert load_scenario(mapping("fictitious")).argument == "FILE.toml"
 

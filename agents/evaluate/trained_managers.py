@@ -127,8 +127,8 @@ def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Gro
     for run in runs:
         if run.result is not None and has_manager(run):
             key = str(run.config["scenario"]), str(run.config.get("background") or "scripted")
-            kind = (re.sub(r"seed-\d+", "seed", str(run.config.get(name))) for name in _KIND)
-            series = PurePosixPath(run.name).parent, (*_learned(run), *kind)
+            settings = (re.sub(r"seed-\d+", "seed", str(run.config.get(name))) for name in _KIND)
+            series = PurePosixPath(run.name).parent, (*_learned(run), *settings)
             groups.setdefault(key, {}).setdefault(series, []).append(run)
     found = []
     for (scenario, background), several in sorted(groups.items()):

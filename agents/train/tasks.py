@@ -16,6 +16,7 @@ from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.starts import starts_file
 from chemlab.roles.base import Workplace
 from chemlab.roles.bench import Bench
 
@@ -161,6 +162,8 @@ class BenchTask(Task):
         if self._starts == "lab" or start.contents or start.goal_mol or start.companion:
             return None
         recorded = f"; or record vessels with chemlab export starts {given}, and train with --starts lab"
+        if starts_file(self.scenario).is_file():
+            recorded = "; or train with --starts lab"
         return (
             f"bench {self.agent!r} of {self.scenario.name}: its experiments begin with an empty vessel, because the "
             f"scenario has no [benches.{self.agent}.start]; give it contents (moles by material)"

@@ -26,6 +26,17 @@ RESULT_COLUMNS: tuple[str, ...] = (
 """Column heads of the results of laboratories."""
 
 
+_MEASURES = {
+    "submitted_mol": "mol submitted",
+    "instruments": "cost of measurements",
+    "manager_actions": "actions of the manager",
+    "unsafe": "share with spill, vent or metal fire",
+    "limit": "share that ran out of time",
+    "nothing": "share without a submission",
+}
+"""Measures of a laboratory in words."""
+
+
 @app.command()
 def evaluate(
     targets: Annotated[
@@ -164,5 +175,8 @@ def _show(results: dict[str, Any]) -> None:
     for note in notes(results):
         out.print(plain(note))
     if rows[0]["measures"]:
-        cells = [[name, *(f"{row['measures'][name]:.3f}" for row in rows)] for name in rows[0]["measures"]]
+        cells = [
+            [_MEASURES.get(name, name), *(f"{row['measures'][name]:.3f}" for row in rows)]
+            for name in rows[0]["measures"]
+        ]
         show_table("means of episodes", ("", *names), cells, right=range(1, len(rows) + 1))

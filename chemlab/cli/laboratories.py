@@ -112,6 +112,8 @@ def _show_scenario(labs: Laboratories) -> None:
         facts.agent_table(labs),
     )
     _show("Benches", facts.bench_table(labs))
+    if spec.demand.order:
+        _show("Orders", facts.order_table(spec))
     _show(f"Shelf of {spec.shelf.slots} slots, initial state", facts.vessel_table(spec))
     _show("Stock (prices in units of the score: 1 is the theoretical maximum, pure)", facts.stock_table(spec))
     if spec.instruments:

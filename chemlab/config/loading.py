@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import functools
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -132,6 +133,10 @@ def _load_file(path: Path, level: int | None) -> Scenario:
 def _resolve(values: Mapping[str, Any], where: str, folder: Path, level: int | None = None) -> Scenario:
     if "@" in str(values.get("name")):
         raise DataError(f"{where}: name: {values['name']!r:.200} must not have a level; declare it under levels")
+    if "base" in values and "name" not in values and Path(where).suffix == ".toml":
+        # Two scenarios of one name would share recorded vessels and results.
+        own = re.sub(r"[^a-z0-9_]+", "_", Path(where).stem.lower()).lstrip("0123456789_")[:90]
+        values = {**values, "name": own} if own else values
     spec = validated(Scenario, completed(values, where, folder, level), where)
     known = dict(shipped_materials())
     for name, material in load_materials([folder / file for file in spec.material_files]).items():

@@ -15,8 +15,8 @@ one experiment ends. Idle benches have no turn.
 
 ### Rewards
 A bench earns the score of its experiment at its end (see its class for the formula). The manager earns, at `submit`,
-mol of the laboratory's goal in the vessel x its absolute purity / the scenario's theoretical maximum, minus all costs.
-Without a submission, it earns minus all costs when a limit is reached. The scenario mixes both (`[rewards]`).
+mol of the laboratory's goal in the vessel x its absolute purity / the scenario's theoretical maximum, or the price of
+an order with terms, minus all costs and penalties for orders that pay nothing. The scenario mixes both (`[rewards]`).
 
 ### Infos
 Infos are numbers and arrays with the same keys, types and shapes in every step. Every agent has:

@@ -14,11 +14,9 @@ from typing import Any
 import gymnasium
 
 from ..config.draws import Draw
-from ..config.scenario import InstrumentSpec, OrderSpec, Scenario
+from ..config.scenario import DemandSpec, InstrumentSpec, OrderSpec, Scenario
 from ..roles.bench import Channel
 from .engine import Laboratories
-
-"""Definition of the manager's score, as ``score_meaning`` is for a bench."""
 
 
 @dataclass(frozen=True)
@@ -137,17 +135,59 @@ def goal_words(spec: Scenario) -> list[str]:
         f"Theoretical maximum: {amount_words(spec.theoretical_maximum_mol)}.",
         *(
             f"`{goal}` needs {needed_words(goal, wanted)}, or is worth nothing."
+            if wanted.amount_at_least_mol or wanted.purity_at_least
+            else f"The purity of `{goal}` is its share{_among(goal, wanted)}."
             for goal, wanted in spec.specifications.items()
         ),
+        *_demand_words(spec.demand),
     ]
+
+
+def _demand_words(demand: DemandSpec) -> list[str]:
+    """Describe what orders pay, and when that is told."""
+
+    def share(of: float) -> str:
+        return f"{of:g} of it" if of else "nothing"
+
+    words = []
+    if demand.order:
+        less = f"{share(demand.late)} if that is late, and {share(demand.short)} if it is too little or too impure"
+        less = less if demand.late or demand.short else "and nothing otherwise"
+        words.append(f"An order pays its price for a submission in time that meets it, {less}.")
+    if demand.missed:
+        words.append(f"An order that pays nothing costs {demand.missed:g}{' of its price' * bool(demand.order)}.")
+    if demand.fill_at_least:
+        words.append(f"Only a vessel that is seen to be filled to {demand.fill_at_least:g} at least may be submitted.")
+    if demand.feedback:
+        noise = f"with a noise of {demand.feedback}" if demand.feedback != "none" else "at the end of the episode"
+        words.append(f"What a submission pays is told {noise}.")
+    return words
+
+
+def order_table(spec: Scenario) -> FactTable:
+    """Return the terms of each order."""
+    rows = [
+        (
+            f"order {i}",
+            f"{order.arrives:g}",
+            "" if order.within is None else f"{order.within:g}",
+            *(f"{value:g}" for value in (order.price, order.amount_at_least_mol, order.purity_at_least)),
+        )
+        for i, order in enumerate(spec.demand.order)
+    ]
+    head = ("order", "arrives (tick)", "due within (ticks)", "price", "least mol", "least purity")
+    return _facts(head, rows, range(1, 6), note="draws below may change these" if spec.world.draws else "")
 
 
 def needed_words(goal: str, wanted: OrderSpec) -> str:
     """Describe the amount and the purity that a goal needs in order to be worth anything."""
     amount = f"{wanted.amount_at_least_mol:g} mol and " if wanted.amount_at_least_mol else ""
+    return f"at least {amount}a purity of {wanted.purity_at_least:g}{_among(goal, wanted)}"
+
+
+def _among(goal: str, wanted: OrderSpec) -> str:
     others = [one for one in wanted.purity_among if one != goal]
-    among = f" among {codes(others)} and itself" if others else ""
-    return f"at least {amount}a purity of {wanted.purity_at_least:g}{among}"
+    return f" among {codes(others)} and itself" if others else ""
 
 
 def vessel_table(spec: Scenario) -> FactTable:
@@ -303,7 +343,7 @@ def description(labs: Laboratories, agents: Sequence[str] | None = None) -> dict
     """
     spec = labs.scenario
     keys = {"name", "title", "summary", "goals", "lab_goals", "orders", "theoretical_maximum_mol", "stock", "shelf"}
-    keys |= {"instruments", "limits", "costs", "safety", "rewards"}
+    keys |= {"instruments", "limits", "costs", "safety", "rewards", "demand", "specifications"}
     told: dict[str, Any] = {}
     for agent in labs.agents if agents is None else agents:
         number = labs.agents.index(agent)

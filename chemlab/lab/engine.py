@@ -535,6 +535,10 @@ class Laboratories:
             worth[unmet] -= self._missed(members)[unmet]
         return np.asarray(worth.sum(axis=1) / worth.shape[1] - charges.sum(axis=1))
 
+    def missed(self, members: IntArray) -> FloatArray:
+        """Return [B] the penalty so far for orders that pay nothing, as a mean over the orders."""
+        return np.asarray((self._missed(members) * (self.worth(members) == 0.0)).mean(axis=1))
+
     def _missed(self, members: IntArray) -> FloatArray:
         """Return [B, O] the penalty of each order if it is not met."""
         prices = self.state.terms[members, :, PRICE] if self.scenario.demand.order else np.ones((len(members), 1))

@@ -128,7 +128,13 @@ def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
 def starts_file(scenario: Scenario) -> Path:
     """Return the file of a scenario's recorded initial states: in the package, or beside the user's scenario file."""
     shipped = Path(__file__).parent.parent / "data" / "starts" / f"{scenario.name}.json"
-    return shipped if shipped_file(scenario.name) else Path(scenario.origin).with_suffix(_SUFFIX)
+    return shipped if is_shipped(scenario) else Path(scenario.origin).with_suffix(_SUFFIX)
+
+
+def is_shipped(scenario: Scenario) -> bool:
+    """Return whether a scenario comes with chemlab, and is no file of the same name."""
+    file, origin = shipped_file(scenario.name), Path(scenario.origin)
+    return file is not None and (origin.suffix != ".toml" or origin.resolve() == file.resolve())
 
 
 def lab_starts(scenario: Scenario, bench: str) -> list[Start]:

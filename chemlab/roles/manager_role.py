@@ -19,7 +19,17 @@ from .manager_state import ARRIVES, MANAGER
 from .manager_view import manager_channels, manager_observe, report_channels
 
 if TYPE_CHECKING:
+    from ..config.scenario import DemandSpec
     from ..lab.engine import Laboratories
+
+
+def _score_meaning(demand: DemandSpec) -> str:
+    """Say in words what an episode scores."""
+    paid, missed = "mol submitted x absolute purity / theoretical maximum", f"{demand.missed:g}"
+    if demand.order:
+        paid, missed = "price of each order that is met", f"{missed} x price"
+    less = f", less {missed} for each order that pays nothing" if demand.missed else ""
+    return f"{paid}{less} (the mean over orders), minus all costs"
 
 
 class Manager:
@@ -30,10 +40,11 @@ class Manager:
     """
 
     key = kind = "manager"
-    score_meaning = "mol submitted x absolute purity / theoretical maximum (the mean over orders), minus all costs"
+    score_meaning: str
 
     def __init__(self, labs: Laboratories) -> None:
         self.scenario = spec = labs.scenario
+        self.score_meaning = _score_meaning(spec.demand)
         self.step_limit = spec.limits.manager_actions
         self.actions = labs.actions
         self.terms = load_terms(spec.manager.reward, spec, "manager.reward")

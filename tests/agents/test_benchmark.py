@@ -513,7 +513,7 @@ def test_what_cannot_be_is_refused() -> None:
         benchmark(["unlabelled"], [], "huge")
     with pytest.raises(ValueError, match="baseline: known: random, plan, oracle; given 'scripted'"):
         benchmark(["unlabelled"], [], TINY, 2)
-    with pytest.raises(ValueError, match="policies: scriptd: .*did you mean scripted"):
+    with pytest.raises(ValueError, match=r"policies: scriptd: .*did you mean scripted"):
         check_rows([load_scenario("unlabelled")], find_rows(["scriptd"]))
     elsewhere = Row("team (best)", ("scripted",), scenario="rush")
     with pytest.raises(ValueError, match=r"policies: team \(best\): was trained in rush"):

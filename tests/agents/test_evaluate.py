@@ -11,10 +11,13 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.evaluate.play import Target, bench_policy, evaluate, find_target, play_bench
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
+from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 
 runner = CliRunner()
@@ -146,6 +149,33 @@ def test_targets() -> None:
     ):
         with pytest.raises(ValueError, match=words):
             find_target(wrong, bench, starts)
+
+
+@pytest.mark.parametrize(
+    ("scenario", "policy", "paid"),
+    [("unlabelled", "scripted,manager=scripted:unsafe", 0), ("rush", "scripted", 3), ("wurtz_dodecane", "scripted", 1)],
+)
+def test_what_is_told_of_an_episode_adds_up(scenario: str, policy: str, paid: int) -> None:
+    """The score is what orders pay, minus what is listed."""
+    env = raw_env(scenario)
+    labs = env.laboratories
+    result = play_episode(env, make_policies(policy, labs), 3)
+    assert (result.paid, result.orders) == (paid, labs.scenario.orders)
+    pays = labs.worth(labs.members).mean()
+    assert result.score == pytest.approx(pays - result.missed - sum(result.costs.values()), rel=1e-12)
+    assert ("missed order" in result.words()) == (result.missed > 0.0) == (labs.scenario.demand.missed > 0.0)
+    assert (f"{paid} of 8 orders paid; submitted" in result.words()) == (scenario == "rush")
+
+
+def test_policies_are_for_the_agents_that_are_there() -> None:
+    """A policy under a kind's name would not be played."""
+    env = raw_env("wurtz_dodecane_direct")
+    policies = make_policies("scripted", env.laboratories)
+    for wrong in ({**policies, "manager": policies["manager_0"]}, {"rxn_0": policies["rxn_0"]}):
+        with pytest.raises(ValueError, match="policies: needs one for each of manager_0, rxn_0, dit_0, given "):
+            play_episode(env, wrong, 0)
+        with pytest.raises(ValueError, match="policies: needs one for each of"):
+            play_laboratory(env.laboratories, wrong, None, 0)
 
 
 def test_command_for_people_and_programs(tmp_path: Path) -> None:

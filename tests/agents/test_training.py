@@ -408,7 +408,7 @@ def test_the_usual_algorithm_has_what_is_asked_for(values: dict[str, Any], algo:
 
 
 def test_one_agent_of_several_is_named() -> None:
-    with pytest.raises(ValueError, match="roles: ppo trains one agent, and .* has rxn_0, rxn_1; give one of them"):
+    with pytest.raises(ValueError, match=r"roles: ppo trains one agent, and .* has rxn_0, rxn_1; give one of them"):
         find_task(PPO(scenario="wurtz_two_lines", roles=("rxn",)))
     assert find_task(PPO(scenario="wurtz_two_lines", roles=("rxn_1",))).agent == "rxn_1"
     assert find_task(PPO(scenario="unlabelled", roles=("rxn",))).agent == "rxn_0"
@@ -688,7 +688,10 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
     values["benches"]["ext"]["start"] = {}
     said = BenchTask(load_scenario(values), "ext").warning()
     assert said is not None
-    assert said.endswith("record vessels with chemlab export starts wurtz_dodecane, and train with --starts lab")
+    assert said.endswith("give it contents (moles by material); or train with --starts lab")
+    new = BenchTask(load_scenario({**values, "name": "new"}), "ext").warning()
+    assert new is not None
+    assert new.endswith("; or record vessels with chemlab export starts FILE.toml, and train with --starts lab")
     assert BenchTask(load_scenario(values), "ext", starts="lab").warning() is None
 
 

@@ -17,6 +17,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
+from chemlab.lab.describe import description, goal_words, order_table
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_state import CLOSED, RUNNING
@@ -88,6 +89,16 @@ def test_what_an_order_pays(terms: dict[str, float], demand: dict[str, float], w
     assert labs.rewards[0, 0] == pytest.approx(paid / 3.0, rel=1e-12)
     costs = labs.charges(labs.members).sum()
     assert labs.result(labs.members)[0] == pytest.approx(paid / 3.0 - costs, rel=1e-12)
+
+
+def test_terms_are_described() -> None:
+    labs = laboratory(shop({"within": 5, "price": 3}, {"arrives": 50}, late=0.4, missed=0.1)).laboratories
+    told = " ".join(goal_words(labs.scenario))
+    assert "pays its price for a submission in time that meets it, 0.4 of it if that is late, and nothing if" in told
+    assert "An order that pays nothing costs 0.1 of its price." in told
+    assert order_table(labs.scenario).rows[0] == ("order 0", "0", "5", "3", "0", "0")
+    assert description(labs)["demand"]["late"] == 0.4
+    assert labs.manager.workplace.score_meaning.startswith("price of each order that is met, less 0.1 x price for each")
 
 
 def test_a_vessel_without_the_goal_pays_nothing_whatever_the_file_says() -> None:

@@ -50,6 +50,18 @@ def test_recorded_vessels_that_do_not_fit(change: dict[str, Any], message: str, 
         lab_starts(load_scenario(tmp_path / "lab.toml"), "rxn")
 
 
+@pytest.mark.parametrize("name", ["", '\nname = "wurtz_dodecane"'])
+def test_files_that_inherit_have_starts_of_their_own(name: str, tmp_path: Path) -> None:
+    """A file without a name is called as its file; even one with the base's name does not touch what comes with it."""
+    file = tmp_path / "2 My-lab.toml"
+    file.write_text(f'base = "wurtz_dodecane"{name}\n')
+    scenario = load_scenario(file)
+    assert scenario.name == ("wurtz_dodecane" if name else "my_lab")
+    assert starts_file(scenario) == tmp_path / "2 My-lab.starts.json"
+    shipped = load_scenario("wurtz_dodecane")
+    assert starts_file(load_scenario(shipped.model_dump())) == starts_file(shipped)
+
+
 def test_what_is_recorded_is_read_again_and_stored_once(tmp_path: Path) -> None:
     (tmp_path / "lab.toml").write_text('base = "wurtz_dodecane"\nname = "lab"\n')
     scenario = load_scenario(tmp_path / "lab.toml")
