@@ -165,7 +165,9 @@ def _foreseen(
     Returns:
         Readings [T, runs, size] without noise, and the batch's value [T, runs] in raw score less the cost of time.
     """
-    worlds = [{drawn: number} for number in numbers]
+    draw = scenario.world.draws[drawn]
+    own = draw.shared == "episode" or not draw.of
+    worlds = [{drawn: number if own else {draw.of[0]: number}} for number in numbers]
     readings, worth, ticks = foreseen(scenario, worlds, instrument, agent, _MOST_RUNS)
     return readings, worth - scenario.costs.tick * ticks
 
@@ -195,7 +197,7 @@ def foreseen(
     for member, world in zip(members, worlds, strict=True):
         labs.reset(members[member : member + 1], world=world)
     goal = int(labs.state.goal[0, 0])
-    step = (str(agent), scenario.goals[goal], *list(scenario.grades)[-1:])
+    step = (str(agent), scenario.goals[goal])
     policies = [None, *(ScriptedReaction(bench) for bench in labs.benches if isinstance(bench, ReactionBench))]
     readings, worth, ticks = [], [], np.zeros(runs + 1, dtype=np.int64)
     for run in range(runs + 1):

@@ -53,6 +53,7 @@ from ..roles.manager_state import (
     ManagerState,
     Rules,
 )
+from ..roles.reaction_bench import ReactionBench
 from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import SUBMIT, StartPool, draw_start, lab_starts, start_pool
@@ -225,6 +226,7 @@ class Laboratories:
         bench_of = np.array([keys.index(bench.key) for bench in self.benches], dtype=np.int64)
         capacities = [vessel.capacity_l for vessel in spec.shelf.vessel]
         capacities += [bench.auxiliary_capacity_l for bench in self.benches]
+        capacities += [bench.options.vessel_volume_l for bench in self.benches if isinstance(bench, ReactionBench)]
         table, wanted = self.instruments.rules.arrays, spec.specifications
         return Rules(
             table=self.actions.table,

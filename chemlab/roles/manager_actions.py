@@ -70,10 +70,10 @@ class ManagerActions:
         """Return the index of an action.
 
         Args:
-            kind: ``start`` (bench agent, slot, goal, and the quality requirement if there are any), ``measure`` (slot,
-                instrument), ``discard`` (slot), ``submit`` (slot, and the order if there are several), ``recall``
-                (bench agent), ``wait``; with drifting instruments or degrading benches ``calibrate`` (instrument) and
-                ``repair`` (bench agent).
+            kind: ``start`` (bench agent, slot, goal, and the quality requirement if there are any; without it the last,
+                which demands least), ``measure`` (slot, instrument), ``discard`` (slot), ``submit`` (slot, and the
+                order if there are several), ``recall`` (bench agent), ``wait``; with drifting instruments or degrading
+                benches ``calibrate`` (instrument) and ``repair`` (bench agent).
             arguments: bench agents, goals, requirements and instruments by name, slots and orders by index.
 
         Raises:
@@ -87,7 +87,10 @@ class ManagerActions:
     @cached_property
     def _numbers(self) -> Mapping[tuple[str | int, ...], int]:
         """Index of every result of :meth:`decode`."""
-        return {self.decode(action): action for action in range(len(self))}
+        found = {self.decode(action): action for action in range(len(self))}
+        loosest = self.grades[-1:]
+        graded = [key for key in found if loosest and key[0] == "start" and key[-1:] == loosest]
+        return found | {key[:-1]: found[key] for key in graded}
 
     def _mistake(self, kind: str, arguments: tuple[str | int, ...]) -> str:
         """Describe why an action does not exist."""
