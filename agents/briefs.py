@@ -52,7 +52,9 @@ def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[s
     lines += _bench_lines(role) if isinstance(role, Bench) else _manager_lines(labs, most)
     if spec.family.reaction or spec.family.violent:
         lines.append(_reactions(spec, name, most))
-    hidden = [_draw_words(spec, draw, name) for draw in spec.world.draws.values() if _concerns(spec, draw)]
+    # What is only about benches on their own is left out.
+    draws = [draw for draw in spec.world.draws.values() if not draw.of or not spec.benches.keys() >= set(draw.of)]
+    hidden = [_draw_words(spec, draw, name) for draw in draws]
     if hidden:
         lines.append(f"Hidden, redrawn every episode: {'; '.join(hidden)}.")
     return "\n".join(_plain(line, name) for line in lines)
@@ -210,11 +212,6 @@ def _plain(line: str, name: Callable[[str], str]) -> str:
 def renamed(words: str, name: Callable[[str], str]) -> str:
     """Return words with names of materials replaced."""
     return " ".join(name(word) for word in words.split(" "))
-
-
-def _concerns(spec: Scenario, draw: Draw) -> bool:
-    """True where a draw is about the laboratory, not only about benches on their own."""
-    return not draw.of or any(target not in spec.benches for target in draw.of)
 
 
 def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:

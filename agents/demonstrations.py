@@ -35,6 +35,7 @@ import numpy.typing as npt
 from gymnasium.envs.registration import EnvSpec
 
 from chemlab import __version__
+from chemlab.config.extras import needs
 from chemlab.config.loading import plain_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.lab.engine import Laboratories
@@ -167,11 +168,9 @@ class Dataset:
 
 
 def _minari() -> Any:
-    try:
+    with needs("demonstrations need Minari", "data"):
         import h5py  # noqa: F401 - needed by Minari's storage, which does not check for it
         import minari
-    except ImportError as error:
-        raise ImportError('demonstrations need Minari: pip install ".[data]"') from error
     return minari
 
 

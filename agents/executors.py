@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, Protocol, TypeVar
 
 import chemlab
+from chemlab.config.extras import needs
 from chemlab.config.parts import strangers_code, trust
 
 ATTEMPTS = 3
@@ -282,10 +283,8 @@ def _end_with(leash: Connection) -> None:
 
 def _ray() -> Any:
     """Import and return Ray."""
-    try:
+    with needs("a cluster needs Ray", "ray"):
         import ray
-    except ImportError as error:
-        raise ImportError(f'a cluster needs Ray ({error}): pip install ".[ray]"') from error
     return ray
 
 
@@ -326,10 +325,8 @@ class _Slurm:
     """
 
     def __init__(self, cluster: str = "slurm", folder: Path = Path("slurm")) -> None:
-        try:
+        with needs("Slurm needs submitit", "slurm"):
             import submitit
-        except ImportError as error:
-            raise ImportError(f'Slurm needs submitit ({error}): pip install ".[slurm]"') from error
         try:
             self._engine = submitit.AutoExecutor(folder, cluster)
         except RuntimeError as error:

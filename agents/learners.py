@@ -9,14 +9,14 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
+from chemlab.config.extras import needs
+
 from .seals import read_sealed, seal_file
 
-try:
+with needs("training needs Stable-Baselines3", "train"):
     from sb3_contrib import QRDQN, MaskablePPO, RecurrentPPO
     from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
     from stable_baselines3.common.base_class import BaseAlgorithm
-except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 LEARNERS: dict[str, Any] = {
     "ppo": PPO,

@@ -13,7 +13,9 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-try:
+from chemlab.config.extras import needs
+
+with needs("a live page needs starlette and uvicorn", "live"):
     import anyio.to_thread
     import uvicorn
     from starlette.applications import Starlette
@@ -23,8 +25,6 @@ try:
     from starlette.requests import Request
     from starlette.responses import FileResponse, HTMLResponse, JSONResponse, Response, StreamingResponse
     from starlette.routing import Route
-except ImportError as error:
-    raise ImportError('starlette or uvicorn is missing: pip install ".[live]"') from error
 
 from chemlab import __version__
 from chemlab.config.scenario import Scenario

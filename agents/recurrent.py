@@ -13,12 +13,12 @@ from typing import Any
 import gymnasium
 import torch
 
-try:
+from chemlab.config.extras import needs
+
+with needs("training needs Stable-Baselines3", "train"):
     from sb3_contrib.common.recurrent.policies import RecurrentActorCriticPolicy
     from stable_baselines3.common.distributions import Distribution
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
-except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 _NEVER = -1e8
 """Logit of illegal actions; finite, because padding has no legal action."""

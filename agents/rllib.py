@@ -28,6 +28,7 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.config.extras import needs
 from chemlab.envs.aec import raw_env
 from chemlab.kernels.arrays import IntArray
 from chemlab.kernels.rng import checked_seed
@@ -37,10 +38,8 @@ from chemlab.roles.manager_state import RUNNING
 from .background import background_players
 from .roles import chosen_roles, role_of
 
-try:
+with needs("training on a cluster needs Ray", "rllib"):
     from ray.rllib.env.multi_agent_env import MultiAgentEnv
-except ImportError as error:
-    raise ImportError(f'training on a cluster needs Ray ({error}): pip install ".[rllib]"') from error
 
 _SETTINGS = ("scenario", "roles", "background", "rewards", "split")
 
@@ -153,7 +152,8 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         self._guarded(self.laboratory.step, action_dict[agent])
         self._players.play_on(self.laboratory.laboratories.members)
         running = self._running()
-        observations, rewards, infos = self._at_turn() if running else self._at_end()
+        had_turn = [agent for agent in self.possible_agents if agent in self._had_turn]
+        observations, rewards, infos = self._at_turn() if running else self._of(had_turn)
         self._unfinished = False
         return observations, rewards, {"__all__": not running}, {"__all__": False}, infos
 
@@ -161,9 +161,6 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         agent = self.laboratory.agent_selection
         self._had_turn.add(agent)
         return self._of([agent])
-
-    def _at_end(self) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
-        return self._of([agent for agent in self.possible_agents if agent in self._had_turn])
 
     def _of(self, agents: list[str]) -> tuple[dict[str, Any], dict[str, float], dict[str, Any]]:
         """Return observations, rewards and infos of some agents; the mask of an agent without the turn has one legal

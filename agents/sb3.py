@@ -19,16 +19,15 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
+from chemlab.config.extras import needs
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.episode_streams import Guarded
 
 from .advice import Advisor
 
-try:
+with needs("chemlab.agents.sb3 needs Stable-Baselines3", "train"):
     from stable_baselines3.common.monitor import Monitor
     from stable_baselines3.common.vec_env import VecEnv
-except ImportError as error:
-    raise ImportError('chemlab.agents.sb3 needs Stable-Baselines3: pip install ".[train]"') from error
 
 Indices = int | Iterable[int] | None
 Infos = list[dict[str, Any]]

@@ -275,7 +275,7 @@ def _pairs_of(scenario: Scenario, own: set[str]) -> dict[frozenset[str], Pair]:
     found = catalogue_pairs(wanted) if wanted else {}
     left = sorted(tuple(sorted(two)) for two in wanted - set(found))
     if left:
-        from .openchem.fits import quick_pairs
+        from .openchem.activity import quick_pairs
 
         rows = quick_pairs(cast("list[tuple[str, str]]", left), scenario.materials)
         keep_pairs(rows)

@@ -97,6 +97,13 @@ def allowed(env: raw_env, *action: str | int) -> bool:
     return bool(env.infos["manager_0"]["action_mask"][env.laboratories.actions.encode(*action)])  # type: ignore[arg-type]
 
 
+def seeded(env: Any) -> Any:
+    """The environment; PettingZoo's tests sample actions from the spaces."""
+    for i, agent in enumerate(env.possible_agents):
+        env.action_space(agent).seed(i)
+    return env
+
+
 def random_legal(space: Any, mask: npt.NDArray[Any] | None, rng: np.random.Generator) -> Any:
     """A random legal action: a number where there is a mask, else an array of a box."""
     return rng.random(space.shape, dtype=np.float32) if mask is None else int(rng.choice(np.flatnonzero(mask)))
@@ -110,6 +117,22 @@ def random_actions(space: gymnasium.Space[Any], steps: int, members: int, seed: 
         actions[rng.random(actions.shape) < 0.03] = space.n - 1
         return actions
     return rng.random((steps, members, *(space.shape or ())), dtype=np.float32)
+
+
+class Watched:
+    """Another manager's policy that keeps what each member plays, and whether that was legal."""
+
+    def __init__(self, policy: Any, laboratories: Laboratories) -> None:
+        self.policy = policy
+        self.actions: list[list[int]] = [[] for _ in laboratories.members]
+        self.legal: list[list[bool]] = [[] for _ in laboratories.members]
+
+    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
+        actions = self.policy.act(observation, mask, step, members)
+        for i, member in enumerate(members):
+            self.actions[member].append(int(actions[i]))
+            self.legal[member].append(bool(mask[i, actions[i]]))
+        return actions
 
 
 def weights(model: Any) -> npt.NDArray[Any]:
@@ -590,6 +613,7 @@ def assert_plays_rounds(
     gives (all infos if ``whole``), and ``final`` observations of an end; ``autoreset`` has then begun the next episode.
     """
     ours, rngs = [Rounds(scenario) for _ in range(members)], [np.random.default_rng([seed, i]) for i in range(members)]
+    actions: list[dict[str, Any]] = []
     for space in ("state_space", "state_channels"):
         assert getattr(interface.env, space) == getattr(ours[0].env, space)
     found, expected, ends = interface.reset(seed), [one.reset(seed + i) for i, one in enumerate(ours)], 0
@@ -600,6 +624,8 @@ def assert_plays_rounds(
                 assert found[member]["infos"][agent].keys() == info.keys()
         over = np.array([not one.turn for one in ours])
         if over.any() and not interface.autoreset:
+            with pytest.raises(ValueError, match=r"over.*call reset\("):
+                interface.step(actions)
             found = interface.reset(which=over)
             for member in np.flatnonzero(over):
                 assert_agrees(found[member], ours[member].reset(), f"begun in round {step}, {member}:")

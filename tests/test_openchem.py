@@ -29,6 +29,9 @@ from chemlab.config.scenario import RealSpec
 for package in ("rdkit", "chemicals", "thermo", "ugropy"):
     pytest.importorskip(package, reason=f'{package} is not installed: pip install ".[chem]"')
 
+import chemicals  # noqa: E402
+import numpy as np  # noqa: E402
+
 from chemlab.openchem.compounds import compounds, material_tables  # noqa: E402
 from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of  # noqa: E402
@@ -743,3 +746,21 @@ def test_whatever_a_text_has_in_it_it_stays_that_text(tmp_path: Path) -> None:
         content = written.read_text(encoding="utf-8")
         assert len(content.split("\n")) == 2
         assert tomllib.loads(content) == {"text": text}
+
+
+@pytest.mark.slow
+def test_estimated_densities_are_near_known_ones() -> None:
+    """Of all organic liquids of which DIPPR's compilation has the density; the documentation states the shares."""
+    off = []
+    for cas in chemicals.volume.rho_data_Perry_8E_105_l.index:
+        try:
+            found = Properties(compound_of(cas))
+            known = found._tabulated("VolumeLiquid", 298.15, ("DIPPR_PERRY_8E",)) if found.state == "l" else {}
+            estimate = found._estimated_density() if known else None
+        except DataError:
+            continue
+        if estimate is not None and found._critical() is not None:
+            off.append(abs(estimate.number / (found.mass / known["DIPPR_PERRY_8E"] / 1e6) - 1.0))
+    assert len(off) >= 240
+    assert np.quantile(off, 0.9) < 0.05
+    assert max(off) < 0.15

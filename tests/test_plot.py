@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 from pathlib import Path
 from typing import Any
 
@@ -192,17 +191,3 @@ def test_pictures_are_written_once(kind: str, ending: str, scripted: Path, tmp_p
     assert "--force" in again.output
     assert path.stat().st_mtime_ns == before
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_matplotlib_is_asked_for_by_its_extra(scripted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    real = builtins.__import__
-
-    def without(name: str, *arguments: Any, **more: Any) -> Any:
-        if name.split(".")[0] == "matplotlib":
-            raise ImportError(name)
-        return real(name, *arguments, **more)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    done = runner.invoke(app, ["plot", "timeline", str(scripted), "-o", str(tmp_path / "x.png")])
-    assert done.exit_code == 2
-    assert ".[plot]" in done.output

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import ast
 import functools
+import importlib.metadata
+import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -12,6 +14,7 @@ import pytest
 
 import chemlab
 import chemlab.agents
+from chemlab.config.extras import needs
 
 FOLDERS = {"chemlab": Path(chemlab.__path__[0]), "chemlab.agents": Path(chemlab.agents.__path__[0])}
 COMPILED = {"kernel", "helper", "inner"}
@@ -121,3 +124,14 @@ def test_nothing_else_of_numbas_insides_is_used() -> None:
     assert bases == {"AttributeTemplate"}
     # The value of a structure that code is generated for, as in numba's own guide to extensions, and an option.
     assert private == {"_getvalue", "_nrt"}
+
+
+def test_what_is_missing_is_named_with_its_extra() -> None:
+    extras = importlib.metadata.metadata("chemlab-marl").get_all("Provides-Extra") or []
+    calls = [n for code, _ in modules().values() for n in ast.walk(code) if isinstance(n, ast.Call)]
+    named = [ast.literal_eval(call.args[1]) for call in calls if ast.unparse(call.func) == "needs"]
+    assert len(named) > 15
+    assert set(named) <= set(extras)
+    said = re.escape("figures need ink (No module named 'ink'): pip install \".[plot]\"")
+    with pytest.raises(ImportError, match=said), needs("figures need ink", "plot"):
+        importlib.import_module("ink")

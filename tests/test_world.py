@@ -14,7 +14,7 @@ from scipy import stats
 from chemlab.config.datafile import DataError
 from chemlab.config.datamodel import validated
 from chemlab.config.draws import Split, WorldSpec
-from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
+from chemlab.config.loading import load_scenario
 from chemlab.kernels.tables import Table
 from chemlab.lab.sampling import (
     WorldDraws,
@@ -294,13 +294,3 @@ def test_errors_name_file_key_and_bound(draw: dict[str, Any], message: str) -> N
     with pytest.raises(DataError, match=message) as caught:
         Laboratories(load_scenario(file(**draw)))
     assert str(caught.value).startswith("(scenario given as a mapping): world")
-
-
-def test_a_scenario_with_a_world_comes_back_from_its_dump() -> None:
-    scenario = load_scenario(
-        file(what="titre", of=["slot_0", "rxn"], material="1-chlorohexane", inert="dodecane")
-        | {"benches": {"rxn": {"start": {"capacity_l": 1.2, "contents": {"1-chlorohexane": 1.0}}}}}
-    )
-    assert dump_scenario(restore_scenario(dump_scenario(scenario), "again")) == dump_scenario(scenario)
-    # Defaults are left out.
-    assert "world" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]

@@ -271,7 +271,10 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
         "reference": _row(scale, {policy: test}),
         "best": _row(scale, {best_name: best}),
         "strongest": _row(scale, rows),
-        "open_loop": {**_row(scale, ways), "ways": _each(scale, ways)},
+        "open_loop": {
+            **_row(scale, ways),
+            "ways": {name: float(scale.mean(scores)[0]) for name, scores in ways.items() if scores is not None},
+        },
         "oracle": {
             **_row(scale, {"planner": oracle}),
             "curve": [float(scale.mean(np.maximum(column, others))[0]) for column in foreseen(found, "curves").T],
@@ -322,10 +325,6 @@ def _row(scale: Scale, candidates: Mapping[str, FloatArray | None]) -> dict[str,
     """Return the normalized score of the best candidate, its raw score and its name."""
     name, scores = _greatest(candidates)
     return {**interval(scale.mean(scores)), "score": float(scores.mean()), "way": name}
-
-
-def _each(scale: Scale, candidates: Mapping[str, FloatArray | None]) -> dict[str, float]:
-    return {name: float(scale.mean(scores)[0]) for name, scores in candidates.items() if scores is not None}
 
 
 def _contention(found: Mapping[str, dict[str, Any]]) -> dict[str, Any]:

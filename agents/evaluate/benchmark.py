@@ -532,7 +532,7 @@ def provenance(budget: str | AuditBudget, chosen: AuditBudget, split: str) -> di
         "confidence": statistics.CONFIDENCE,
         "versions": versions(),
         "commit": _commit(),
-        "hardware": _hardware(),
+        "hardware": {"machine": platform.machine(), "system": platform.system(), "cores": os.cpu_count()},
     }
 
 
@@ -547,10 +547,6 @@ def _commit() -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return commit.strip() + ("+" if changed.strip() else "")
-
-
-def _hardware() -> dict[str, Any]:
-    return {"machine": platform.machine(), "system": platform.system(), "cores": os.cpu_count()}
 
 
 # -- what is written --------------------------------------------------------------------------------------------------

@@ -131,15 +131,15 @@ class PlanSearch:
         manager = ConstantPlan(labs.scenario, labs.channels, labs.actions, self.plans)
         return {**make_policies(self.benches, labs), MANAGER_AGENT: manager}
 
-    def as_file(self, command: str, episodes: int = 100, seed: int = 0) -> PlanFile:
+    def as_file(self, command: str, episodes: int = 100) -> PlanFile:
         """As it is stored, with the score from seeds of its own."""
         actions = ManagerActions.of(self.scenario)
-        score = statistics.mean([self.play(episodes, seed)])
+        score = statistics.mean([self.play(episodes, 0)])
         plans = [
             StoredPlan(goals=list(o.context), score=o.score, steps=[list(actions.decode(a)) for a in o.team.plan])
             for o in self.found
         ]
-        evaluation = {"episodes": episodes, "seed": seed, **score.as_dict()}
+        evaluation = {"episodes": episodes, "seed": 0, **score.as_dict()}
         return PlanFile(
             kind="plan",
             format=1,

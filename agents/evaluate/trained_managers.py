@@ -153,14 +153,13 @@ def _means(rows: Rows) -> Means:
 # -- playing ----------------------------------------------------------------------------------------------------------
 
 
-def collect_count(folder: Path, keep: Callable[[TrainedRun], bool] = lambda _: True) -> int:
+def collect_count(folder: Path) -> int:
     """Number of policies that :func:`collect` will play, or leave as they are, of a folder's own runs.
 
     Raises:
         ValueError: the folder is not there, or a file in it is not what a run writes.
     """
-    groups = _groups([run for run in read_runs(folder) if keep(run)])
-    return sum(len(BASELINES) + len(group.runs) for group in groups)
+    return sum(len(BASELINES) + len(group.runs) for group in _groups(read_runs(folder)))
 
 
 def collect(

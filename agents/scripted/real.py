@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ _QUENCH_SHARE = 0.3
 _BELOW_BOILING_K = 8.0
 """Margin in K between the contents and the lowest boiling point."""
 _GAIN = 2.0
-"""Controller gain: K of jacket setpoint below the target per K that the contents are above it."""
+"""Largest controller gain: K of jacket setpoint below the target per K that the contents are above it."""
 
 
 class ScriptedRealReaction:
@@ -54,6 +55,12 @@ class ScriptedRealReaction:
         present = {*bench.spec.start.contents, *reagents}
         boiling = min((materials[n].boiling_point_k for n in present if materials[n].role == "solvent"), default=400.0)
         self._wanted_k = min(boiling - _BELOW_BOILING_K, self._temperature.high - _BELOW_BOILING_K)
+        self._gain = _GAIN
+        warmed = sum(mol * materials[n].heat_capacity_j_mol_k for n, mol in bench.spec.start.contents.items())
+        if bench.options.jacket_w_k and warmed:
+            # Share of the way to the jacket's temperature in a step; from a gain of 2 / share - 1 on, it oscillates.
+            share = 1.0 - math.exp(-bench.options.jacket_w_k * bench.options.tick / warmed)
+            self._gain = min(_GAIN, 0.6 * (2.0 / share - 1.0))
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
@@ -69,7 +76,7 @@ class ScriptedRealReaction:
         if not self._careful:
             return np.column_stack((np.ones(len(kelvin)), np.full(len(kelvin), 0.5), needed))
         excess = kelvin - self._wanted_k
-        target = np.clip(self._wanted_k - _GAIN * (excess + _BELOW_BOILING_K), low, low + span)
+        target = np.clip(self._wanted_k - self._gain * (excess + _BELOW_BOILING_K), low, low + span)
         turn = np.clip(0.5 + (target - jacket) / (2.0 * self._step_k), 0.0, 1.0)
         # The share of the remainder that empties the bottle at the end of feeding.
         share = 1.0 / np.maximum(self._feed_until - step, 1)

@@ -365,15 +365,12 @@ class SchedulingManager(BeliefManager[_Shop]):
             look = self._look(shop, fresh, order, chance, mask)
             if look is not None:
                 return look
-            if chance >= _LIKELY or self._instrument is None or not self._may_look(mask):
+            if chance >= _LIKELY or self._instrument is None or not mask[self._actions.table[:, 0] == MEASURE].any():
                 action = self._start(shop, ranked[0], 0, order, mask)
                 if action is not None:
                     shop.serves[ranked[0]] = order.number
                     return action
         return None
-
-    def _may_look(self, mask: MaskArray) -> bool:
-        return bool(mask[self._actions.table[:, 0] == MEASURE].any())
 
     def _look(self, shop: _Shop, fresh: list[int], order: _Order, chance: float, mask: MaskArray) -> int | None:
         """Measure a vessel without a reading if the expected gain of finding a better one exceeds the price."""

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.datafile import DataError
+from chemlab.config.extras import needs
 from chemlab.envs.players import as_policy
 from chemlab.kernels.arrays import ObservationArray
 
@@ -25,12 +26,10 @@ from ..runs import RESULT_SEED, Run
 from .arguments import Single, recorded_arguments
 from .tasks import Task, find_task, task_of
 
-try:
+with needs("exporting needs PyTorch", "train"):
     import torch
 
     from ..learners import load_learner
-except ImportError as error:
-    raise ImportError(f'exporting needs PyTorch ({error}): pip install ".[train]"') from error
 
 
 _TOLERANCE = 1e-5
@@ -53,8 +52,9 @@ def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
         return np.asarray((distribution.logits if discrete else distribution.mean).numpy())
 
 
-def _observations(task: Task, advised: bool, members: int = 64) -> ObservationArray:
+def _observations(task: Task, advised: bool) -> ObservationArray:
     """Return observations of random episodes, with the played action as the hint if there is one."""
+    members = 64
     env = task.batch(members)
     policy = RandomPolicy((env.single_action_space.shape or (0,))[0], 0)
     nothing, everyone = np.zeros(members, dtype=np.int64), np.arange(members)

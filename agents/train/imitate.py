@@ -8,7 +8,7 @@ Needs the extra: ``pip install ".[train]"``.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,15 +28,16 @@ _SPREAD = 0.02
 _EPOCHS = 10
 _UPDATES = 1_100
 """Minimum number of updates; few examples are used more often."""
-_BATCH = 256
+BATCH = 256
 _SEQUENCES_BATCH = 2_048
 """Approximate number of turns in a minibatch of whole episodes."""
-_LEARNING_RATE = 1e-3
+LEARNING_RATE = 1e-3
 _SEQUENCES_LEARNING_RATE = 3e-3
 """Learning rate for whole episodes, whose minibatches have more turns."""
-_ENTROPY = 0.03
+ENTROPY = 0.03
 """Entropy bonus, which keeps the clone from being deterministic where its examples agree, so that it can improve."""
-_VALUES = 0.5
+VALUES = 0.5
+"""Weight of the critic's error."""
 
 
 def imitate(
@@ -106,24 +107,17 @@ def fit(
     shown = _Turns(model, observations, masks, actions)
     if lengths is not None:
         shown = _Episodes(model, observations, masks, actions, lengths)
-    network, rng = model.policy, np.random.default_rng(seed)
+    network = model.policy
     network.set_training_mode(True)
-    optimizer = torch.optim.Adam(network.parameters(), lr=shown.learning_rate, fused=True)
-    minibatches = max(1, shown.count // shown.batch)
-    epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
-    # Common features of the examples are learned fast; thresholds between two actions need small steps.
-    falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * minibatches)
-    for _ in range(epochs):
-        for some in np.array_split(rng.permutation(shown.count), minibatches):
-            values, log_probability, entropy = shown.evaluated(some)
-            bonus = entropy.mean() if entropy is not None else -log_probability.mean()
-            missed = torch.nn.functional.mse_loss(values, torch.as_tensor(returns[shown.rows(some)]))
-            loss: Any = -log_probability.mean() - _ENTROPY * bonus + _VALUES * missed
-            optimizer.zero_grad()
-            loss.backward()
-            torch.nn.utils.clip_grad_norm_(network.parameters(), model.max_grad_norm)
-            optimizer.step()
-            falling.step()
+
+    def loss(some: IntArray) -> torch.Tensor:
+        values, log_probability, entropy = shown.evaluated(some)
+        bonus = entropy.mean() if entropy is not None else -log_probability.mean()
+        missed = torch.nn.functional.mse_loss(values, torch.as_tensor(returns[shown.rows(some)]))
+        return -log_probability.mean() - ENTROPY * bonus + VALUES * missed
+
+    rng = np.random.default_rng(seed)
+    minibatches = descend(network, loss, shown.count, shown.batch, shown.learning_rate, model.max_grad_norm, rng)
     with torch.no_grad():
         parts = np.array_split(np.arange(shown.count), minibatches)
         chosen = np.concatenate([shown.chosen(some) for some in parts])
@@ -135,6 +129,36 @@ def fit(
     if np.issubdtype(played.dtype, np.integer):
         return float((chosen == played).mean())
     return float(np.abs(chosen - played).mean())
+
+
+def descend(
+    network: torch.nn.Module,
+    loss: Callable[[IntArray], torch.Tensor],
+    count: int,
+    batch: int,
+    learning_rate: float,
+    most: float,
+    rng: np.random.Generator,
+) -> int:
+    """Minimize a loss of minibatches of ``count`` examples, at a learning rate that falls to 0; gradients are clipped
+    to ``most``.
+
+    Returns:
+        The number of minibatches of an epoch.
+    """
+    minibatches = max(1, count // batch)
+    epochs = max(_EPOCHS, -(-_UPDATES // minibatches))
+    optimizer = torch.optim.Adam(network.parameters(), lr=learning_rate, fused=True)
+    # Common features of the examples are learned fast; thresholds between two actions need small steps.
+    falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * minibatches)
+    for _ in range(epochs):
+        for some in np.array_split(rng.permutation(count), minibatches):
+            optimizer.zero_grad()
+            loss(some).backward()  # type: ignore[no-untyped-call]
+            torch.nn.utils.clip_grad_norm_(network.parameters(), most)
+            optimizer.step()
+            falling.step()
+    return minibatches
 
 
 class _Turns:
@@ -155,7 +179,7 @@ class _Turns:
         self._network, self._observations, self.actions = network, observations, actions
         masked = hasattr(network, "action_dist") and "Maskable" in type(network.action_dist).__name__
         self._masks = masks if masked else None
-        self.count, self.batch, self.learning_rate = len(actions), _BATCH, _LEARNING_RATE
+        self.count, self.batch, self.learning_rate = len(actions), BATCH, LEARNING_RATE
 
     def rows(self, some: IntArray) -> IntArray:
         """Return the turns of some of ``count``."""

@@ -28,15 +28,11 @@ from ..roles import MANAGER_ROLE, chosen_roles, role_of
 from ..runs import Evaluation, Run
 from ..saved import find_saved
 from .arguments import IPPO
-
-try:
-    from .checkpoints import load_state, random_state, restore_random_state, save_state
-    from .loop import Progress, Trainee, reached
-    from .networks import card_of
-    from .ppo import PPOTeam, wide_columns
-    from .tasks import task_fingerprint
-except ImportError as error:
-    raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
+from .checkpoints import load_state, random_state, restore_random_state, save_state
+from .loop import Progress, Trainee, reached
+from .networks import card_of
+from .ppo import PPOTeam, wide_columns
+from .tasks import task_fingerprint
 
 
 class Team(Trainee):

@@ -16,19 +16,18 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from chemlab.config.extras import needs
 from chemlab.config.files import write_text
 
 from ..runs import Run, RunConfig, RunResult, differences, to_text
 from .arguments import IPPO, Arguments, Single, filled
 
-try:
+with needs("training needs Stable-Baselines3", "train"):
     import torch
 
     from .joint import Team
     from .loop import Trainee, Watcher, train_in_rounds
     from .single import Agent
-except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 
 def _trainee(arguments: Arguments) -> Trainee:

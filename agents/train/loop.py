@@ -17,12 +17,13 @@ from typing import Any
 
 import numpy as np
 
+from chemlab.config.extras import needs
 from chemlab.config.files import naming, write_text
 
 from ..runs import RESULT_SEED, CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text, versions
 from .arguments import Arguments
 
-try:
+with needs("training needs Stable-Baselines3", "train"):
     import sb3_contrib
     import stable_baselines3
     import torch
@@ -30,8 +31,6 @@ try:
     from torch.utils.tensorboard.writer import SummaryWriter
 
     from .checkpoints import commit_checkpoint, tidy
-except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 
 EVALUATION_SEED = 1_000_000

@@ -11,18 +11,17 @@ import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.config.extras import needs
 from chemlab.roles.base import Workplace
 
 from ..pretrained import LOG_STD, LSTM, Card, PretrainedPolicy
 from ..runs import RunConfig
 
-try:
+with needs("training needs Stable-Baselines3", "train"):
     from sb3_contrib import MaskablePPO
     from torch import nn
 
     from ..recurrent import MaskedLstmPolicy
-except ImportError as error:
-    raise ImportError(f'training needs Stable-Baselines3 ({error}): pip install ".[train]"') from error
 
 
 _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
@@ -40,14 +39,11 @@ def learned_policy(model: Any, workplace: Workplace, **card: Any) -> PretrainedP
         ValueError: the network has layers other than fully connected ones with tanh or ReLU, or weights are not finite.
     """
     weights, activation, output = _network_of(model)
-    own: dict[str, Any] = {"activation": activation, "output": output, "masked": _has_masks(model)}
+    masked = isinstance(model, MaskablePPO) or isinstance(model.policy, MaskedLstmPolicy)
+    own: dict[str, Any] = {"activation": activation, "output": output, "masked": masked}
     if "lstm.bias" in weights:
         own["memory"] = int(model.policy.lstm_actor.hidden_size)
     return PretrainedPolicy(Card.of(workplace, **own, **card), weights)
-
-
-def _has_masks(model: Any) -> bool:
-    return isinstance(model, MaskablePPO) or isinstance(model.policy, MaskedLstmPolicy)
 
 
 def card_of(config: RunConfig, workplace: Workplace) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.config.extras import needs
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.players import Policy
@@ -39,13 +40,12 @@ from ..pretrained import LOG_STD, PretrainedPolicy
 from ..roles import MANAGER_ROLE, role_of
 from .arguments import IPPO, MAPPO
 
-try:
+with needs("training needs PyTorch", "train"):
     import torch
     from torch import nn
 
+    from .imitate import BATCH, ENTROPY, LEARNING_RATE, VALUES, descend
     from .tied import Tanh, TiedLinear, Unit, action_units, notes_units, numbered, observed_units, tied_layers
-except ImportError as error:
-    raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
 __all__ = ["PPOTeam", "compact", "joined", "wide_columns"]
 
@@ -69,9 +69,6 @@ _RECALLED = 1 << 13
 """Most of these turns that one update draws."""
 _CRITIC_FIRST = 5
 """Updates in which the critic of a policy from elsewhere learns alone."""
-_CLONE = {"epochs": 10, "updates": 1100, "batch": 256, "learning_rate": 1e-3, "entropy": 0.03}
-"""Behaviour cloning: least numbers of epochs and updates, turns of a minibatch, first learning rate, and the weight of
-the entropy, which keeps a clone from being deterministic, so that it can improve."""
 
 Arrays = npt.NDArray[Any]
 
@@ -108,8 +105,8 @@ class _Network(nn.Module):
             self.critic = _layers(observed + state, hidden, 1, 0.01)
         else:
             seen = [*units, *((("state", k), -1, -1) for k in range(state))]
-            self.actor = tied_layers(tied, units, action_units(tied), hidden, 0.01)
-            self.critic = tied_layers(tied, seen, [("value", -1, -1)], hidden, 0.01)
+            self.actor = tied_layers(tied, units, action_units(tied), hidden)
+            self.critic = tied_layers(tied, seen, [("value", -1, -1)], hidden)
         # What is observed is normalized: a reading of a hundredth can matter as much as one of a half.
         self.register_buffer("mean", torch.zeros(observed + state))
         self.register_buffer("scale", torch.ones(observed + state))
@@ -323,23 +320,16 @@ class _Learner:
             Share of turns with the same action; for continuous actions the mean absolute difference.
         """
         tensors: dict[str, Any] = {n: None if array is None else torch.from_numpy(array) for n, array in batch.items()}
-        count, network, self._normalizes = len(tensors["target"]), self.network, False
-        parts = max(1, count // int(_CLONE["batch"]))
-        epochs = max(int(_CLONE["epochs"]), -(-int(_CLONE["updates"]) // parts))
+        network, self._normalizes = self.network, False
         network.train()
-        optimizer = torch.optim.Adam(network.parameters(), lr=_CLONE["learning_rate"], fused=True)
-        falling = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.0, epochs * parts)
-        for _ in range(epochs):
-            for rows in np.array_split(rng.permutation(count), parts):
-                own = _rows(tensors, torch.from_numpy(rows))
-                log_probability, entropy = network.judge(own["observed"], own["mask"], own["action"])
-                value = (network.value(own["seen"]) - own["target"]).square().mean()
-                loss = -log_probability.mean() - _CLONE["entropy"] * entropy + 0.5 * value
-                optimizer.zero_grad()
-                loss.backward()
-                nn.utils.clip_grad_norm_(network.parameters(), 0.5)
-                optimizer.step()
-                falling.step()
+
+        def loss(rows: IntArray) -> Any:
+            own = _rows(tensors, torch.from_numpy(rows))
+            log_probability, entropy = network.judge(own["observed"], own["mask"], own["action"])
+            value = (network.value(own["seen"]) - own["target"]).square().mean()
+            return -log_probability.mean() - ENTROPY * entropy + VALUES * value
+
+        descend(network, loss, len(tensors["target"]), BATCH, LEARNING_RATE, 0.5, rng)
         with torch.no_grad():
             chosen = network.logits(tensors["observed"], tensors["mask"])
             if network.discrete:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from chemlab.config.extras import needs
 from chemlab.kernels.arrays import IntArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.manager_actions import DISCARD, FIRST, KIND, MEASURE, SECOND, START, SUBMIT
@@ -22,11 +23,9 @@ from chemlab.roles.manager_view import order_channels, terms_channels
 
 from ..notes import notes_shape
 
-try:
+with needs("training needs PyTorch", "train"):
     import torch
     from torch import nn
-except ImportError as error:
-    raise ImportError(f'training needs PyTorch ({error}): pip install ".[train]"') from error
 
 
 Unit = tuple[Hashable, int, int]
@@ -182,7 +181,7 @@ def action_units(labs: Laboratories) -> list[Unit]:
 
 
 def tied_layers(
-    labs: Laboratories, observed: Sequence[Unit], outs: Sequence[Unit], hidden: Sequence[int], gain: float
+    labs: Laboratories, observed: Sequence[Unit], outs: Sequence[Unit], hidden: Sequence[int]
 ) -> nn.Sequential:
     """Layers with tanh between them.
 
@@ -191,7 +190,6 @@ def tied_layers(
         observed: units of the input.
         outs: units of the output.
         hidden: twice the units of the laboratory in each hidden layer; a slot has an eighth of it, an order a 16th.
-        gain: of the last layer.
     """
     layers, scenario = [list(observed)], labs.scenario
     for number, size in enumerate(hidden):
@@ -202,5 +200,5 @@ def tied_layers(
     layers.append(list(outs))
     modules: list[nn.Module] = []
     for i in range(len(layers) - 1):
-        modules += [TiedLinear(layers[i], layers[i + 1], gain if i == len(hidden) else 2.0**0.5), Tanh()]
+        modules += [TiedLinear(layers[i], layers[i + 1], 0.01 if i == len(hidden) else 2.0**0.5), Tanh()]
     return nn.Sequential(*modules[:-1])

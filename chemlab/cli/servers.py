@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from ..config.extras import needs
 from .options import ScenarioArgument, SeedOption, SplitOption, app, chosen_agents, prepare
 from .screen import out, plain
 
@@ -55,12 +56,10 @@ def mcp(
     from ..agents.seats import Room
     from ..config.loading import load_scenario
 
-    try:
+    with needs("seats over MCP need mcp", "mcp"):
         import anyio
 
         from ..agents import mcp_server
-    except ImportError as error:
-        raise ImportError(f'seats over MCP need mcp ({error}): pip install ".[mcp]"') from error
     spec = load_scenario(scenario)
     seats = chosen_agents(["manager_0", *spec.bench_agents()], seat or ["manager_0"], "--seat")
     if http is None and len(seats) > 1:

@@ -13,7 +13,6 @@ from typing import Any
 
 import gymnasium
 
-from ..config.draws import Draw
 from ..config.scenario import DemandSpec, InstrumentSpec, OrderSpec, Scenario
 from ..roles.bench import Channel
 from .engine import Laboratories
@@ -228,15 +227,11 @@ def world_table(spec: Scenario) -> FactTable:
         what = f"{draw.what} of {code(draw.material)}" if draw.material else draw.what
         whose = codes(draw.of) or "the laboratory"
         each = "one number" if draw.variables == 1 else "each its own"
-        change = {"factor": "x ", "offset": "+ ", "value": "= "}[draw.change] if _is_change(draw) else ""
+        changes = draw.what not in ("identity", "titre")  # which are values
+        change = {"factor": "x ", "offset": "+ ", "value": "= "}[draw.change] if changes else ""
         rows.append((code(name), what, whose, f"{change}{kind}: {words}", each))
     note = "x: multiplies the stated value, +: is added to it, =: replaces it"
     return _facts(("draw", "what", "of", "drawn from", "shared"), rows, note=note if rows else "")
-
-
-def _is_change(draw: Draw) -> bool:
-    """Return True if a draw changes a declared number; identities and shares are values."""
-    return draw.what not in ("identity", "titre")
 
 
 def stock_table(spec: Scenario) -> FactTable:

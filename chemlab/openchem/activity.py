@@ -17,44 +17,22 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from scipy.optimize import least_squares
 
+from ..config.catalogue import IDEAL_PAIR, CataloguePair
 from ..config.datafile import DataError
+from ..config.extras import needs
 from ..config.materials import Material
 from ..config.pairs import REFERENCE_K, log_activity_coefficients
+from .fits import FINE, QUICK, Array, Grid, fits
 
-try:
+with needs("activity coefficients need thermo", "chem"):
     import chemicals
     import thermo.unifac
-except ImportError as error:
-    raise ImportError(f'activity coefficients need thermo ({error}): pip install ".[chem]"') from error
 
-Array = npt.NDArray[np.float64]
-
-TEMPERATURES_K: Array = np.array([270.0, 285.0, 300.0, 320.0, 340.0, 365.0, 390.0, 420.0, 450.0, 480.0])
-_HALF = [1e-10, 1e-4, 0.002, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4]
-FRACTIONS: Array = np.array([*_HALF, 0.5, *(1.0 - x for x in reversed(_HALF))])
-"""Mole fractions of the first component; 1e-10 represents infinite dilution."""
-ALPHAS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.47, 0.55, 0.65)
-"""Candidate values of alpha. Renon and Prausnitz propose 0.2 to 0.47; alcohol mixtures often need more, nearly
-immiscible mixtures less.
-"""
-_DILUTE = 0.03
-_LIGHT = 0.1
-_ENDS = 3.0
-"""Weight of infinite dilution relative to one mixture."""
-_PASSES = 6
-"""Number of fits; each puts more weight on the largest errors of the previous one."""
-_RIDGE = 1e-3
-_TRIES = ((1.0, 20.0), (_LIGHT, 20.0), (1.0, 0.0))
-"""Candidate weights of high dilution, and of a spurious second liquid.
-
-A liquid is spurious if an activity falls with its mole fraction although the reference has one liquid. The later
-candidates are for mixtures whose dilute ends NRTL cannot meet otherwise.
-"""
-_MADE_UP = 0.1
-"""Penalty, as an error of ln gamma, of each temperature with a spurious second liquid."""
+_WIDEST, _LEAST = 6.0, -8.0
+"""Largest change of ln gamma at infinite dilution from 270 to 480 K, and least ln gamma. Beyond either, a form's group
+parameters are extrapolated too far in temperature, and everyday chemicals use the next form."""
+_CHUNK = 100
 
 GROUPS: dict[str, dict[str, int]] = {
     # Groups of an isomer, for molecules that neither form of UNIFAC can represent.
@@ -116,9 +94,7 @@ class Model:
         mains = {self.subgroups[number].main_group_id for found in groups for number in found}
         return any(j not in self.interactions.get(i, {}) for i, j in itertools.permutations(mains, 2))
 
-    def log_gamma(
-        self, groups: list[Groups], temperatures_k: Array = TEMPERATURES_K, fractions: Array = FRACTIONS
-    ) -> Array:
+    def log_gamma(self, groups: list[Groups], grid: Grid = FINE) -> Array:
         """Return [T, X, 2] ln of the activity coefficients of two materials."""
         made = thermo.unifac.UNIFAC.from_subgroups(
             T=300.0,
@@ -128,7 +104,10 @@ class Model:
             interaction_data=self.interactions,
             subgroups=self.subgroups,
         )
-        rows = [[made.to_T_xs(t, [x, 1.0 - x]).gammas() for x in fractions.tolist()] for t in temperatures_k.tolist()]
+        rows = [
+            [made.to_T_xs(t, [x, 1.0 - x]).gammas() for x in grid.fractions.tolist()]
+            for t in grid.temperatures_k.tolist()
+        ]
         return np.log(np.array(rows))
 
 
@@ -159,25 +138,6 @@ def models() -> list[Model]:
     ]
 
 
-def stable(log_gamma: Array, fractions: Array = FRACTIONS) -> npt.NDArray[np.bool_]:
-    """Return [T, X] True where a mixture stays one liquid: on the lower hull of the Gibbs energy of mixing."""
-    x = fractions
-    ideal = x * np.log(x) + (1.0 - x) * np.log(1.0 - x)
-    energy = ideal + x * log_gamma[..., 0] + (1.0 - x) * log_gamma[..., 1]
-    out = np.zeros(energy.shape, dtype=np.bool_)
-    for row, g in zip(out, energy, strict=True):
-        hull: list[int] = []
-        for k in range(len(x)):
-            while len(hull) > 1:
-                i, j = hull[-2], hull[-1]
-                if (g[j] - g[i]) * (x[k] - x[i]) < (g[k] - g[i]) * (x[j] - x[i]):
-                    break
-                hull.pop()
-            hull.append(k)
-        row[hull] = True
-    return out
-
-
 def nrtl(parameters: Array, alpha: float, temperatures: Array, fractions: Array) -> Array:
     """Return [T, X, 2] ln gamma by NRTL with ``parameters`` a12, a21, b12, b21, c12, c21."""
     tau = np.zeros((len(temperatures), 1, 2, 2))
@@ -197,50 +157,10 @@ class Fit:
     error: float
 
 
-def _candidates(log_gamma: Array, alpha: float, tails: float, splits: float) -> list[tuple[int, Fit]]:
-    """Return fits with one alpha, each with its number of temperatures with a spurious second liquid."""
-    one_liquid = stable(log_gamma)
-    whole: npt.NDArray[np.bool_] = one_liquid[:, 1:] & one_liquid[:, :-1]
-    rises = np.diff(np.log(FRACTIONS))
-    kept = np.repeat(one_liquid[..., None], 2, axis=-1)
-    weight = kept.astype(np.float64)
-    weight[:, np.minimum(FRACTIONS, 1.0 - FRACTIONS) < _DILUTE] *= tails
-    if not kept.all():
-        weight[:, 0, 0] = weight[:, -1, 1] = _ENDS
-    scale = np.array([1.0, 1.0, 300.0, 300.0, 1.0, 1.0])
-    start, out = np.array([1.0, 1.0, 100.0, 100.0, 0.0, 0.0]), []
-    for _ in range(_PASSES):
-
-        def residuals(p: Array, weight: Array = weight) -> Array:
-            made = nrtl(p, alpha, TEMPERATURES_K, FRACTIONS)
-            off = np.where(kept, (made - log_gamma) * weight, 0.0)
-            falls = np.where(whole, np.minimum(np.diff(made[..., 0], axis=1) + 0.95 * rises, 0.0), 0.0)
-            return np.concatenate([off.ravel(), splits * falls.ravel(), _RIDGE * p / scale])
-
-        found = least_squares(residuals, start, x_scale=scale, max_nfev=100)
-        made = nrtl(found.x, alpha, TEMPERATURES_K, FRACTIONS)
-        off = np.where(kept, np.abs(made - log_gamma), 0.0)
-        if np.isfinite(made).all():
-            second = np.any(one_liquid & ~stable(made), axis=1) & np.all(one_liquid, axis=1)
-            made_up = int(np.sum(second))
-            out.append((made_up, Fit(found.x, alpha, float(off.max()))))
-        start, weight = found.x, weight * np.sqrt(0.1 + off * weight / max(float((off * weight).max()), 1e-12))
-    return out
-
-
 def fit(log_gamma: Array) -> Fit:
-    """Return NRTL parameters with a small maximum error of ln gamma [T, X, 2] wherever the mixture is one liquid.
-
-    If NRTL predicts a spurious second liquid or large errors at high dilution, both are weighed against each other.
-    """
-    scored: list[tuple[float, Fit]] = []
-    for tails, splits in _TRIES:
-        for alpha in ALPHAS:
-            found = _candidates(log_gamma, alpha, tails, splits)
-            scored += [(made.error + _MADE_UP * made_up, made) for made_up, made in found]
-        if min(score for score, _ in scored) < _MADE_UP:
-            break
-    return min(scored, key=lambda pair: pair[0])[1]
+    """Return NRTL parameters of ln gamma [T, X, 2] on the fine grid, see :func:`chemlab.openchem.fits.fits`."""
+    parameters, alpha, error = fits(log_gamma[None], FINE)
+    return Fit(parameters[0], float(alpha[0]), float(error[0]))
 
 
 def _apart(names: tuple[str, str], materials: Mapping[str, Material], form: Model) -> bool:
@@ -279,7 +199,7 @@ _IDEAL_FIT = Fit(np.zeros(6), 0.3, 0.0)
 
 def _described(names: tuple[str, str], materials: Mapping[str, Material], known: dict[Any, Fit]) -> dict[str, Any]:
     """Return a row of the pair file; an ideal mixture if no form of UNIFAC has the groups of both."""
-    span = float(TEMPERATURES_K[0]), float(TEMPERATURES_K[-1])
+    span = float(FINE.temperatures_k[0]), float(FINE.temperatures_k[-1])
     chosen = best_form(names, materials)
     if chosen is None:
         return pair_row(names, _IDEAL_FIT, *span, IDEAL)
@@ -291,10 +211,6 @@ def _described(names: tuple[str, str], materials: Mapping[str, Material], known:
     key = (form.name, *(tuple(sorted(g.items())) for g in both))
     found = known[key] = known.get(key) or fit(form.log_gamma(both))
     return pair_row(names, found, *span, source)
-
-
-def _has_groups(name: str, materials: Mapping[str, Material]) -> bool:
-    return any(form.groups(name, materials[name]) is not None for form in models())
 
 
 def is_molecule(material: Material) -> bool:
@@ -335,7 +251,8 @@ def make_pairs(
             raise DataError(f"pairs: {one!r} with itself; a pair needs two different materials")
     if not ideal and (without := [two for two in pairs if best_form(two, materials) is None]):
         listed = "; ".join(f"{one!r} with {other!r}" for one, other in without)
-        strange = [name for name in dict.fromkeys(itertools.chain(*without)) if not _has_groups(name, materials)]
+        named = dict.fromkeys(itertools.chain(*without))
+        strange = [name for name in named if all(form.groups(name, materials[name]) is None for form in models())]
         groups = f" (without groups: {', '.join(map(repr, strange))})" if strange else ""
         raise DataError(
             f"pairs: no form of UNIFAC in thermo has the groups and interactions of {listed}{groups}; write measured "
@@ -348,3 +265,60 @@ def make_pairs(
         rows.append(_described(two, materials, known))
         progress(f"{two[0]}, {two[1]}")
     return rows
+
+
+def quick_pairs(
+    pairs: Sequence[tuple[str, str]],
+    materials: Mapping[str, Material],
+    progress: Callable[[int], None] = lambda _: None,
+) -> list[CataloguePair]:
+    """Return the NRTL parameters of some pairs by UNIFAC.
+
+    Args:
+        pairs: of two materials each.
+        materials: what they are, by id.
+        progress: is called with the number of pairs that are done.
+
+    Returns:
+        A row for each pair; pairs that UNIFAC has no groups or interactions for are ideal, which their form says.
+    """
+    curves: dict[Any, tuple[str, Array]] = {}
+    keys = [_curve(two, materials, curves) for two in pairs]
+    wanted = [key for key in curves if key is not None]
+    made: dict[Any, tuple[Array, float, float]] = {}
+    for at in range(0, len(wanted), _CHUNK):
+        part = wanted[at : at + _CHUNK]
+        found = fits(np.array([curves[key][1] for key in part]), QUICK)
+        made |= {key: (p, float(a), float(e)) for key, p, a, e in zip(part, *found, strict=True)}
+        progress(at + len(part))
+    rows = []
+    for two, key in zip(pairs, keys, strict=True):
+        if key is None:
+            rows.append(CataloguePair(*two, IDEAL_PAIR, 0.3, 0.0, (0.0,) * 6))
+            continue
+        parameters, alpha, error = made[key]
+        rounded = tuple(float(f"{value:.5g}") for value in parameters.tolist())
+        rows.append(CataloguePair(*two, curves[key][0], alpha, float(f"{error:.2g}"), rounded))
+    return rows
+
+
+def _curve(two: tuple[str, str], materials: Mapping[str, Material], curves: dict[Any, tuple[str, Array]]) -> Any:
+    """Put ln gamma of a pair by the best form of UNIFAC that is sound into ``curves``.
+
+    Returns:
+        Its key there, None where no form is sound.
+    """
+    for form in forms_for(two, materials):
+        groups = [found for name in two if (found := form.groups(name, materials[name])) is not None]
+        if len(groups) < 2 or form.lacks(groups):
+            continue
+        key = (form.name, *(tuple(sorted(found.items())) for found in groups))
+        if key in curves:
+            return key
+        with np.errstate(divide="ignore"):
+            log_gamma = form.log_gamma(groups, QUICK)
+        ends = np.stack([log_gamma[:, 0, 0], log_gamma[:, -1, 1]])
+        if log_gamma.min() >= _LEAST and np.ptp(ends, axis=1).max() <= _WIDEST:
+            curves[key] = form.name, log_gamma
+            return key
+    return None

@@ -119,10 +119,6 @@ class _Constant:
         return np.column_stack((turn, np.where(close, 1.0, 0.5), share))
 
 
-def _reaction_bench(scenario: Scenario) -> str | None:
-    return next((key for key, bench in scenario.benches.items() if bench.kind == "reaction"), None)
-
-
 def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     """Return the constant conditions with the highest yield of a goal; None without a reaction bench or a route.
 
@@ -130,7 +126,7 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
         scenario: the scenario.
         goal: one of its goals.
     """
-    key = _reaction_bench(scenario)
+    key = next((key for key, bench in scenario.benches.items() if bench.kind == "reaction"), None)
     if key is None:
         return None
     try:

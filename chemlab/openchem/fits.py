@@ -1,39 +1,90 @@
-"""NRTL parameters of many pairs of liquids at once, fitted to UNIFAC as :func:`chemlab.openchem.activity.fit` does.
+"""Fits of NRTL parameters to activity coefficients of pairs of liquids, many pairs at once.
 
-All pairs take Levenberg-Marquardt steps side by side in NumPy, at fewer temperatures and compositions than there: a
-pair takes 0.02 s instead of 2 s.
+All pairs take Levenberg-Marquardt steps side by side in NumPy.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from ..config.catalogue import IDEAL_PAIR, CataloguePair
-from ..config.materials import Material
-from .activity import Array, forms_for, stable
+Array = npt.NDArray[np.float64]
 
-TEMPERATURES_K: Array = np.array([270.0, 300.0, 340.0, 400.0, 480.0])
-_HALF = [1e-10, 1e-3, 0.01, 0.04, 0.12, 0.25]
-FRACTIONS: Array = np.array([*_HALF, 0.5, *(1.0 - x for x in reversed(_HALF))])
-_ALPHAS = (0.2, 0.3, 0.47, 0.65)
-_WIDEST, _LEAST = 6.0, -8.0
-"""Largest change of ln gamma at infinite dilution from 270 to 480 K, and least ln gamma. Beyond either, a form's group
-parameters are extrapolated too far in temperature, and the next form is used."""
-_TRIES = ((1.0, 20.0), (0.1, 20.0), (1.0, 0.0))
-"""Weight of high dilution, and of an activity that falls with its mole fraction where there is one liquid."""
-_ENOUGH = 0.1
-"""Score from which on the later tries are made, too; and the score of a temperature with a second liquid."""
-_STEPS, _PASSES, _ENDS, _DILUTE, _RIDGE, _SMALL = 10, 3, 3.0, 0.03, 1e-3, 1e-5
-_BASIS: Array = np.stack(
-    [np.ones_like(TEMPERATURES_K), 300.0 / TEMPERATURES_K, 3.0 * np.log(TEMPERATURES_K / 300.0)], axis=-1
+
+class Grid(NamedTuple):
+    """Temperatures and fractions at which ln gamma is compared, and the length of a fit.
+
+    Attributes:
+        temperatures_k: [T] temperatures.
+        fractions: [X] mole fractions of the first component; 1e-10 represents infinite dilution.
+        alphas: candidate values of alpha.
+        steps: steps of one fit.
+        passes: number of fits; each puts more weight on the largest errors of the previous one.
+    """
+
+    temperatures_k: Array
+    fractions: Array
+    alphas: tuple[float, ...]
+    steps: int
+    passes: int
+
+
+def _both_sides(half: list[float]) -> Array:
+    return np.array([*half, 0.5, *(1.0 - x for x in reversed(half))])
+
+
+FINE = Grid(
+    np.array([270.0, 285.0, 300.0, 320.0, 340.0, 365.0, 390.0, 420.0, 450.0, 480.0]),
+    _both_sides([1e-10, 1e-4, 0.002, 0.01, 0.03, 0.06, 0.1, 0.15, 0.2, 0.3, 0.4]),
+    (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.47, 0.55, 0.65),
+    30,
+    6,
 )
-"""[T, 3] of a, b / 300 K and c / 3."""
-_RISES: Array = 0.95 * np.diff(np.log(FRACTIONS))
-_CHUNK = 100
+"""For pair files: a pair takes some seconds. Renon and Prausnitz propose alpha from 0.2 to 0.47; alcohol mixtures often
+need more, nearly immiscible mixtures less."""
+QUICK = Grid(
+    np.array([270.0, 300.0, 340.0, 400.0, 480.0]),
+    _both_sides([1e-10, 1e-3, 0.01, 0.04, 0.12, 0.25]),
+    (0.2, 0.3, 0.47, 0.65),
+    10,
+    3,
+)
+"""For everyday chemicals: a pair takes 0.02 s."""
+
+_TRIES = ((1.0, 20.0), (0.1, 20.0), (1.0, 0.0))
+"""Candidate weights of high dilution, and of a spurious second liquid.
+
+A liquid is spurious if an activity falls with its mole fraction although the reference has one liquid. The later
+candidates are for mixtures whose dilute ends NRTL cannot meet otherwise.
+"""
+_ENOUGH = 0.1
+"""Score from which on the later tries are made, too; and penalty, as an error of ln gamma, of each temperature with a
+spurious second liquid."""
+_DILUTE = 0.03
+_ENDS = 3.0
+"""Weight of infinite dilution relative to one mixture."""
+_RIDGE, _SMALL = 1e-3, 1e-5
+
+
+def stable(log_gamma: Array, fractions: Array = FINE.fractions) -> npt.NDArray[np.bool_]:
+    """Return [T, X] True where a mixture stays one liquid: on the lower hull of the Gibbs energy of mixing."""
+    x = fractions
+    ideal = x * np.log(x) + (1.0 - x) * np.log(1.0 - x)
+    energy = ideal + x * log_gamma[..., 0] + (1.0 - x) * log_gamma[..., 1]
+    out = np.zeros(energy.shape, dtype=np.bool_)
+    for row, g in zip(out, energy, strict=True):
+        hull: list[int] = []
+        for k in range(len(x)):
+            while len(hull) > 1:
+                i, j = hull[-2], hull[-1]
+                if (g[j] - g[i]) * (x[k] - x[i]) < (g[k] - g[i]) * (x[j] - x[i]):
+                    break
+                hull.pop()
+            hull.append(k)
+        row[hull] = True
+    return out
 
 
 class _Best(NamedTuple):
@@ -53,9 +104,9 @@ class _Best(NamedTuple):
         self.score[where] = np.minimum(self.score[where], other.score)
 
 
-def _log_gamma(tau: Array, alpha: float) -> Array:
-    """[N, T, X, 2] ln gamma by NRTL at FRACTIONS, of tau [N, T, 2]."""
-    x, y = FRACTIONS, 1.0 - FRACTIONS
+def _log_gamma(tau: Array, alpha: float, fractions: Array) -> Array:
+    """[N, T, X, 2] ln gamma by NRTL of tau [N, T, 2]."""
+    x, y = fractions, 1.0 - fractions
     one, two = tau[..., None, 0], tau[..., None, 1]
     with np.errstate(over="ignore", invalid="ignore"):
         g_one, g_two = np.exp(-alpha * one), np.exp(-alpha * two)
@@ -68,40 +119,46 @@ def _log_gamma(tau: Array, alpha: float) -> Array:
 class _Problem:
     """Curves of N pairs and what counts of them: mixtures of one liquid, and both ends."""
 
-    def __init__(self, log_gamma: Array, one_liquid: npt.NDArray[np.bool_], tails: float, splits: float) -> None:
-        self.curves, self.one_liquid, self.splits = log_gamma, one_liquid, splits
+    def __init__(
+        self, log_gamma: Array, one_liquid: npt.NDArray[np.bool_], grid: Grid, tails: float, splits: float
+    ) -> None:
+        self.curves, self.one_liquid, self.grid, self.splits = log_gamma, one_liquid, grid, splits
+        t, x = grid.temperatures_k, grid.fractions
+        self.basis: Array = np.stack([np.ones_like(t), 300.0 / t, 3.0 * np.log(t / 300.0)], axis=-1)
+        """[T, 3] of a, b / 300 K and c / 3."""
+        self.rises: Array = 0.95 * np.diff(np.log(x))
         self.count = len(log_gamma)
         self.kept = np.repeat(one_liquid[..., None], 2, axis=-1)
         self.weight = self.kept.astype(np.float64)
-        self.weight[:, :, np.minimum(FRACTIONS, 1.0 - FRACTIONS) < _DILUTE] *= tails
+        self.weight[:, :, np.minimum(x, 1.0 - x) < _DILUTE] *= tails
         parted = ~one_liquid.reshape(self.count, -1).all(axis=-1)
         self.weight[parted, :, 0, 0] = self.weight[parted, :, -1, 1] = _ENDS
         self.whole = one_liquid[:, :, 1:] & one_liquid[:, :, :-1]
 
     def model(self, parameters: Array, alpha: float) -> tuple[Array, Array]:
         """tau [N, T, 2] and ln gamma [N, T, X, 2]."""
-        tau = np.einsum("tb,nbi->nti", _BASIS, parameters.reshape(self.count, 3, 2))
-        return tau, _log_gamma(tau, alpha)
+        tau = np.einsum("tb,nbi->nti", self.basis, parameters.reshape(self.count, 3, 2))
+        return tau, _log_gamma(tau, alpha, self.grid.fractions)
 
     def residuals(self, made: Array, parameters: Array, weight: Array) -> Array:
         """[N, residuals]"""
         off = np.where(weight > 0.0, (made - self.curves) * weight, 0.0)
-        falls = np.where(self.whole, np.minimum(np.diff(made[..., 0], axis=2) + _RISES, 0.0), 0.0)
+        falls = np.where(self.whole, np.minimum(np.diff(made[..., 0], axis=2) + self.rises, 0.0), 0.0)
         flat = [off.reshape(self.count, -1), self.splits * falls.reshape(self.count, -1), _RIDGE * parameters]
         return np.concatenate(flat, axis=1)
 
     def slopes(self, tau: Array, made: Array, weight: Array, alpha: float, size: int) -> Array:
         """[N, residuals, 6] derivatives of the residuals."""
-        falling = self.whole & (np.diff(made[..., 0], axis=2) + _RISES < 0.0)
+        falling = self.whole & (np.diff(made[..., 0], axis=2) + self.rises < 0.0)
         out, cut = np.zeros((self.count, size, 6)), made[0].size
         for i in range(2):
             moved = tau.copy()
             moved[..., i] += _SMALL
-            slope = (_log_gamma(moved, alpha) - made) / _SMALL
+            slope = (_log_gamma(moved, alpha, self.grid.fractions) - made) / _SMALL
             falls = self.splits * np.where(falling, np.diff(slope[..., 0], axis=2), 0.0)
             for b in range(3):
-                out[:, :cut, 2 * b + i] = (slope * weight * _BASIS[:, b, None, None]).reshape(self.count, -1)
-                out[:, cut:-6, 2 * b + i] = (falls * _BASIS[:, b, None]).reshape(self.count, -1)
+                out[:, :cut, 2 * b + i] = (slope * weight * self.basis[:, b, None, None]).reshape(self.count, -1)
+                out[:, cut:-6, 2 * b + i] = (falls * self.basis[:, b, None]).reshape(self.count, -1)
         out[:, -6:] = _RIDGE * np.eye(6)
         return out
 
@@ -110,7 +167,7 @@ class _Problem:
         tau, made = self.model(parameters, alpha)
         found = self.residuals(made, parameters, weight)
         cost, damping = np.sum(found**2, axis=1), np.full(self.count, 1e-2)
-        for _ in range(_STEPS):
+        for _ in range(self.grid.steps):
             slopes = self.slopes(tau, made, weight, alpha, found.shape[1])
             square = slopes.transpose(0, 2, 1) @ slopes
             square += (damping[:, None] * np.einsum("nii->ni", square))[:, :, None] * np.eye(6)
@@ -133,10 +190,10 @@ class _Problem:
         start = np.tile([1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 0.0, 0.0], (self.count, 1))
         weight, parameters = self.weight.copy(), start
         best = _Best(np.full(self.count, np.inf), start.copy(), np.full(self.count, alpha), np.zeros(self.count))
-        for _ in range(_PASSES):
+        for _ in range(self.grid.passes):
             parameters, made = self.descend(parameters, weight, alpha)
             off = np.where(self.kept, np.abs(made - self.curves), 0.0)
-            second = self.one_liquid & ~np.array([stable(one, FRACTIONS) for one in made])
+            second = self.one_liquid & ~np.array([stable(one, self.grid.fractions) for one in made])
             made_up = np.sum(second.any(axis=-1) & self.one_liquid.all(axis=-1), axis=1)
             error = off.reshape(self.count, -1).max(axis=1)
             best.improve(_Best(error + _ENOUGH * made_up, parameters, best.alpha.copy(), error))
@@ -145,76 +202,22 @@ class _Problem:
         return best
 
 
-def fits(log_gamma: Array) -> tuple[Array, Array, Array]:
-    """Fit NRTL parameters to many pairs.
+def fits(log_gamma: Array, grid: Grid) -> tuple[Array, Array, Array]:
+    """Fit NRTL parameters with a small largest error of ln gamma wherever the mixture is one liquid.
+
+    If NRTL predicts a spurious second liquid or large errors at high dilution, both are weighed against each other.
 
     Args:
-        log_gamma: [N, T, X, 2] at TEMPERATURES_K and FRACTIONS.
+        log_gamma: [N, T, X, 2] at the temperatures and fractions of the grid.
+        grid: where they are, and how long a fit is improved.
 
     Returns:
         a12, a21, b12, b21, c12, c21 [N, 6]; alpha [N]; the largest error of ln gamma where two mix [N].
     """
-    one_liquid = np.array([stable(one, FRACTIONS) for one in log_gamma])
+    one_liquid = np.array([stable(one, grid.fractions) for one in log_gamma])
     best = _Best(np.full(len(log_gamma), np.inf), *np.zeros((1, len(log_gamma), 6)), *np.zeros((2, len(log_gamma))))
     for tails, splits in _TRIES:
         bad = np.flatnonzero(best.score > _ENOUGH)
-        for alpha in _ALPHAS if len(bad) else ():
-            best.improve(_Problem(log_gamma[bad], one_liquid[bad], tails, splits).best(alpha), bad)
+        for alpha in grid.alphas if len(bad) else ():
+            best.improve(_Problem(log_gamma[bad], one_liquid[bad], grid, tails, splits).best(alpha), bad)
     return best.parameters * np.array([1.0, 1.0, 300.0, 300.0, 3.0, 3.0]), best.alpha, best.error
-
-
-def quick_pairs(
-    pairs: Sequence[tuple[str, str]],
-    materials: Mapping[str, Material],
-    progress: Callable[[int], None] = lambda _: None,
-) -> list[CataloguePair]:
-    """Return the NRTL parameters of some pairs by UNIFAC.
-
-    Args:
-        pairs: of two materials each.
-        materials: what they are, by id.
-        progress: is called with the number of pairs that are done.
-
-    Returns:
-        A row for each pair; pairs that UNIFAC has no groups or interactions for are ideal, which their form says.
-    """
-    curves: dict[Any, tuple[str, Array]] = {}
-    keys = [_curve(two, materials, curves) for two in pairs]
-    wanted = [key for key in curves if key is not None]
-    made: dict[Any, tuple[Array, float, float]] = {}
-    for at in range(0, len(wanted), _CHUNK):
-        part = wanted[at : at + _CHUNK]
-        found = fits(np.array([curves[key][1] for key in part]))
-        made |= {key: (p, float(a), float(e)) for key, p, a, e in zip(part, *found, strict=True)}
-        progress(at + len(part))
-    rows = []
-    for two, key in zip(pairs, keys, strict=True):
-        if key is None:
-            rows.append(CataloguePair(*two, IDEAL_PAIR, 0.3, 0.0, (0.0,) * 6))
-            continue
-        parameters, alpha, error = made[key]
-        rounded = tuple(float(f"{value:.5g}") for value in parameters.tolist())
-        rows.append(CataloguePair(*two, curves[key][0], alpha, float(f"{error:.2g}"), rounded))
-    return rows
-
-
-def _curve(two: tuple[str, str], materials: Mapping[str, Material], curves: dict[Any, tuple[str, Array]]) -> Any:
-    """Put ln gamma of a pair by the best form of UNIFAC that is sound into ``curves``.
-
-    Returns:
-        Its key there, None where no form is sound.
-    """
-    for form in forms_for(two, materials):
-        groups = [found for name in two if (found := form.groups(name, materials[name])) is not None]
-        if len(groups) < 2 or form.lacks(groups):
-            continue
-        key = (form.name, *(tuple(sorted(found.items())) for found in groups))
-        if key in curves:
-            return key
-        with np.errstate(divide="ignore"):
-            log_gamma = form.log_gamma(groups, TEMPERATURES_K, FRACTIONS)
-        ends = np.stack([log_gamma[:, 0, 0], log_gamma[:, -1, 1]])
-        if log_gamma.min() >= _LEAST and np.ptp(ends, axis=1).max() <= _WIDEST:
-            curves[key] = form.name, log_gamma
-            return key
-    return None

@@ -9,16 +9,15 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..config.datafile import DataError
+from ..config.extras import needs
 from ..config.materials import LOCK, shipped_materials
 from .names import element_of, meaning, spellings
 
-try:
+with needs("open chemistry needs rdkit and chemicals", "chem"):
     from chemicals.elements import periodic_table
     from chemicals.identifiers import check_CAS, pubchem_db
     from rdkit import Chem, RDLogger
     from rdkit.Chem.rdMolDescriptors import CalcMolFormula
-except ImportError as error:
-    raise ImportError(f'open chemistry needs rdkit and chemicals ({error}): pip install ".[chem]"') from error
 
 RDLogger.DisableLog("rdApp.*")
 

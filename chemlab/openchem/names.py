@@ -11,10 +11,10 @@ import unicodedata
 from collections.abc import Mapping
 from typing import Any
 
-try:
+from ..config.extras import needs
+
+with needs("names need chemicals", "chem"):
     from chemicals.elements import periodic_table, simple_formula_parser
-except ImportError as error:
-    raise ImportError(f'names need chemicals ({error}): pip install ".[chem]"') from error
 
 _GREEK = (
     "alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "iota", "kappa", "lambda", "mu", "nu", "xi",

@@ -11,17 +11,16 @@ from typing import Any
 import numpy as np
 
 from ..config.datafile import DataError
+from ..config.extras import needs
 from ..config.materials import Dimerization, VaporPressure
 from ..physics.constants import ATMOSPHERE_PA, GAS_CONSTANT, ROOM_K
 from .identity import Compound, molar_mass, parsed
 from .names import is_metal
 
-try:
+with needs("properties need chemicals and thermo", "chem"):
     import chemicals
     import thermo
     from rdkit.Chem import MolFromSmarts
-except ImportError as error:
-    raise ImportError(f'properties need chemicals and thermo ({error}): pip install ".[chem]"') from error
 
 DOUBTFUL = "doubtful: "
 """Prefix of the source of a number that is contradicted but used."""
@@ -139,7 +138,7 @@ _MET = 0.04
 """Maximum relative distance of a vapour pressure from an atmosphere at the boiling point; a material accepts 0.1."""
 _WATSON = 0.38
 _NEARLY_K = 3.0
-"""What melts less above room temperature is handled as a liquid."""
+"""Distance of a melting point above room temperature below which a material is handled as a liquid."""
 _VOLUMES = {"H": 1.0, **dict.fromkeys(("Li", "Be", "B", "C", "N", "O", "F"), 2.0)} | {
     **dict.fromkeys(("Na", "Mg", "Al", "Si", "P", "S", "Cl"), 4.0),
     **dict.fromkeys(("K", "Ca", "Ga", "Ge", "As", "Se", "Br"), 5.0),
@@ -570,13 +569,22 @@ class Properties:
         known = self._correlation("VolumeLiquid", kelvin, _LIQUID_VOLUME)
         if known is not None:
             return Value(self.mass / known.number / 1e6, known.source)
+        return self._estimated_density()
+
+    def _estimated_density(self) -> Value | None:
+        """Return a liquid's density by estimates: the geometric mean of two whose errors are independent."""
         tc, pc, critical = self.critical_temperature, self.critical_pressure, self._critical()
-        if tc and pc and critical and not tc.estimated and not pc.estimated:
-            volumes = self._corresponding_states(*critical)
-            words = "an equation" if len(volumes) == 1 else f"median of {len(volumes)} equations"
-            density = self.mass / float(np.median(list(volumes.values()))) / 1e6
-            return Value(density, f"estimate: {words} of corresponding states ({', '.join(volumes)})")
-        return self._girolami(1.0, "")
+        other = self._girolami(1.0, "")
+        if not (tc and pc and critical) or tc.estimated or pc.estimated:
+            return other
+        volumes = self._corresponding_states(*critical)
+        words = "an equation" if len(volumes) == 1 else f"median of {len(volumes)} equations"
+        density = self.mass / float(np.median(list(volumes.values()))) / 1e6
+        source = f"{words} of corresponding states ({', '.join(volumes)})"
+        if other is None:
+            return Value(density, f"estimate: {source}")
+        mean = math.sqrt(density * other.number)
+        return Value(mean, f"estimate: mean of {other.source.removeprefix('estimate: ')}, and of the {source}")
 
     def _corresponding_states(self, boiling: float, tc: float, pc: float) -> dict[str, float]:
         """Return the liquid's molar volume in m3/mol at 298.15 K by equations of corresponding states."""

@@ -11,17 +11,16 @@ from typing import Any
 
 from ..config.datafile import DataError, toml_key
 from ..config.datamodel import validated, written
+from ..config.extras import needs
 from ..config.materials import Material
 from ..config.reactions import ReactionFamily, load_reactions, shipped_reactions_folder, side_words
 from ..physics.constants import GAS_CONSTANT, ROOM_K
 from .identity import Compound, check_length, composition_of, compound_of, parsed
 from .writing import lock, significant
 
-try:
+with needs("reaction templates need rdkit", "chem"):
     from rdkit import Chem
     from rdkit.Chem import AllChem
-except ImportError as error:
-    raise ImportError(f'reaction templates need rdkit ({error}): pip install ".[chem]"') from error
 
 _MOST_WAYS = 50_000
 """Maximum number of assignments of molecules to a template's places."""

@@ -191,11 +191,6 @@ class Witness:
         return {"end": result}
 
 
-def _is_at(file: BinaryIO, path: Path) -> bool:
-    """Return True if an open file is the one at a path."""
-    return os.path.samestat(os.fstat(file.fileno()), path.stat())
-
-
 def environment_here() -> dict[str, str]:
     """Return versions and platform that numbers may depend on."""
     return {
@@ -304,7 +299,8 @@ class Recorder:
         file = self.part.open("ab" if self._force else "xb")
         try:
             # The process that held the lock may have renamed the file by now.
-            if not (locked(file.fileno()) and self.part.exists() and _is_at(file, self.part)):
+            held = locked(file.fileno()) and self.part.exists()
+            if not (held and os.path.samestat(os.fstat(file.fileno()), self.part.stat())):
                 raise ValueError(f"{self.part}: another process is recording there; wait for it or give another name")
             file.truncate(0)
         except BaseException:

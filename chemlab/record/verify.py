@@ -265,10 +265,11 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
     result = Verification(str(record.path), "ok", "", turns=check.good, score=check.score)
     problems = []
     if check.found is not None:
-        result.where, result.key, recorded, recomputed = check.found
+        result.where, key, recorded, recomputed = check.found
+        result.key = short(key)
         result.recorded, result.recomputed = _shown(recorded), _shown(recomputed)
         result.turn = int(result.where.split()[1]) if result.where.startswith("turn") else None
-        place = ": ".join(part for part in (result.where, short(result.key)) if part)
+        place = ": ".join(part for part in (result.where, result.key) if part)
         problems.append(f"{place}: recorded {short(repr(recorded))}, recomputed {short(repr(recomputed))}")
     elif record.broken is not None:
         problems.append(_broken(record))

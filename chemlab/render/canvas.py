@@ -7,10 +7,10 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
-try:
+from ..config.extras import needs
+
+with needs("pictures need Pillow", "plot"):
     from PIL import Image, ImageDraw, ImageFont
-except ImportError as error:
-    raise ImportError("pictures need Pillow: pip install '.[plot]'") from error
 
 __all__ = ["Box", "Canvas", "Image", "ImageDraw", "TextBox", "text_width"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from ..config.extras import needs
 from ..config.files import draft_of
 
 FORMATS = ("png", "svg", "pdf")
@@ -25,10 +26,8 @@ def import_matplotlib() -> Any:
     Raises:
         ImportError: matplotlib is not installed; the message names the extra.
     """
-    try:
+    with needs("figures need matplotlib", "plot"):
         import matplotlib
-    except ImportError as error:
-        raise ImportError('figures need matplotlib: pip install ".[plot]"') from error
     return matplotlib
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..config.extras import needs
 from .canvas import Image
 from .draw import draw
 from .scene import Scene
@@ -81,8 +82,6 @@ def picture_html(frame: npt.NDArray[np.uint8], name: str) -> str:
 
 
 def _pygame() -> Any:
-    try:
+    with needs("render_mode='human' needs pygame", "human"):
         import pygame
-    except ImportError as error:
-        raise ImportError("render_mode='human' needs pygame: pip install '.[human]'") from error
     return pygame

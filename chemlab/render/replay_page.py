@@ -211,11 +211,8 @@ class Film:
         # determine it.
         frame["liquid_l"] = tuple(liquid_volume(row, chem) for row in labs.shelf.vessels[0])
         self._frames.append(self._pool.frame({key: part for key, part in frame.items() if key not in _STATIC}))
-        self._costs.append(self._spent())
+        self._costs.append([_rounded(cost) for cost in labs.costs().values()])
         self._results.append(_rounded(scene.result))
-
-    def _spent(self) -> list[float]:
-        return [_rounded(cost) for cost in self._labs.costs().values()]
 
     def add(self, tick: int, plays: Sequence[Play]) -> None:
         """Add the scene after a turn.

@@ -31,7 +31,10 @@ def manager_channels(scenario: Scenario, instruments: InstrumentTable, rules: Ru
         channels += _reading_channels(f"slot_{slot}", scenario, instruments)
     for agent in scenario.bench_agents():
         channels += _bench_channels(agent, scenario)
-    channels += [*_stock_channels(scenario), *_order_channels(scenario, rules), *_limit_channels()]
+    channels.append(
+        Channel("stock", len(scenario.stock), "fraction", 0.0, 1.0, "left of: " + ", ".join(scenario.stock))
+    )
+    channels += [*_order_channels(scenario, rules), *_limit_channels()]
     channels += _upkeep_channels(scenario)
     return [channel for channel in channels if channel.size > 0]
 
@@ -119,10 +122,6 @@ def _write_bench(out: ObservationArray, at: int, n: int, b: int, state: ManagerS
         out[at + 1 + state.bench_goal[b, n]] = 1.0
         out[at + 1 + goals] = 1.0 - state.bench_steps[b, n] / rules.limit[b]
     return int(at + 2 + goals)
-
-
-def _stock_channels(scenario: Scenario) -> list[Channel]:
-    return [Channel("stock", len(scenario.stock), "fraction", 0.0, 1.0, "left of: " + ", ".join(scenario.stock))]
 
 
 @inner

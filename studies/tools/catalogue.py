@@ -27,9 +27,8 @@ from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import Material, shipped_materials
 from chemlab.config.pairs import log_activity_coefficients, shipped_pairs
 from chemlab.config.reactions import shipped_reactions_folder
-from chemlab.openchem.activity import is_molecule
+from chemlab.openchem.activity import is_molecule, quick_pairs
 from chemlab.openchem.compounds import _looks, checked_materials, compounds, doubts, estimates, material_tables
-from chemlab.openchem.fits import quick_pairs
 from chemlab.openchem.identity import canonical, molar_mass
 from chemlab.openchem.names import spellings as spelled
 from chemlab.openchem.properties import Value

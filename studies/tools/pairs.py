@@ -22,18 +22,8 @@ from scipy.optimize import least_squares
 
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import Material, load_materials, shipped_materials
-from chemlab.openchem.activity import (
-    FRACTIONS,
-    TEMPERATURES_K,
-    Array,
-    Fit,
-    best_form,
-    is_molecule,
-    make_pairs,
-    nrtl,
-    pair_row,
-    stable,
-)
+from chemlab.openchem.activity import Fit, best_form, is_molecule, make_pairs, nrtl, pair_row
+from chemlab.openchem.fits import FINE, Array, stable
 from chemlab.openchem.writing import pair_text
 from chemlab.physics.constants import GAS_CONSTANT
 
@@ -104,7 +94,7 @@ def fit_measured(measured: Measured, solute: Material, log_gamma: Array) -> Fit:
     """
     temperature, x = measured.temperature_k, measured.mole_fraction
     wanted = ideal_solubility(solute, temperature) - np.log(x)
-    near = (TEMPERATURES_K > 275.0) & (TEMPERATURES_K < 400.0)
+    near = (FINE.temperatures_k > 275.0) & (FINE.temperatures_k < 400.0)
     one_liquid = stable(log_gamma)
     kept = one_liquid[near]
     apart = 0.0 if one_liquid.all() else _SHAPE
@@ -118,12 +108,12 @@ def fit_measured(measured: Measured, solute: Material, log_gamma: Array) -> Fit:
 
         def residuals(p: Array, alpha: float = alpha) -> Array:
             full = np.array([*p, 0.0, 0.0])
-            shape = nrtl(full, alpha, TEMPERATURES_K[near], FRACTIONS)[..., 1] - log_gamma[near][..., 1]
+            shape = nrtl(full, alpha, FINE.temperatures_k[near], FINE.fractions)[..., 1] - log_gamma[near][..., 1]
             return np.concatenate([off(full, alpha), apart * np.where(kept, shape, 0.0).ravel(), _SMALL * p / scale])
 
         found = least_squares(residuals, np.array([0.1, 0.1, 100.0, 100.0]), x_scale=scale, max_nfev=500)
         parameters = np.array([*found.x, 0.0, 0.0])
-        made_up = np.any(one_liquid & ~stable(nrtl(parameters, alpha, TEMPERATURES_K, FRACTIONS)), axis=1)
+        made_up = np.any(one_liquid & ~stable(nrtl(parameters, alpha, FINE.temperatures_k, FINE.fractions)), axis=1)
         made = Fit(parameters, alpha, float(np.abs(off(parameters, alpha)).max()))
         scored.append((float(found.cost) + _MADE_UP * int(np.sum(made_up & np.all(one_liquid, axis=1))), made))
     return min(scored, key=lambda pair: pair[0])[1]

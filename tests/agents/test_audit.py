@@ -43,16 +43,6 @@ def test_the_scale_has_random_at_0_and_the_clairvoyant_at_1() -> None:
     assert scale.deviation(oracle)[0] == pytest.approx(oracle.std() / (oracle.mean() - random.mean()))
 
 
-def test_intervals_hold_what_they_promise() -> None:
-    """Of 100 samples of 60 numbers about 95 intervals have the true mean in them (standard error 2.2)."""
-    draw, inside = np.random.default_rng(2), 0
-    for _ in range(100):
-        scores = draw.normal(0.3, 0.2, 60)
-        told = interval(Scale(np.zeros(60), np.ones(60)).mean(scores))
-        inside += told["low"] <= 0.3 <= told["high"]
-    assert 88 <= inside <= 100
-
-
 def test_the_interval_of_a_scale_that_does_not_vary_is_students() -> None:
     """Where every episode goes from 0 to 1, a normalized mean is a mean; of a single episode there is no interval."""
     scores = np.random.default_rng(3).normal(0.5, 0.2, 12)

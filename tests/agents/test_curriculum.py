@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from sb3_contrib import MaskablePPO, RecurrentPPO
+from test_training import Killed, Stop
 
 from chemlab.agents.learners import load_learner
 from chemlab.agents.policies import make_policies
@@ -22,7 +23,6 @@ from chemlab.agents.train import imitate as imitation
 from chemlab.agents.train.arguments import Stage, curriculum_of, training_arguments
 from chemlab.agents.train.imitate import _examples, fit
 from chemlab.agents.train.learn import train
-from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.tasks import LaboratoryTask
 from chemlab.config.datafile import DataError
 from chemlab.config.inherit import scenario_names
@@ -208,25 +208,13 @@ def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(imitation, "_EPOCHS", 1)
 
 
-class _Stop(Watcher):
-    """Stops a run after some rollouts, as a signal would."""
-
-    def __init__(self, rounds: int) -> None:
-        self.rounds = rounds
-
-    def advanced(self, step: int, mean: float | None, note: str = "") -> None:
-        self.rounds -= 1
-        if not self.rounds:
-            raise KeyboardInterrupt
-
-
 @pytest.mark.usefixtures("hasty")
 @pytest.mark.slow
 def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
     arguments = training_arguments({**SMALL, "bc": "scripted", "bc_steps": 200})
     train(arguments, tmp_path / "whole")
-    with pytest.raises(KeyboardInterrupt):
-        train(arguments, tmp_path / "broken", _Stop(2))
+    with pytest.raises(Killed):
+        train(arguments, tmp_path / "broken", Stop(2))
     train(arguments, tmp_path / "broken")
     whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
     assert [(p.step, p.return_mean) for p in whole.curve()] == [(p.step, p.return_mean) for p in broken.curve()]

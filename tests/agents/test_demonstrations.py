@@ -14,13 +14,11 @@ from helpers import record_episode
 from typer.testing import CliRunner
 
 from chemlab.agents.demonstrations import demonstrations, write_datasets
-from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.parallel import parallel_env
 from chemlab.envs.role_env import RoleEnv
-from chemlab.record import Play, Recorder, read_record
+from chemlab.record import read_record
 from chemlab.render.history import RecordReplay
 
 runner = CliRunner()
@@ -139,35 +137,6 @@ def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: P
                 np.testing.assert_array_equal(d.masks[i + 1], info["action_mask"])
             compared += 1
     assert compared == sum(len(d.actions) for agent, ds in told.items() if agent != "manager_0" for d in ds)
-
-
-def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
-    env = parallel_env("wurtz_two_lines")
-    labs = env.laboratories
-    policies = make_policies("scripted", labs, 0)
-    env.reset(seed=2)
-    with Recorder(tmp_path / "rounds.jsonl", labs, rounds=True) as recorder:
-        recorder.begin(2)
-        while env.agents:
-            plays, actions = [], {}
-            turns = labs.turns(labs.members)[:, 0]
-            for number, agent in enumerate(labs.agents):
-                seen, mask = labs.observe(number, labs.members), labs.mask(number, labs.members)
-                if turns[number]:
-                    action = policies[agent].act(seen, mask, labs.turns_had(number)[:1].copy(), labs.members)[0]
-                    plays.append(Play(number, seen[0], None if mask is None else mask[0], action))
-                    actions[agent] = action
-                else:
-                    actions[agent] = (
-                        env.action_space(agent).sample() if mask is None else labs.roles[number].resting_action
-                    )
-            env.step(actions)
-            recorder.turn(plays)
-    found = read_record(tmp_path / "rounds.jsonl")
-    assert found.end is not None
-    for agent, episodes in demonstrations(found).items():
-        earned = sum(sum(d.rewards) for d in episodes)
-        assert earned == pytest.approx(found.end["end"]["rewards"][agent], abs=1e-12)
 
 
 def test_an_unfinished_record_is_truncated(scripted: Path, tmp_path: Path) -> None:

@@ -14,14 +14,12 @@ import job_functions
 import pytest
 from helpers import until
 from job_functions import asked, held, killed_at_first, refused, trains_for_long, waits
-from typer.testing import CliRunner
 
 from chemlab.agents import executors
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, AuditBudget, Crew, Job
 from chemlab.agents.evaluate.play import evaluate, find_target
 from chemlab.agents.executors import ATTEMPTS, Inline, WorkerLost, Workers, completed, executor
 from chemlab.agents.runs import Run
-from chemlab.cli import app
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
@@ -188,19 +186,6 @@ def test_ctrl_c_ends_the_commands_that_jobs_have_started(tmp_path: Path) -> None
         interrupted(trains_for_long, tmp_path, run.curve_file.exists)
     until(lambda: not run.busy())
     assert run.result() is None
-
-
-@pytest.mark.parametrize(
-    ("address", "module", "extra"), [("127.0.0.1:9", "ray", "ray"), ("slurm", "submitit", "slurm")]
-)
-def test_an_extra_that_is_missing_is_named(
-    address: str, module: str, extra: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, module, None)
-    command = ["evaluate", "chemlab/WurtzDistillation-v0", "--episodes", "1", "--address", address]
-    result = CliRunner().invoke(app, command)
-    assert result.exit_code == 2
-    assert f'pip install ".[{extra}]"' in " ".join(result.output.split())
 
 
 def test_a_place_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -98,23 +98,6 @@ def test_looking_finds_vessels_that_meet_the_order() -> None:
     assert met["scripted"] > met["scripted:unsafe"] + 0.15
 
 
-def test_memory_can_be_put_back() -> None:
-    labs = Laboratories("crude")
-    manager: Any = scripted_manager(labs)
-    labs.seed(0, 0)
-    labs.reset(labs.members)
-
-    def decided() -> int:
-        seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
-        return int(manager.act(seen, mask, labs.turns_had(0)[labs.members], labs.members)[0])
-
-    labs.act(0, labs.members, np.array([decided()]))
-    kept = manager.get_memory()
-    first = decided()
-    manager.set_memory(kept)
-    assert decided() == first
-
-
 def test_likelihoods_are_those_of_independent_normal_errors() -> None:
     draw = np.random.default_rng(0)
     readings, expected = draw.random((2, 4, 3)), draw.random((6, 3))

@@ -19,7 +19,7 @@ from chemlab.agents.notes import notes_size
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import Evaluation, Run
-from chemlab.agents.train import joint, ppo
+from chemlab.agents.train import imitate, joint
 from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
@@ -243,7 +243,7 @@ def test_clones_that_explore_still_do_what_they_were_shown(monkeypatch: pytest.M
     assert hit["rxn"] < 0.05, "mean difference of numbers from 0 to 1"
     assert (spread >= 0.019).all()
     assert spread.mean() < 4.0 * hit["rxn"] + 0.03
-    monkeypatch.setitem(ppo._CLONE, "updates", 1)
+    monkeypatch.setattr(imitate, "_UPDATES", 1)
     team.clone("scripted", 100, 1, 0.3)
     np.testing.assert_allclose(team.learners["rxn"].network.log_std.detach().exp(), 0.3, rtol=1e-6)
 

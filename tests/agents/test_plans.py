@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import mapping, slow_but
+from helpers import Watched, mapping, slow_but
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_laboratory
@@ -46,22 +46,6 @@ def small(actions: int) -> Scenario:
     values["shelf"]["slots"] = 3
     values["limits"]["manager_actions"] = actions
     return load_scenario(values)
-
-
-class Watched:
-    """Another manager's policy that keeps what each member plays, and what was legal."""
-
-    def __init__(self, policy: Any, laboratories: Laboratories) -> None:
-        self._policy = policy
-        self.actions: list[list[int]] = [[] for _ in laboratories.members]
-        self.legal: list[list[bool]] = [[] for _ in laboratories.members]
-
-    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
-        actions = self._policy.act(observation, mask, step, members)
-        for i, member in enumerate(members):
-            self.actions[member].append(int(actions[i]))
-            self.legal[member].append(bool(mask[i, actions[i]]))
-        return actions
 
 
 def watched(scenario: str | Scenario, manager: Any, count: int, seed: int = 0) -> tuple[Watched, IntArray]:

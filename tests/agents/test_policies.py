@@ -55,11 +55,6 @@ def test_random_actions_are_uniform_over_the_legal_ones() -> None:
     assert chi_square(counts[legal]) < 30.0  # 6 degrees of freedom: beyond 30 once in 25,000
 
 
-def test_the_only_legal_action_is_taken() -> None:
-    mask = np.eye(12, dtype=np.int8)
-    assert act(RandomPolicy(0, 3), mask).tolist() == list(range(12))
-
-
 def test_random_numbers_are_uniform_and_in_the_box() -> None:
     policy = RandomPolicy(6, 2)
     n = 5000

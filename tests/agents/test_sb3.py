@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
 import pickle
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -252,13 +250,6 @@ def test_pickles_go_on_alike() -> None:
             np.testing.assert_array_equal(one, other)
     venv.close()
     twin.close()
-
-
-def test_without_stable_baselines3_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "chemlab.agents.sb3")
-    monkeypatch.setitem(sys.modules, "stable_baselines3.common.vec_env", None)
-    with pytest.raises(ImportError, match=r'pip install "\.\[train\]"'):
-        importlib.import_module("chemlab.agents.sb3")
 
 
 # -- learners ---------------------------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -164,23 +163,6 @@ def test_lines_that_were_lost_before_the_checkpoint_come_back(tmp_path: Path) ->
         file.write_text("".join(file.read_text().splitlines(keepends=True)[:1]))
     train(arguments, broken.path)
     assert without_times(broken) == without_times(whole)
-
-
-COMMAND = [sys.executable, "-m", "chemlab", "train"]
-
-
-def start(arguments: Single, out: Path) -> subprocess.Popen[str]:
-    command = [*COMMAND, arguments.scenario, *arguments.flags(), "--out", str(out), "--quiet"]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
-
-
-def wait_for(condition: Callable[[], bool], process: subprocess.Popen[str]) -> None:
-    """Until the condition holds, or fail with what the process said."""
-    deadline = time.monotonic() + 600
-    while not condition():
-        assert process.poll() is None, process.communicate()[0]
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 def test_tensorboard_shows_no_gap_and_nothing_twice(tmp_path: Path) -> None:
@@ -763,16 +745,6 @@ def test_a_recurrent_learner_is_not_for_benches_that_a_laboratory_begins_anew(tm
     with pytest.raises(ValueError, match="begins anew with each experiment"):
         train(training_arguments(values), tmp_path / "run")
     assert not (tmp_path / "run").exists()
-
-
-def test_without_the_extra_the_error_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for module in ("learn", "loop", "single", "joint", "ppo"):
-        monkeypatch.delitem(sys.modules, f"chemlab.agents.train.{module}")
-    monkeypatch.delattr("chemlab.agents.train.learn", raising=False)
-    monkeypatch.setitem(sys.modules, "sb3_contrib", None)
-    result = CliRunner().invoke(app, ["train", RXN, "--steps", "1", "--out", str(tmp_path)])
-    assert result.exit_code == 2, result.output
-    assert 'pip install ".[train]"' in result.output.replace("\n", "")
 
 
 def test_curves_survive_a_cut_line(tmp_path: Path) -> None:

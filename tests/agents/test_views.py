@@ -13,7 +13,7 @@ import chemlab
 from chemlab.agents.background import background_policies, role_env, role_vector_env
 from chemlab.agents.policies import make_policies, policy_names
 from chemlab.agents.random_policy import RandomPolicy
-from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 
 assert chemlab.__version__, "importing chemlab registers the ids"
@@ -135,29 +135,3 @@ def test_unknown_backgrounds_are_refused(background: Any, error: type[Exception]
             make()
         for part in parts:
             assert part in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    "background", [name for name in policy_names() if name not in ("scripted:memoryless", "scripted:fifo")]
-)
-def test_a_used_view_plays_like_a_new_one(background: str) -> None:
-    """Whatever was played before: the same seed is the same episode, policies' memories and streams included."""
-
-    def episode(env: RoleEnv, seed: int, steps: int) -> list[Any]:
-        rng = np.random.default_rng(0)
-        observation, info = env.reset(seed=seed)
-        seen = [observation]
-        for _ in range(steps):
-            observation, reward, terminated, truncated, info = env.step(
-                int(rng.choice(np.flatnonzero(info["action_mask"])))
-            )
-            seen += [observation, np.array([reward])]
-            if terminated or truncated:
-                break
-        return seen
-
-    env = role_env("wurtz_dodecane", "dit_0", background)
-    first = episode(env, 1, 30)
-    episode(env, 2, 7)  # broken off
-    for one, other in zip(episode(env, 1, 30), first, strict=True):
-        np.testing.assert_array_equal(one, other)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import mapping
+from helpers import Watched, mapping
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies, scripted_manager
@@ -32,23 +32,10 @@ from chemlab.roles.manager_actions import MEASURE, SUBMIT
 GAS = 8.314462618
 
 
-class Watched:
-    """Another manager, whose actions are kept by member."""
-
-    def __init__(self, policy: Any, members: int) -> None:
-        self.policy, self.played = policy, [[] for _ in range(members)]  # type: ignore[var-annotated]
-
-    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
-        actions = self.policy.act(observation, mask, step, members)
-        for member, action in zip(members.tolist(), actions.tolist(), strict=True):
-            self.played[member].append(action)
-        return actions
-
-
 def played(name: str, policy: str, members: int, values: dict[str, Any] | None = None) -> tuple[Laboratories, Watched]:
     labs = Laboratories(load_scenario(values or name), members, split="validation")
     policies = make_policies(policy, labs, 0)
-    policies["manager_0"] = watched = Watched(policies["manager_0"], members)
+    policies["manager_0"] = watched = Watched(policies["manager_0"], labs)
     play_laboratory(labs, policies, None, 100)
     return labs, watched
 
@@ -80,12 +67,12 @@ def test_the_vessel_that_is_chosen_is_the_right_one() -> None:
     for member in range(40):
         goal = labs.scenario.goals[labs.state.goal[member, 0]]
         held, titre = (labs.worlds.values(member)[name] for name in ("identity", "titre"))
-        first = next(action for action in watched.played[member] if labs.actions.decode(action)[0] == "start")
+        first = next(action for action in watched.actions[member] if labs.actions.decode(action)[0] == "start")
         slot = f"slot_{labs.actions.decode(first)[2]}"
         assert held[slot] == halide[goal]
         other = next(name for name in held if name != slot and held[name] == halide[goal])
         better.append(titre[slot] > titre[other])
-        looks = [action for action in watched.played[member] if kinds[action, 0] == MEASURE]
+        looks = [action for action in watched.actions[member] if kinds[action, 0] == MEASURE]
         assert len(looks) == len(set(looks))
     # Of two that are right it need not know both, but a poor one makes it go on looking.
     assert np.mean(better) > 0.7
@@ -96,7 +83,7 @@ def test_nobody_looks_where_it_costs_more_than_it_is_worth() -> None:
     for instrument in values["instruments"].values():
         instrument["price"] = 0.39
     labs, watched = played("unlabelled", "scripted", 5, values)
-    first = [labs.actions.decode(actions[0])[0] for actions in watched.played]
+    first = [labs.actions.decode(actions[0])[0] for actions in watched.actions]
     assert first == ["start"] * 5
     # As much as any one of eight vessels holds what is needed: two of them do.
     manager = scripted_manager(labs)
@@ -154,7 +141,7 @@ def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
     for policy in ("scripted", "scripted:memoryless"):
         labs, watched = played("campaign", policy, 30)
         counts = np.zeros((30, 4))
-        for member, actions in enumerate(watched.played):
+        for member, actions in enumerate(watched.actions):
             batch = 0
             for kind in labs.actions.table[actions, 0]:
                 counts[member, min(batch, 3)] += kind == MEASURE
@@ -176,7 +163,7 @@ def test_earlier_looks_are_worth_remembering() -> None:
 
 def test_memories_are_put_back() -> None:
     """An episode that is taken up again half way goes on as it did."""
-    for name in ("campaign", "unlabelled", "failing", "rush", "relay", "refine"):
+    for name in ("campaign", "unlabelled", "failing", "rush", "relay", "refine", "crude"):
         labs = Laboratories(name, 2, split="test")
         players = Players(labs, list(make_policies("scripted", labs, 0).values()))
         labs.begin(7)
@@ -221,8 +208,10 @@ def failing(**wear: Any) -> dict[str, Any]:
 
 def counted(labs: Laboratories, watched: Watched) -> dict[str, float]:
     """How often the manager does what, in the mean over episodes."""
-    kinds = [labs.actions.decode(action)[0] for actions in watched.played for action in actions]
-    return {str(kind): kinds.count(kind) / len(watched.played) for kind in ("measure", "calibrate", "repair", "submit")}
+    kinds = [labs.actions.decode(action)[0] for actions in watched.actions for action in actions]
+    return {
+        str(kind): kinds.count(kind) / len(watched.actions) for kind in ("measure", "calibrate", "repair", "submit")
+    }
 
 
 def test_a_line_that_is_known_is_not_looked_at() -> None:
@@ -315,7 +304,7 @@ def test_an_order_that_cannot_be_met_in_time_is_let_go() -> None:
 def test_a_near_deadline_gets_the_quick_grade() -> None:
     values = known_shop("relay", 1, within=[25.0])
     labs, watched = played("relay", "scripted", 2, values)
-    for actions in watched.played:
+    for actions in watched.actions:
         starts = [labs.actions.decode(a) for a in actions if labs.actions.decode(a)[0] == "start"]
         slot = starts[0][2]
         assert [start[1:] for start in starts] == [("rxn_0", slot, "F", "quick"), ("fin_0", slot, "E", "quick")]

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import FEATURED
+from helpers import FEATURED, seeded
 from pettingzoo.test import (
     api_test,
     bombardment_test,
@@ -46,20 +46,12 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 
-def seed_spaces(env: Any) -> None:
-    """The tests sample actions from the spaces."""
-    for i, agent in enumerate(env.possible_agents):
-        env.action_space(agent).seed(i)
-
-
 # -- its tests --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FEATURED)
 def test_parallel_api(name: str) -> None:
-    env = parallel_env(name)
-    seed_spaces(env)
-    parallel_api_test(env, num_cycles=200)
+    parallel_api_test(seeded(parallel_env(name)), num_cycles=200)
 
 
 @pytest.mark.parametrize("name", SOME)
@@ -81,9 +73,7 @@ class StepReturnsObservation(BaseWrapper):
 
 @pytest.mark.parametrize("name", SOME)
 def test_bombardment(name: str) -> None:
-    env = StepReturnsObservation(laboratory_env(name))
-    seed_spaces(env)
-    bombardment_test(env, cycles=100)
+    bombardment_test(StepReturnsObservation(seeded(laboratory_env(name))), cycles=100)
 
 
 @pytest.mark.parametrize("name", SOME)
@@ -104,9 +94,7 @@ def test_render(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_conversions() -> None:
-    env = parallel_to_aec(parallel_env())
-    seed_spaces(env)
-    api_test(env, num_cycles=100)
+    api_test(seeded(parallel_to_aec(parallel_env())), num_cycles=100)
     with pytest.raises(AssertionError, match="is_parallelizable"):
         aec_to_parallel(laboratory_env())
 

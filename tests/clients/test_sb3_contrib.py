@@ -18,14 +18,11 @@ from helpers import watched, weights
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
 from sb3_contrib.common.maskable.utils import is_masking_supported
-from stable_baselines3 import PPO
 from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
-from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.monitor import Monitor
 
 import chemlab  # noqa: F401 - registers the environments
-from chemlab.agents.background import role_env, role_vector_env
+from chemlab.agents.background import role_vector_env
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.config.loading import load_scenario
 
@@ -91,28 +88,3 @@ def test_single_and_batched_views_train_alike() -> None:
 
 
 # -- benches ----------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("agent", ["ext_0", "dit_0"])
-def test_masked_ppo_operates_a_bench_in_a_running_laboratory(agent: str) -> None:
-    venv = ChemlabVecEnv(role_vector_env(4, agent=agent, autoreset_mode="SameStep"))
-    assert learned(MaskablePPO("MlpPolicy", venv, **SMALL), 256)["illegal"] == 0
-
-
-def test_ppo_operates_a_reaction_in_a_running_laboratory() -> None:
-    venv = ChemlabVecEnv(role_vector_env(4, agent="rxn_0", autoreset_mode="SameStep"))
-    assert not is_masking_supported(venv)
-    model = PPO("MlpPolicy", venv, **SMALL)
-    assert learned(model, 256)["ends"] > 0
-    env = Monitor(role_env(agent="rxn_0"))
-    mean, _ = evaluate_policy(model, env, n_eval_episodes=1)
-    assert np.isfinite(mean)
-    # And the trained one can be a colleague of the manager.
-    manager = role_env(background={"rxn": model})
-    seen, _ = manager.reset(seed=0)
-    for _ in range(5):
-        mask = manager.action_masks()
-        seen, _, terminated, truncated, _ = manager.step(int(np.flatnonzero(mask)[0]))
-        assert manager.observation_space.contains(seen)
-        if terminated or truncated:
-            break

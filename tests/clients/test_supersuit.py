@@ -23,7 +23,7 @@ import pytest
 pytest.importorskip("supersuit", reason="SuperSuit is not installed: pip install supersuit")
 
 import supersuit as ss
-from helpers import random_legal
+from helpers import random_legal, seeded
 from pettingzoo.test import api_test, parallel_api_test
 
 import chemlab  # noqa: F401 - registers the environments
@@ -44,13 +44,6 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning", "ignore::Deprecat
 def legal(env: Any, agent: str, info: dict[str, Any], rng: np.random.Generator) -> Any:
     """A random legal action of an agent."""
     return random_legal(env.action_space(agent), info.get("action_mask"), rng)
-
-
-def seeded(env: Any) -> Any:
-    """The environment; PettingZoo's tests sample actions from the spaces."""
-    for i, agent in enumerate(env.possible_agents):
-        env.action_space(agent).seed(i)
-    return env
 
 
 def test_wrapped_laboratories_keep_to_pettingzoos_interface_and_masks_come_through() -> None:

@@ -17,7 +17,6 @@ from torchrl.envs.utils import check_env_specs
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import agent_policy, make_policies
 from chemlab.agents.torchrl.env import TorchLaboratory
-from chemlab.envs.batch import BatchedLaboratory
 from chemlab.lab.engine import Laboratories
 from chemlab.laboratory import parallel_env
 
@@ -121,22 +120,6 @@ def test_a_bad_seed_is_refused_when_it_is_given(seed: Any) -> None:
     with pytest.raises(ValueError, match="seed: must be an integer of at least 0"):
         env._set_seed(seed)
     assert torch.equal(env.reset()["state"], TorchLaboratory(2, "unlabelled", seed=3).reset()["state"])
-
-
-def test_without_autoreset_a_batch_waits_for_whoever_steps_it() -> None:
-    waiting = BatchedLaboratory(2, "wurtz_dodecane", autoreset=False)
-    _, infos = waiting.reset(seed=0)
-    submit = [m.startswith("submit") for m in waiting.laboratories.actions.action_meanings].index(True)
-    start = [m.startswith("start rxn") for m in waiting.laboratories.actions.action_meanings].index(True)
-    assert infos["manager_0"]["action_mask"][:, submit].all()
-    observations, _, terminated, _, infos = waiting.step({"manager_0": np.array([submit, start])})
-    assert terminated.tolist() == [True, False]
-    np.testing.assert_array_equal(infos["manager_0"]["final_obs"][0], observations["manager_0"][0])
-    assert not any(infos[agent]["has_turn"][0] for agent in waiting.possible_agents)
-    with pytest.raises(ValueError, match="reset_mask"):
-        waiting.step({"manager_0": np.array([submit, start])})
-    waiting.reset(options={"reset_mask": np.array([True, False])})
-    assert waiting.laboratories.state.actions.tolist() == [0, 1]
 
 
 # -- BenchMARL --------------------------------------------------------------------------------------------------------

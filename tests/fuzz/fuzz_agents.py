@@ -279,7 +279,7 @@ TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
 
 
 def attempt(folder: Path, kind: str, rng: np.random.Generator) -> str:
-    """One try: ``loaded``, or what was wrong with the file.
+    """One try: ``loaded`` or ``refused``.
 
     Raises:
         Exception: anything but a readable error: that is what is looked for.
@@ -289,17 +289,12 @@ def attempt(folder: Path, kind: str, rng: np.random.Generator) -> str:
             warnings.simplefilter("ignore")
             TRIES[kind](folder, rng)
     except ValueError as error:
-        return refused(error, folder)
+        message, library = str(error), type(error).__module__
+        assert str(folder) in message or "does not fit" in message, f"names no file: {message[:300]}"
+        assert len(message) <= LONGEST_MESSAGE, f"a message of {len(message)} characters: {message[:300]}"
+        assert library.startswith(("builtins", "chemlab")), f"of another library: {library}: {message[:300]}"
+        return "refused"
     return "loaded"
-
-
-def refused(error: ValueError, folder: Path) -> str:
-    """What was wrong, if it can be read."""
-    message = str(error)
-    assert str(folder) in message or "does not fit" in message, f"names no file: {message[:300]}"
-    assert len(message) <= LONGEST_MESSAGE, f"a message of {len(message)} characters: {message[:300]}"
-    assert type(error).__module__.startswith(("builtins", "chemlab")), f"of another library: {error!r:.300}"
-    return message.replace(str(folder), "")
 
 
 def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tuple[Counter[str], list[str]]:

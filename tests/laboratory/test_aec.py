@@ -12,7 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import FEATURED, mapping, random_legal
+from helpers import FEATURED, manager, mapping, random_legal, seeded
 from pettingzoo.test import api_test
 from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
@@ -26,26 +26,6 @@ from chemlab.roles.manager_actions import SUBMIT
 from chemlab.roles.manager_state import CLOSED
 
 WURTZ = "wurtz_dodecane"
-
-
-def manager(env: raw_env, *action: str | int) -> None:
-    """Let the manager, which must have the turn, do something."""
-    assert env.agent_selection == "manager_0"
-    env.step(env.laboratories.actions.encode(*action))  # type: ignore[arg-type]
-
-
-def idle(env: raw_env) -> Any:
-    """An action of the selected bench that leaves the vessels nearly as they are: hold, settle or cool."""
-    bench = env.laboratories.benches[env.possible_agents.index(env.agent_selection) - 1]
-    if bench.key.startswith("rxn"):
-        return np.array([0.5, 0.5] + [0.0] * bench.reagents)
-    meanings = bench.action_meanings
-    return next(i for i, words in enumerate(meanings) if words.startswith(("settle", "cool")))
-
-
-def end(env: raw_env) -> int:
-    """The selected bench's action that ends its experiment."""
-    return int(env.action_space(env.agent_selection).n) - 1  # type: ignore[attr-defined]
 
 
 def random_turn(env: raw_env, rng: np.random.Generator, submit: bool = True) -> Any:
@@ -70,10 +50,7 @@ def random_turn(env: raw_env, rng: np.random.Generator, submit: bool = True) -> 
 )
 @pytest.mark.parametrize("name", FEATURED)
 def test_api(name: str) -> None:
-    env = laboratory_env(name)
-    for i, agent in enumerate(env.possible_agents):
-        env.action_space(agent).seed(i)
-    api_test(env, num_cycles=500)
+    api_test(seeded(laboratory_env(name)), num_cycles=500)
 
 
 @pytest.mark.filterwarnings("error::UserWarning")

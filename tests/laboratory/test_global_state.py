@@ -135,18 +135,3 @@ def test_nothing_is_missing(name: str) -> None:
     assert (env.state() != whole).any()
     labs.restore(before)
     np.testing.assert_array_equal(env.state(), whole)
-
-
-def test_it_knows_what_nobody_sees() -> None:
-    """Water for ether in a closed vessel on the shelf: to every agent the same, to the state not."""
-    env = raw_env("wurtz_dodecane")
-    env.reset(seed=0)
-    labs = env.laboratories
-    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 1.0})
-    seen, state = [env.observe(agent) for agent in env.agents], env.state()
-    litres = labs.shelf.vessel(0, 0).volume_l
-    water = env.scenario.materials["water"]
-    labs.shelf.fill(0, 0, 1.2, {"water": litres * 1000.0 * water.density_kg_l / water.molar_mass_g_mol})
-    for agent, before in zip(env.agents, seen, strict=True):
-        np.testing.assert_allclose(env.observe(agent), before, atol=1e-6)
-    assert np.abs(env.state() - state).max() > 0.05

@@ -11,27 +11,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED, laboratory, litres, manager
+from helpers import FEATURED, laboratory, manager
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import CLOCK, CLOCK_WAS, PRESENT, ROLE_GAS, TEMPERATURE
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 from chemlab.roles.bench import channel_slices
-from chemlab.roles.manager_actions import MEASURE, SUBMIT
+from chemlab.roles.manager_actions import MEASURE
 
 WURTZ = "wurtz_dodecane"
-
-
-def half_full(scenario: Scenario, mixture: dict[str, float]) -> dict[str, float]:
-    """The mixture, as much of it as fills half of 1.2 L: a fraction that no rounding can tell apart."""
-    scale = 0.6 / litres(scenario, mixture)
-    return {name: scale * mol for name, mol in mixture.items()}
 
 
 def disguise(labs: Laboratories, member: int, positions: Any, rng: np.random.Generator) -> None:
@@ -75,77 +68,6 @@ def play(labs: Laboratories, rng: np.random.Generator, measure: bool = True) -> 
 
 
 # -- the manager ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_laboratories_that_differ_inside_look_alike(name: str) -> None:
-    """Whatever the manager does but measuring the disguised vessels, legal or not: equal observations, masks, costs."""
-    scenario = load_scenario(name)
-    labs = Laboratories(scenario, 2)
-    both, rng = labs.members, np.random.default_rng(1)
-    for member in both:
-        labs.seed(int(member), 1)
-    labs.reset(both)
-    labs.state.goal[1] = labs.state.goal[0]
-    names = [key for key, material in scenario.materials.items() if material.role != "gas"]
-    hidden, open_slots = (0, 1), range(2, min(scenario.shelf.slots, 5))
-    for slot in range(scenario.shelf.slots):
-        labs.shelf.vessels[:, slot] = 0.0
-    known = half_full(scenario, {"diethyl_ether" if "diethyl_ether" in names else names[0]: 1.0})
-    for member in both:
-        for slot in hidden:
-            mixture = {key: float(rng.random()) for key in rng.choice(names, 4, replace=False)}
-            labs.shelf.fill(int(member), slot, 1.2, half_full(scenario, mixture))
-        for slot in open_slots:
-            labs.shelf.fill(int(member), slot, 1.2, known)
-
-    def alike() -> None:
-        seen, masks = labs.observe(0, both), labs.mask(0, both)
-        assert masks is not None
-        np.testing.assert_array_equal(seen[0], seen[1])
-        np.testing.assert_array_equal(masks[0], masks[1])
-        assert labs.costs(0) == pytest.approx(labs.costs(1), rel=1e-12, abs=1e-15)
-        np.testing.assert_array_equal(labs.rewards[0], labs.rewards[1])
-
-    alike()
-    instruments = len(scenario.instruments)
-    for _ in range(25):
-        masks = labs.mask(0, both)
-        assert masks is not None
-        allowed = []
-        for action in range(len(labs.actions)):
-            kind, *arguments = labs.actions.decode(action)
-            last = labs.shelf.vessels[0, : scenario.shelf.slots, PRESENT].sum() < 3
-            untouched = arguments and kind in ("discard", "measure") and arguments[0] in hidden
-            if (not untouched and kind not in ("submit", "start")) and not (last and kind == "discard"):
-                allowed.append(action)
-            elif not masks[0, action]:
-                allowed.append(action)  # a lost turn tells nothing either
-        labs.act(0, both, np.repeat(rng.choice(allowed), 2))
-        if labs.state.status[0] != 0:
-            break
-        alike()
-    before = labs.snapshot()
-    if labs.state.status[0] == 0:
-        told = 0
-        for instrument in scenario.instruments:
-            labs.restore(before)
-            action = labs.actions.encode("measure", 0, instrument)
-            legal = labs.mask(0, both)
-            assert legal is not None
-            if not legal[0, action]:
-                continue  # the budget is spent
-            labs.act(0, both, np.repeat(action, 2))
-            seen = labs.observe(0, both)
-            at = channel_slices(labs.channels)
-            told += not np.array_equal(seen[0], seen[1])
-            # What differs is that reading.
-            seen[:, at[f"slot_0_{instrument}"]] = 0.0
-            np.testing.assert_array_equal(seen[0], seen[1])
-        assert told >= min(instruments, 1) or not any(
-            legal is not None and legal[0, labs.actions.encode("measure", 0, instrument)]
-            for instrument in scenario.instruments
-        )
 
 
 @pytest.mark.parametrize("name", FEATURED)
@@ -310,21 +232,6 @@ def test_an_empty_slot_shows_nothing(name: str) -> None:
             parts = [part for part in at if part.startswith(f"slot_{slot}_")]
             for part in parts:
                 assert (seen[at[part]] == float(part.endswith("_age"))).all(), part
-
-
-def test_hidden_states_differ_and_scores_with_them() -> None:
-    """Looking alike is not being alike: the same submission of two disguised vessels is worth different scores."""
-    scenario = load_scenario(WURTZ)
-    labs = Laboratories(scenario, 2)
-    for member, mixture in enumerate(({"dodecane": 1.0}, {"dodecane": 1.0, "diethyl_ether": 1.0})):
-        labs.seed(member, 0)
-        labs.reset(np.array([member]))
-        labs.shelf.fill(member, 0, 1.2, half_full(scenario, mixture))
-    seen = labs.observe(0, labs.members)
-    np.testing.assert_array_equal(seen[0], seen[1])
-    submit = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT)[0]
-    labs.act(0, labs.members, np.repeat(submit, 2))
-    assert labs.rewards[0, 0] > labs.rewards[1, 0] > 0.0
 
 
 # -- readings that the manager's observation has ---------------------------------------------------------------------

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
-from helpers import FEATURED, assert_plays_rounds, lasting
+from helpers import assert_plays_rounds, lasting
 
 from chemlab.laboratory import parallel_env
 
@@ -60,50 +59,6 @@ def test_one_script_is_one_episode(name: str) -> None:
 # -- masks ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", FEATURED)
-def test_who_has_no_turn_has_one_action(name: str) -> None:
-    """Without the turn the mask allows ``wait`` or ``end`` alone; playing by masks alone loses no turn by it."""
-    env = parallel_env(name)
-    labs = env.laboratories
-    observations, infos = env.reset(seed=0)
-    for i, agent in enumerate(env.possible_agents):
-        env.action_space(agent).seed(i)
-    waited = 0
-    while env.agents:
-        for number, agent in enumerate(env.possible_agents):
-            space = env.action_space(agent)
-            assert env.observation_space(agent).contains(observations[agent])
-            if not isinstance(space, gymnasium.spaces.Discrete):
-                assert "action_mask" not in infos[agent]
-                continue
-            mask = infos[agent]["action_mask"]
-            assert mask.dtype == np.int8
-            assert mask.shape == (space.n,)
-            if infos[agent]["has_turn"]:
-                legal = labs.mask(number, labs.members)
-                assert legal is not None
-                np.testing.assert_array_equal(mask, legal[0])
-            else:
-                only = labs.actions.encode("wait") if number == 0 else labs.benches[number - 1].end_action
-                assert np.flatnonzero(mask).tolist() == [only]
-                waited += number == 0
-        actions = {
-            agent: env.action_space(agent).sample(infos[agent]["action_mask"])
-            if "action_mask" in infos[agent]
-            else env.action_space(agent).sample()
-            for agent in env.agents
-        }
-        last = infos
-        observations, _, _, _, infos = env.step(actions)
-        # Whoever played within its mask has lost a turn only if a bottle was emptied by another in the same tick.
-        lost = [agent for agent in env.possible_agents if infos[agent]["illegal_action"]]
-        assert all(last[agent]["has_turn"] for agent in lost)
-        assert "manager_0" not in lost
-        first = next((agent for agent in env.possible_agents if last[agent]["has_turn"]), None)
-        assert first not in lost
-    assert waited > 0 or labs.state.ticks[0] == 0
-
-
 # -- actions that are none ------------------------------------------------------------------------------------------
 
 
@@ -133,19 +88,6 @@ def test_a_missing_action_is_asked_for(missing: str) -> None:
 
 
 # -- the interface --------------------------------------------------------------------------------------------------
-
-
-def test_a_step_without_an_episode_is_refused() -> None:
-    env = parallel_env(WURTZ)
-    with pytest.raises(ValueError, match="reset"):
-        env.step({"manager_0": 0})
-    env.reset(seed=0)
-    env.step({"manager_0": env.laboratories.actions.encode("submit", 0)})
-    assert env.agents == []
-    with pytest.raises(ValueError, match="reset"):
-        env.step({"manager_0": 0})
-    env.reset()
-    assert env.agents == env.possible_agents
 
 
 def test_the_registry_knows_it() -> None:

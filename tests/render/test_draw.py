@@ -232,12 +232,6 @@ def test_pictures_need_pillow_and_neither_a_screen_nor_pygame() -> None:
     assert shape == "(540, 960, 3)"
 
 
-def test_without_pygame_a_window_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "pygame", None)
-    with pytest.raises(ImportError, match=r"\.\[human\]"):
-        Viewer("human", 4)
-
-
 def test_a_window_shows_the_same_frames_and_closes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     pygame = pytest.importorskip("pygame")
