@@ -39,7 +39,7 @@ def role_env(
         ValueError: the agent, a policy or the render mode is unknown.
         TypeError: a background policy is not a policy.
     """
-    return RoleEnv(scenario, agent, background_policies(background), **arguments)
+    return RoleEnv(scenario, agent, background_policies(background, agent), **arguments)
 
 
 def role_vector_env(
@@ -55,14 +55,14 @@ def role_vector_env(
         num_envs, scenario, agent, background: see :func:`role_env`.
         arguments: further arguments of :class:`~chemlab.envs.role_env.RoleVectorEnv` (``autoreset_mode``, ...).
     """
-    return RoleVectorEnv(num_envs, scenario, agent, background_policies(background), **arguments)
+    return RoleVectorEnv(num_envs, scenario, agent, background_policies(background, agent), **arguments)
 
 
-def background_policies(background: Background) -> Policies:
+def background_policies(background: Background, learner: str | None = None) -> Policies:
     """Return a function that makes the policies of all agents of some laboratories as named by ``background``.
 
     Raises (when called):
-        ValueError: a policy or an agent is unknown.
+        ValueError: a policy or an agent is unknown, or a policy is given for the ``learner`` alone, which has none.
     """
 
     def choose(laboratories: Laboratories) -> dict[str, Any]:
@@ -72,6 +72,11 @@ def background_policies(background: Background) -> Policies:
         if unknown:
             raise ValueError(
                 f"background: no agent is called {', '.join(sorted(unknown))}; agents: {', '.join(laboratories.agents)}"
+            )
+        idle = [word for word in given if [agent for agent in roles if word in (agent, roles[agent])] == [learner]]
+        if idle:
+            raise ValueError(
+                f"background: {learner} is played by the caller, so it has no policy; omit {', '.join(idle)}"
             )
         chosen = {}
         for number, (agent, role) in enumerate(roles.items()):

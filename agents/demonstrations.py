@@ -215,6 +215,11 @@ def write_datasets(
             dataset exists already.
     """
     minari = _minari()
+    try:
+        minari.dataset.minari_dataset.parse_dataset_id(f"{name}/agent-v0")
+    except ValueError as error:
+        parts = "letters, digits, - and _, in parts separated by /"
+        raise ValueError(f"--name: a dataset's name has {parts}; given {name!r:.100}") from error
     twice = [path for number, path in enumerate(paths) if path.resolve() in [one.resolve() for one in paths[:number]]]
     if twice:
         raise ValueError(f"{twice[0]}: is given twice; its episodes would be in the datasets twice")
@@ -242,7 +247,6 @@ def write_datasets(
         raise ValueError(f"{', '.join(map(str, paths))}: no agent has a turn; no dataset is written")
     ids = [f"{name}/{agent}-v0" for agent, _ in chosen]
     for id in ids:
-        minari.dataset.minari_dataset.parse_dataset_id(id)
         path = minari.storage.get_dataset_path(id)
         if path.exists():
             if not force:

@@ -349,6 +349,13 @@ def _all_or_nothing(operation: Callable[Concatenate[Flask, P], R]) -> Callable[C
     return cast("Callable[Concatenate[Flask, P], R]", whole)
 
 
+def _mapped(contents: Mapping[str, float] | None) -> dict[str, float]:
+    """Return contents as a dict (None: nothing)."""
+    if contents is None or isinstance(contents, Mapping):
+        return dict(contents or {})
+    raise ValueError(f'contents must be a mapping such as {{"water": 1.0}}, given {contents!r:.100}')
+
+
 class Flask:
     """An open flask in a room.
 
@@ -396,7 +403,7 @@ class Flask:
         family = os.fspath(reactions)
         family = os.path.abspath(family) if family.endswith(".toml") else family
         setting = _Setting(physics, family, own[0], own[1], room_k, room_kpa, "")
-        self._fill(setting._replace(content=setting.read()), dict(contents or {}), capacity_l, temperature_k)
+        self._fill(setting._replace(content=setting.read()), _mapped(contents), capacity_l, temperature_k)
 
     def _fill(
         self, setting: _Setting, contents: dict[str, float], capacity_l: float, temperature_k: float | None
@@ -511,7 +518,7 @@ class Flask:
         capacity.
         """
         other = Flask.__new__(Flask)
-        other._fill(self._setting, dict(contents or {}), self.capacity_l if capacity_l is None else capacity_l, None)
+        other._fill(self._setting, _mapped(contents), self.capacity_l if capacity_l is None else capacity_l, None)
         return other
 
     def copy(self) -> Flask:

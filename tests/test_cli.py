@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import json
 import os
 import re
@@ -18,12 +19,13 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import FEATURED, mapping, slow_but
+from rich.console import Console
 from rich.text import Text
 from typer.testing import CliRunner
 
 import chemlab.scenarios
 from chemlab import __version__
-from chemlab.cli import PANELS, app, screen
+from chemlab.cli import PANELS, app, screen, training
 from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import TextConsole, hanging, page, show_table
 from chemlab.config.datafile import DataError
@@ -371,6 +373,62 @@ def test_describing_nobody() -> None:
     assert "--agent: no agent is called chef; known: manager_0, rxn_0, dit_0, all" in done.output
 
 
+def test_an_id_is_no_scenario() -> None:
+    for words in (["run"], ["describe"], ["audit"], ["audit", "plan"]):
+        for name, give in (
+            ("chemlab/WurtzReaction-v0", "wurtz_dodecane\n"),
+            ("chemlab/LabManager-v1", "a scenario, such"),
+        ):
+            done = runner.invoke(app, [*words, name])
+            assert done.exit_code == 2
+            assert f"error: scenario: {name} is an environment's id; give {give}" in done.output
+
+
+# -- progress ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "work", "kept"),
+    [
+        (["audit", "unlabelled"], "audit.audit", ["--keep", "parts"]),
+        (["crossplay", "unlabelled"], "crossplay.crossplay", ["--keep", "parts"]),
+        (["benchmark", "unlabelled", "--policy", "scripted", "--out", "parts"], "benchmark.benchmark", []),
+    ],
+)
+def test_who_interrupts_is_told_how_to_resume(
+    words: list[str], work: str, kept: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(f"chemlab.agents.evaluate.{work}", interrupted)
+    done = runner.invoke(app, [*words, *kept])
+    assert (done.exit_code, done.stderr.strip()) == (130, "stopped; the same command resumes from parts")
+    if kept:
+        done = runner.invoke(app, words)
+        assert (done.exit_code, "nothing is kept; with --keep FOLDER" in done.stderr) == (130, True)
+
+
+@pytest.mark.parametrize("width", [60, 80, 160])
+def test_a_bar_shows_its_clocks(width: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    console = Console(file=io.StringIO(), force_terminal=True, width=width)
+    monkeypatch.setattr(training, "err", console)
+
+    def run(watcher: Any) -> Any:
+        watcher.begun(0, 1_000_000)
+        for step in range(100_000, 1_000_000, 100_000):
+            watcher.advanced(step, 0.5)
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        training._watched(tmp_path, quiet=False, as_json=False, run=run)
+    lines = Text.from_ansi(console.file.getvalue()).plain.splitlines()  # type: ignore[attr-defined]
+    bar = next(line for line in reversed(lines) if "steps" in line)
+    assert re.search(r" 90 % 0:00:\d\d left (-:--:--|0:00:\d\d) 900,000 steps, ", bar)
+    assert len(bar) <= width
+
+
 # -- what the system says ---------------------------------------------------------------------------------------------
 
 
@@ -417,6 +475,7 @@ OUTPUTS: dict[str, list[str]] = {
     "plot timeline": ["RECORD", "--output"],
     "export": ["runs", "--out"],
     "figures": ["runs", "--out"],
+    "train": ["fictitious", "--bench", "rxn", "--out"],
 }
 """Commands that write something, up to the option for where."""
 
@@ -444,13 +503,19 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_played(
     words = [str(record) if word == "RECORD" else word for word in OUTPUTS[command]]
     name = command.removesuffix(" keep").split()
     before = sorted(tmp_path.rglob("*"))
-    folder = command in ("audit keep", "benchmark", "crossplay keep", "figures")  # which write one
+    folder = command in ("audit keep", "benchmark", "crossplay keep", "figures", "train")  # which write one
     for place in (f"file/below{ending}", *(() if folder else (f"folder{ending}",)), f"{'a' * 300}{ending}"):
         done = runner.invoke(app, [*name, *words, place])
         assert isinstance(done.exception, SystemExit), (place, done.exception)
         assert done.exit_code == 2
         assert place in done.output.replace("\n", "") or place.partition("/")[0] in done.output
         assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_no_runs_are_no_result(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    done = runner.invoke(app, ["plot", "runs", str(tmp_path), "--out", str(tmp_path / "pages")])
+    assert (done.exit_code, "contains no training runs; give" in done.stderr) == (2, True)
 
 
 def test_what_was_found_is_shown_though_it_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

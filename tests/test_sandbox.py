@@ -637,6 +637,8 @@ def test_what_does_not_fit_runs_over() -> None:
         (lambda: Flask({"water": math.nan}), "contents: water: must be a finite number"),
         (lambda: Flask({"water": "much"}), "contents: water: must be a number"),  # type: ignore[dict-item]
         (lambda: Flask({"water": 100.0}), "do not fit in capacity_l = 1"),
+        (lambda: Flask("water"), r'contents must be a mapping such as {"water": 1.0}, given .water.'),  # type: ignore[arg-type]
+        (lambda: Flask({"water": 1.0}).another(["water"]), "contents must be a mapping"),  # type: ignore[arg-type]
         (lambda: Flask({"water": 1.0, "Na+": 1.0}), r"charge of \+1 mol"),
         (lambda: Flask({"water": 1.0}, capacity_l=0.0), "capacity_l: must be"),
         (lambda: Flask({"water": 1.0}, physics="magic"), "flask: physics: unknown backend"),

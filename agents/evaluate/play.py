@@ -127,7 +127,9 @@ def find_target(name: str, bench: str | None = None, starts: str = "paper", spli
     if name in gymnasium.registry:
         spec = gymnasium.spec(name)
         if not str(spec.vector_entry_point).endswith(":RoleVectorEnv"):
-            raise ValueError(f"{name}: not a single bench of chemlab")
+            raise ValueError(
+                f"{name}: not a single bench of chemlab; give a scenario, such as wurtz_dodecane, for its laboratory"
+            )
         if bench is not None:
             raise ValueError(f"bench: {name} is a bench already; leave it out, or give a scenario")
         arguments: dict[str, Any] = {"scenario": "wurtz_dodecane", "bench": "rxn", "starts": starts, **spec.kwargs}

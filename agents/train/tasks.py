@@ -283,7 +283,11 @@ def find_task(arguments: Single) -> Task:
         return BenchTask(scenario, a.bench, a.goals, a.starts, splits)
     if a.starts != "paper":
         raise ValueError(f"starts: only for single benches, not for a laboratory; given {a.starts!r}")
-    alike = [agent for agent in Laboratories(scenario, 1).agents if role_of(agent) == role_of(a.agent)]
+    agents = Laboratories(scenario, 1).agents
+    if a.agent not in agents:
+        known = dict.fromkeys([*map(role_of, agents), *agents])
+        raise ValueError(f"roles: {scenario.name} has {', '.join(known)}, or all; given {', '.join(a.roles or ())}")
+    alike = [agent for agent in agents if role_of(agent) == role_of(a.agent)]
     if len(alike) > 1 and a.roles not in [(agent,) for agent in alike]:
         raise ValueError(
             f"roles: {a.algo} trains one agent, and {scenario.name} has {', '.join(alike)}; give one of them, or algo "

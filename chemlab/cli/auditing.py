@@ -24,6 +24,7 @@ from .options import (
     check_result,
     current_policy,
     report_result,
+    resumable,
 )
 from .screen import counting, out, plain, show_table
 
@@ -72,7 +73,7 @@ def measures(
         check_folder(keep)
     if output is not None:
         check_result(output, scenario)
-    with counting() as progress, executor(address, processes) as jobs:
+    with resumable(keep), counting() as progress, executor(address, processes) as jobs:
         task = progress.add_task("parts", total=job_count(spec, chosen))
         found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task), turns)
     report_result(found, _show, as_json, output)

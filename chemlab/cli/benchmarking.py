@@ -9,7 +9,16 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_folder
-from .options import AddressOption, JsonOption, ProcessesOption, SplitOption, TrustOption, app, current_policy
+from .options import (
+    AddressOption,
+    JsonOption,
+    ProcessesOption,
+    SplitOption,
+    TrustOption,
+    app,
+    current_policy,
+    resumable,
+)
 from .screen import counting, out, show_table
 
 
@@ -62,7 +71,7 @@ def benchmark(
         protocol.check_rows(specs, rows)
     check_folder(output)
     leaderboard_lines(output / "leaderboard.json")  # validated before anything is played
-    with counting() as progress, executor(address, processes) as jobs:
+    with resumable(output), counting() as progress, executor(address, processes) as jobs:
         total = protocol.part_count(specs, rows, chosen, seeds, split)
         task = progress.add_task("parts", total=total)
         parts = output / "parts"

@@ -130,8 +130,22 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
+
+def _not_an_id(value: str) -> str:
+    """Refuse the id of an environment where a scenario is meant."""
+    if value.startswith("chemlab/") and ".toml" not in value:
+        import gymnasium
+
+        spec = gymnasium.registry.get(value)
+        own = spec.kwargs.get("scenario") if spec is not None else None
+        give = own or "a scenario, such as wurtz_dodecane (`chemlab list` names all)"
+        raise ValueError(f"scenario: {value} is an environment's id; give {give}")
+    return value
+
+
 ScenarioArgument = Annotated[
-    str, typer.Argument(help="A bundled scenario (see `chemlab list`) or a path to a TOML file.")
+    str,
+    typer.Argument(callback=_not_an_id, help="A bundled scenario (see `chemlab list`) or a path to a TOML file."),
 ]
 
 
@@ -201,6 +215,17 @@ def _options(
     if version:
         typer.echo(__version__)
         raise typer.Exit
+
+
+@contextmanager
+def resumable(folder: Path | None) -> Iterator[None]:
+    """Say after an interruption that the same command resumes, if a folder keeps finished parts."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        kept = "nothing is kept; with --keep FOLDER the same command would resume"
+        err.print("stopped; " + (kept if folder is None else f"the same command resumes from {plain(folder)}"))
+        raise typer.Exit(130) from None
 
 
 def prepare(scenario: str, quiet: bool, split: str = "train") -> tuple[Scenario, raw_env]:

@@ -18,6 +18,7 @@ from .options import (
     app,
     check_result,
     report_result,
+    resumable,
 )
 from .screen import counting, page, show_table
 
@@ -68,7 +69,7 @@ def crossplay(
     if output is not None:
         check_result(output, scenario, *(manager or ()), *(benches or ()))
     managers, crews = find_players(spec, manager or PARTNERS, benches or PARTNERS)
-    with counting() as progress, executor(address, processes) as jobs:
+    with resumable(keep), counting() as progress, executor(address, processes) as jobs:
         task = progress.add_task("parts", total=crossplay_count(managers, crews, chosen, split))
         found = play(spec, managers, crews, budget, split, keep, jobs, lambda _: progress.advance(task))
     report_result(found, _show, as_json, output)

@@ -141,4 +141,4 @@ def runs(
         if written is not None:
             out.print(f"wrote {plain(written)}")
     if page is None and laboratory is None:
-        out.print(f"{plain(results)}: contains no training runs")
+        raise ValueError(f"{results}: contains no training runs; give a folder of runs, or of tables of runs")

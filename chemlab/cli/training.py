@@ -14,9 +14,10 @@ import typer
 from rich.box import SIMPLE
 from rich.live import Live
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.table import Table
+from rich.table import Column, Table
 from typer.core import TyperCommand
 
+from ..config.files import check_folder
 from .options import AddressOption, JsonOption, ProcessesOption, TrustOption, app
 from .screen import err, out, page, plain
 
@@ -99,13 +100,15 @@ def _watched(folder: Path, quiet: bool, as_json: bool, run: Callable[[Any], RunR
 
     known = Run(folder).result_file.exists()
     silent = quiet or as_json or not err.is_terminal
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>3.0f} %"))
-    clocks = (TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[mean]}"))
+    bar = BarColumn(None, table_column=Column(ratio=1))
+    clocks = [kind(table_column=Column(no_wrap=True)) for kind in (TimeElapsedColumn, TimeRemainingColumn)]
+    means = TextColumn("{task.fields[mean]}", table_column=Column(ratio=3, no_wrap=True))
+    columns = (bar, TextColumn("{task.percentage:>3.0f} %"), clocks[0], TextColumn("left"), clocks[1], means)
     try:
         if silent:
             result = run(None if as_json else _Account(None))
         else:
-            with Progress(*columns, *clocks, console=err) as progress:
+            with Progress(*columns, console=err, expand=True) as progress:
                 result = run(_Account(progress))
     except KeyboardInterrupt:
         err.print(f"stopped; the same command resumes from the last checkpoint in {plain(folder)}")
@@ -250,9 +253,11 @@ def train(
     from ..agents.train.arguments import load_arguments
 
     arguments = load_arguments(config, _given(ctx.obj, target))
+    place = folder or Path("runs") / arguments.folder()
+    if not (place / "result.json").exists():  # the folder of a finished run is only read
+        check_folder(place, create=False)
     from ..agents.train import learn
 
-    place = folder or Path("runs") / arguments.folder()
     _watched(place, quiet, as_json, lambda watcher: learn.train(arguments, place, watcher))
 
 

@@ -142,15 +142,20 @@ def _sweep(folder: Path) -> None:
                         os.unlink(entry.path)
 
 
-def check_folder(path: Path) -> None:
+def check_folder(path: Path, create: bool = True) -> None:
     """Create a folder if necessary and check that it is writable, before any results exist.
+
+    Args:
+        path: the folder.
+        create: if False, nothing is created, and the nearest folder above it that exists is checked instead.
 
     Raises:
         ValueError: it is not writable.
     """
     try:
-        path.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=path):
+        if create:
+            path.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=next(at for at in (path, *path.absolute().parents) if at.exists())):
             pass
     except OSError as error:
         raise ValueError(f"{path}: cannot write there: {error.strerror}; give another folder") from error

@@ -69,6 +69,8 @@ from ..roles.manager_state import RUNNING
 from .one_laboratory import OneLaboratory
 from .rendering import RENDER_MODES
 
+_Last = tuple[npt.NDArray[np.float32] | None, float, bool, bool, dict[str, Any]]
+
 
 def env(
     scenario: str | Path | Scenario = "wurtz_dodecane",
@@ -83,6 +85,10 @@ def env(
 
 
 class _Enforced(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
+    def last(self, observe: bool = True) -> _Last:
+        found: _Last = self.env.last(observe)
+        return found
+
     def __repr__(self) -> str:
         return repr(self.env)
 
@@ -154,14 +160,17 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         """Play the selected agent's turn.
 
         Raises:
-            ValueError: the action is outside the agent's space; the message names agent, expected and given, and
-                nothing has changed.
+            ValueError: the action is outside the agent's space (after the end: is not None), or there is no agent left;
+                the message names agent, expected and given, and nothing has changed.
             gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
         """
         if self._unfinished:
             raise gymnasium.error.ResetNeeded(INTERRUPTED)
+        self._check_begun("step")
         agent = self.agent_selection
         if self.terminations[agent]:
+            if action is not None:
+                raise ValueError(f"{agent}: the episode is over, so its action must be None, given {action!r}")
             self._unfinished = True
             self._was_dead_step(action)
             self._unfinished = False
@@ -199,12 +208,24 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         self._unfinished = False
         self._show()
 
+    def last(self, observe: bool = True) -> _Last:
+        """Return the selected agent's observation, reward since its last turn, termination, truncation and info.
+
+        Raises:
+            ValueError: no agent is left, or the first episode has not begun.
+        """
+        self._check_begun("last")
+        found: _Last = super().last(observe)
+        return found
+
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Return the legal actions of the selected agent, in the format of sb3-contrib's MaskablePPO.
 
         Raises:
-            ValueError: the selected agent's actions are continuous.
+            ValueError: the selected agent's actions are continuous, no agent is left, or the first episode has not
+                begun.
         """
+        self._check_begun("action_masks")
         mask = self.laboratories.mask(self._number[self.agent_selection], self._members)
         if mask is None:
             raise ValueError(f"{self.agent_selection}: continuous actions have no mask")

@@ -18,7 +18,7 @@ from ..lab.hidden import World
 from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
 from .global_state import GlobalState
-from .inputs import checked_actions, parsed_reset
+from .inputs import check_by_agent, check_count, checked_actions, parsed_reset
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -45,7 +45,7 @@ class BatchedLaboratory:
 
     Raises:
         DataError: the scenario is invalid or unknown.
-        ValueError: ``num_envs`` is below 1, or the reward mix or the split is unknown.
+        ValueError: ``num_envs`` is no integer of at least 1, or the reward mix or the split is unknown.
     """
 
     def __init__(
@@ -58,8 +58,7 @@ class BatchedLaboratory:
         infos: bool = True,
         **settings: Unpack[Settings],
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"num_envs must be at least 1, given {num_envs}")
+        check_count("num_envs", num_envs, "scenario")
         self.num_envs = num_envs
         self.laboratories = labs = Laboratories(scenario, num_envs, **settings)
         self.scenario = labs.scenario
@@ -174,11 +173,12 @@ class BatchedLaboratory:
             ended also ``final_obs`` [K, size] of the K laboratories, in order.
 
         Raises:
-            ValueError: actions are missing or outside their space (nothing has changed), :meth:`reset` was never
-                called, or an earlier step was interrupted or failed.
+            ValueError: actions are no mapping, missing or outside their space (nothing has changed), :meth:`reset` was
+                never called, or an earlier step was interrupted or failed.
         """
         if not self._begun:
             raise ValueError("step: the episodes have not begun, or a step was interrupted or failed: call reset()")
+        check_by_agent(actions)
         labs, members = self.laboratories, self.laboratories.members
         if not self.autoreset and (labs.state.status != RUNNING).any():
             raise ValueError('step: episodes are over: call reset(options={"reset_mask": ...}) for them')

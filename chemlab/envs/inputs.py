@@ -2,15 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from numbers import Integral
 from typing import Any
 
 import gymnasium
 import numpy as np
 import numpy.typing as npt
 
+from ..config.scenario import MANAGER_AGENT
 from ..kernels.rng import checked_seed
 from ..lab.hidden import World
+
+
+def check_count(name: str, number: Any, after: str = "") -> None:
+    """Check a number of members or threads.
+
+    Args:
+        name: of the argument.
+        number: the given one.
+        after: the argument that follows it, for who swaps them.
+
+    Raises:
+        ValueError: it is no integer of at least 1.
+    """
+    if not isinstance(number, Integral):
+        place = f" and comes before {after}" if after else ""
+        raise ValueError(f"{name} must be an integer of at least 1{place}, given {number!r:.100}")
+    if number < 1:
+        raise ValueError(f"{name} must be at least 1, given {number}")
+
+
+def checked_options(options: Any, goals: Sequence[str]) -> dict[str, Any]:
+    """Return the options of a reset (None: none).
+
+    Raises:
+        ValueError: they are no dict; the message shows one with the first of the ``goals``.
+    """
+    if options is None or isinstance(options, Mapping):
+        return dict(options or {})
+    raise ValueError(f'reset: options must be a dict such as {{"goal": "{goals[0]}"}}, given {options!r:.100}')
+
+
+def check_by_agent(actions: Any) -> None:
+    """Check that the actions of a round are given by agent.
+
+    Raises:
+        ValueError: they are no mapping.
+    """
+    if not isinstance(actions, Mapping):
+        raise ValueError(
+            f'step: needs a mapping of actions by agent such as {{"{MANAGER_AGENT}": ...}}, given {actions!r:.100}'
+        )
 
 
 def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
@@ -83,8 +126,8 @@ def parsed_reset(
         ValueError: an option or goal is unknown, a mask or seeds have the wrong length, or a seed is not a non-negative
             integer.
     """
-    options = options or {}
-    if set(options) - {"reset_mask", "goal", "world"} or options.get("goal", goals[0]) not in goals:
+    options = checked_options(options, goals)
+    if set(options) - {"reset_mask", "goal", "world"} or options.get("goal") not in (None, *goals):
         raise ValueError(f"reset options: known: reset_mask; world; goal, one of {', '.join(goals)}; given {options!r}")
     mask = np.asarray(options.get("reset_mask", np.ones(count, dtype=np.bool_)))
     if mask.shape != (count,) or mask.dtype != np.bool_:

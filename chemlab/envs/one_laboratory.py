@@ -18,6 +18,7 @@ from ..lab.text import describe_laboratory
 from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
 from .global_state import GlobalState
+from .inputs import checked_options
 from .rendering import Rendered
 
 if TYPE_CHECKING:
@@ -86,9 +87,14 @@ class OneLaboratory(Rendered):
         """Channels of :meth:`state` in order; see :mod:`chemlab.envs.global_state`."""
         return self._whole.channels
 
+    def _check_begun(self, call: str) -> None:
+        """Raise a ValueError if there are no agents: before the first reset and after an episode."""
+        if not self.agents:
+            raise ValueError(f"{call}: the episode is over (or has not begun): call reset()")
+
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
         seed = checked_seed(seed)
-        options = options or {}
+        options = checked_options(options, self.scenario.lab_goals)
         unknown = set(options) - {"goal", "world"}
         if unknown:
             # PettingZoo's api_test passes its own options, so unknown ones cannot be an error.

@@ -35,6 +35,7 @@ from pettingzoo import ParallelEnv
 
 from ..lab.episode_streams import INTERRUPTED
 from ..roles.manager_state import RUNNING
+from .inputs import check_by_agent
 from .one_laboratory import OneLaboratory
 from .rendering import RENDER_MODES
 
@@ -103,14 +104,14 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
             actions: actions of all agents with the turn; others are ignored.
 
         Raises:
-            ValueError: an action is missing or outside its space (the message names the agent, what was expected and
-                what was given), or the episode is over; nothing has changed.
+            ValueError: no mapping is given, an action is missing or outside its space (the message names the agent,
+                what was expected and what was given), or the episode is over; nothing has changed.
             gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
         """
         if self._unfinished:
             raise gymnasium.error.ResetNeeded(INTERRUPTED)
-        if not self.agents:
-            raise ValueError("step: the episode is over (or has not begun): call reset()")
+        self._check_begun("step")
+        check_by_agent(actions)
         labs, names = self.laboratories, self.possible_agents
         labs.turns(self._members, self._turns)  # a snapshot may have been restored
         acting = [number for number, turn in enumerate(self._turns[:, 0].tolist()) if turn]

@@ -83,7 +83,7 @@ from ..kernels.tables import put_back
 from ..lab.engine import Laboratories
 from ..lab.experiments import ExperimentBatch
 from ..roles.bench import Bench
-from .inputs import checked_actions, parsed_reset
+from .inputs import check_count, checked_actions, checked_options, parsed_reset
 from .rendering import RENDER_MODES, Rendered
 from .role_episodes import BenchEpisodes, LaboratoryEpisodes, Policies, RoleEpisodes, State
 
@@ -212,9 +212,9 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
         **settings: Unpack[Settings],
     ) -> None:
         mode = AutoresetMode(autoreset_mode)
-        for name, number in (("num_envs", num_envs), ("threads", threads)):
-            if number is not None and number < 1:
-                raise ValueError(f"{name} must be at least 1, given {number}")
+        check_count("num_envs", num_envs, "scenario")
+        if threads is not None:
+            check_count("threads", threads)
         own: RoleEpisodes
         if bench is None:
             _reject("a role in the laboratory (without bench=...)", goals=goals, starts=starts, threads=threads)
@@ -436,7 +436,7 @@ class RoleEnv(_OneRole, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
                 nothing has changed.
         """
         seed = checked_seed(seed)
-        unknown = set(options or {}) - {"goal", "world"}
+        unknown = set(checked_options(options, self.episodes.goals)) - {"goal", "world"}
         if unknown:
             raise ValueError(f"reset options: known: goal, world; given {', '.join(sorted(map(str, unknown)))}")
         observations, _ = self.vector.reset(seed=seed, options=options)

@@ -106,7 +106,8 @@ class ExperimentBatch:
         if missing:
             there = ", ".join(goal for goal, count in zip(self.scenario.goals, counts, strict=True) if count)
             raise DataError(
-                f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}; choose from {there}"
+                f"starts: {starts!r} has no vessel of goal {missing[0]!r} for bench {bench!r}; choose from {there} "
+                "by --goal (evaluate), --goals (train) or goals=... (Python)"
             )
 
     def _starts(self, kind: str) -> list[Start]:

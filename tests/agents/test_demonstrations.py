@@ -257,6 +257,9 @@ def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
     again = runner.invoke(app, arguments)
     assert again.exit_code == 2
     assert "already there" in again.output
+    spaced = runner.invoke(app, ["export", "demos", str(scripted), "--name", "chem lab"])
+    assert (spaced.exit_code, spaced.output.split(";")[1].strip()) == (2, "given 'chem lab'")
+    assert "error: --name: a dataset's name has letters" in spaced.output
     assert runner.invoke(app, [*arguments, "--force"]).exit_code == 0
 
 
@@ -279,6 +282,6 @@ def test_what_did_not_happen_is_no_demonstration(minari: Any, scripted: Path, tm
         write_datasets([scripted, other], "tests/both")
     with pytest.raises(ValueError, match="unknown agent chef"):
         write_datasets([scripted], "tests/chef", ["chef"])
-    with pytest.raises(ValueError, match="Malformed"):
+    with pytest.raises(ValueError, match=r"--name: .* given '\.\./away'"):
         write_datasets([scripted], "../away")
     assert not (tmp_path / "datasets" / "tests").exists()

@@ -141,6 +141,7 @@ def test_targets() -> None:
     assert find_target("chemlab/FictitiousReaction-v0").goals == ("E", "F", "G", "H", "I")
     for wrong, bench, starts, words in (
         ("CartPole-v1", None, "paper", "not a single bench"),
+        ("chemlab/LabManager-v1", None, "paper", "not a single bench of chemlab; give a scenario"),
         ("chemlab/Nothing-v0", None, "paper", "chemlab/WurtzReaction-v0"),
         ("wurtz_dodecane", "oven", "paper", "rxn, ext, dit"),
         ("no_such", None, "paper", "no_such"),

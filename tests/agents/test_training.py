@@ -392,6 +392,8 @@ def test_the_usual_algorithm_has_what_is_asked_for(values: dict[str, Any], algo:
 def test_one_agent_of_several_is_named() -> None:
     with pytest.raises(ValueError, match=r"roles: ppo trains one agent, and .* has rxn_0, rxn_1; give one of them"):
         find_task(PPO(scenario="wurtz_two_lines", roles=("rxn",)))
+    with pytest.raises(ValueError, match=r"roles: unlabelled has manager, rxn, .*manager_0, .*or all; given al$"):
+        find_task(PPO(scenario="unlabelled", roles=("al",)))
     assert find_task(PPO(scenario="wurtz_two_lines", roles=("rxn_1",))).agent == "rxn_1"
     assert find_task(PPO(scenario="unlabelled", roles=("rxn",))).agent == "rxn_0"
 

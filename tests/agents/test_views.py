@@ -105,14 +105,14 @@ def test_policies_given_by_kind_play() -> None:
     assert info["elapsed_ticks"] == 1
 
 
-def test_nobody_moves_the_focal_agent() -> None:
-    """A policy for the focal agent itself may be in the mapping, and is not asked."""
-    policy = Constant(0)
-    env = role_env("wurtz_dodecane", "manager_0", {"manager_0": policy})
-    env.reset(seed=0)
-    env.step(env.laboratories.actions.encode("start", "rxn_0", 0, "dodecane"))
-    env.step(env.laboratories.actions.encode("wait"))
-    assert policy.calls == 0
+def test_nobody_else_moves_the_focal_agent() -> None:
+    """A policy for the focal agent alone would never be asked; a role's may have another agent to play."""
+    for agent, word in (("manager_0", "manager"), ("manager_0", "manager_0"), ("rxn_0", "rxn_0")):
+        for make in (role_env, role_vector_env):
+            arguments: Any = {"scenario": LINES, "agent": agent, "background": {word: "random", "dit": "random"}}
+            with pytest.raises(ValueError, match=f"background: {agent} is played by the caller, .*; omit {word}$"):
+                make(**arguments)
+    assert role_env(LINES, "rxn_0", {"rxn": "random"}).agent == "rxn_0"
 
 
 @pytest.mark.parametrize(

@@ -112,6 +112,41 @@ def test_wrong_actions_of_batches_for_one_agent_change_nothing() -> None:
             assert state_of(batch) == before, actions
 
 
+def test_actions_of_a_round_are_by_agent() -> None:
+    for make in (parallel_env, SEVERAL["laboratories"]):
+        env: Any = make(WURTZ)
+        env.reset(seed=0)
+        before = state_of(env)
+        for actions in (None, 3, [3], np.zeros(3, dtype=np.int64)):
+            refused(f"{make}: {actions}", 'mapping of actions by agent such as {"manager_0": ...}', env.step, actions)
+            assert state_of(env) == before, actions
+
+
+def test_a_dead_agent_has_one_action_and_none_has_a_turn_without_an_episode() -> None:
+    """Refused calls change nothing: the end is played as if nobody had asked."""
+    for make in (raw_env, laboratory_env):
+        env: Any = make(WURTZ)
+
+        def stepped(env: Any = env) -> None:
+            env.unwrapped.step(None)
+
+        for call in (env.last, env.action_masks, stepped):
+            refused(str(call), r"the episode is over \(or has not begun\): call reset\(\)", call)
+        env.reset(seed=0)
+        env.step(env.unwrapped.laboratories.actions.encode("submit", 0))
+        assert all(env.terminations.values())
+        for agent in env.agent_iter():
+            before = state_of(env.unwrapped)
+            refused(agent, f"{agent}: the episode is over, so its action must be None, given 0", env.step, 0)
+            assert env.agent_selection == agent
+            assert state_of(env.unwrapped) == before
+            assert env.last()[2]
+            env.step(None)
+        assert not env.agents
+        for call in (env.last, env.action_masks, stepped):
+            refused(str(call), r"the episode is over \(or has not begun\): call reset\(\)", call)
+
+
 # -- resets ---------------------------------------------------------------------------------------------------------
 
 ONE: dict[str, Callable[[str], Any]] = {
@@ -137,6 +172,7 @@ WRONG: list[tuple[str, dict[str, Any], str, tuple[str, ...]]] = [
         (WURTZ, {"seed": 1, "options": {"goal": goal}}, f"dodecane.*given.*{goal!r}", ALL)
         for goal in ("gold", "water", 3)
     ),
+    (WURTZ, {"seed": 1, "options": "goal"}, 'options must be a dict such as {"goal": "dodecane"}, given .goal', ALL),
     (WURTZ, {"seed": 1, "options": {"gaol": "dodecane"}}, "reset options", ALL[2:]),  # PettingZoo's tests give others
     *(
         (WURTZ, {"options": {"reset_mask": mask}}, "reset_mask must be 3 booleans", tuple(SEVERAL))
@@ -157,6 +193,14 @@ def test_a_wrong_reset_changes_nothing() -> None:
             if where == scenario and name in whom:
                 refused(f"{name}: {arguments}", message, env.reset, **arguments)
                 assert state_of(env) == before, f"{name}: {arguments}"
+
+
+def test_a_goal_of_none_is_no_goal() -> None:
+    """Every interface draws the goal then."""
+    for name, make in {**ONE, **SEVERAL}.items():
+        env, twin = make("wurtz_any"), make("wurtz_any")
+        found, expected = env.reset(seed=7, options={"goal": None}), twin.reset(seed=7)
+        np.testing.assert_equal(found or env.infos, expected or twin.infos, name)
 
 
 def test_a_first_reset_is_of_all_and_comes_first() -> None:
@@ -180,4 +224,6 @@ def test_a_first_reset_is_of_all_and_comes_first() -> None:
 def test_numbers_of_members_and_threads() -> None:
     for make in (BatchedLaboratory, role_vector_env, RoleVectorEnv):
         refused(make.__name__, "num_envs must be at least 1", make, 0)
+        message = f"num_envs must be an integer of at least 1 and comes before scenario, given '{WURTZ}'"
+        refused(make.__name__, message, make, WURTZ, 3)
     refused("threads", "threads must be at least 1", RoleVectorEnv, 1, bench="rxn", threads=0)

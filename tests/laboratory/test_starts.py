@@ -104,5 +104,7 @@ def test_goals_that_a_bench_has_met(tmp_path: Path) -> None:
     assert goals_met(mine, "rxn") == ["F", "E"]
     starts_file(mine).write_text('{"scenario": "mine", "vessels": [], "benches": {}}', encoding="utf-8")
     assert goals_met(mine, "rxn") == ["F", "E"]
-    with pytest.raises(DataError, match=r"no vessel of goal 'F' for bench 'fin'; choose from E"):
+    with pytest.raises(
+        DataError, match=r"no vessel of goal 'F' for bench 'fin'; choose from E by --goal .*--goals .*goals="
+    ):
         RoleVectorEnv(1, "relay", bench="fin", starts="lab")
