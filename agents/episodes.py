@@ -203,8 +203,8 @@ class PlayedTurn:
 class EpisodeResult:
     """Results of an episode; ``chemlab run --json`` prints its fields.
 
-    ``score`` is the manager's result: what the orders pay, as a mean, minus ``missed`` for those that pay nothing and
-    minus costs. ``paid`` of the ``orders`` pay something. ``status`` says how the episode ended
+    ``score`` is the manager's result: what the orders pay, as a mean, minus ``missed`` (the penalty of orders that pay
+    nothing) and minus costs. ``paid`` of the ``orders`` pay something. ``status`` says how the episode ended
     (:data:`~chemlab.roles.manager_state.STATUS_WORDS`).
     """
 

@@ -143,7 +143,7 @@ def goal_words(spec: Scenario) -> list[str]:
 
 
 def _demand_words(demand: DemandSpec) -> list[str]:
-    """Describe what orders pay, and when that is told."""
+    """Describe the payment of orders, and when the manager learns it."""
 
     def share(of: float) -> str:
         return f"{of:g} of it" if of else "nothing"
@@ -158,8 +158,10 @@ def _demand_words(demand: DemandSpec) -> list[str]:
     if demand.fill_at_least:
         words.append(f"Only a vessel that is seen to be filled to {demand.fill_at_least:g} at least may be submitted.")
     if demand.feedback:
-        noise = f"with a noise of {demand.feedback}" if demand.feedback != "none" else "at the end of the episode"
-        words.append(f"What a submission pays is told {noise}.")
+        noise = "at the end of the episode"
+        if demand.feedback != "none":
+            noise = f"at once, with a noise of {demand.feedback:g}"
+        words.append(f"The manager learns the payment of a submission {noise}.")
     return words
 
 

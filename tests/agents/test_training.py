@@ -675,7 +675,7 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
     assert said.endswith("give it contents (moles by material); or train with --starts lab")
     new = BenchTask(load_scenario({**values, "name": "new"}), "ext").warning()
     assert new is not None
-    assert new.endswith("; or record vessels with chemlab export starts FILE.toml, and train with --starts lab")
+    assert new.endswith("; or record vessels with chemlab export starts new, and train with --starts lab")
     assert BenchTask(load_scenario(values), "ext", starts="lab").warning() is None
 
 

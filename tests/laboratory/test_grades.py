@@ -48,7 +48,8 @@ def test_a_grade_limits_the_ticks_of_an_experiment() -> None:
 
 
 def test_every_grade_is_an_action_and_decodes() -> None:
-    actions = Laboratories(load_scenario(graded())).actions
+    labs = Laboratories(load_scenario(graded()))
+    actions = labs.actions
     assert actions.decode(actions.encode("start", "rxn_0", 2, "2-chlorohexane", "asked")) == (
         "start",
         "rxn_0",
@@ -58,7 +59,10 @@ def test_every_grade_is_an_action_and_decodes() -> None:
     )
     assert [actions.encode(*actions.decode(a)) for a in range(len(actions))] == list(range(len(actions)))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="takes 4 arguments"):
-        actions.encode("start", "rxn_0", 2, "2-chlorohexane")
+        actions.encode("start", "rxn_0", 2)
+    assert actions.encode("start", "rxn_0", 2, "2-chlorohexane") == actions.encode(
+        "start", "rxn_0", 2, "2-chlorohexane", list(labs.scenario.grades)[-1]
+    )
 
 
 def test_the_bench_sees_what_is_asked_and_told_and_nobody_else_is_told() -> None:
