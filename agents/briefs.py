@@ -119,7 +119,7 @@ def _reactions(spec: Scenario, name: Callable[[str], str], most: Mapping[str, fl
     words: dict[str, list[str]] = {}
     for k, (reactants, products) in enumerate(sides, start=1):
         maximum = "".join(f" ({most[one]:.3g})" for one in products if one in most)
-        made = f"{f'{k}. ' if numbered else ''}{renamed(side_words(products), name)}{maximum}"
+        made = f"{f'({k}) ' if numbered else ''}{renamed(side_words(products), name)}{maximum}"
         words.setdefault(renamed(side_words(reactants), name), []).append(made)
     listed = "; ".join(f"{reactants} -> {' or '.join(made)}" for reactants, made in words.items())
     sentences = [f"{renamed(head, name)}: {listed}."] if words else []

@@ -8,6 +8,7 @@ import html
 import itertools
 import json
 import threading
+import traceback
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
@@ -43,6 +44,8 @@ LOCAL = ("127.0.0.1", "localhost")
 """Names of this machine for itself."""
 _NEWS_S = 0.05
 """Least time between two messages to a page, in s; one message has all turns since the last."""
+_LONGEST_ERROR = 300
+"""Characters of an error on a page."""
 _LARGEST_MESSAGE = 10_000
 """Bytes of a message to the server."""
 _HEADERS = {
@@ -82,7 +85,15 @@ class Live:
             self.room.close()
         self.seed, self.episode, self.verdict = seed, self.episode + 1, ("", "")
         agents = ["manager_0", *self._scenario.bench_agents()]
-        self.room = Room(self._scenario, agents, folder=self._folder, seed=seed, split=self._split, watch=self._watched)
+        self.room = Room(
+            self._scenario,
+            agents,
+            self._policy,
+            folder=self._folder,
+            seed=seed,
+            split=self._split,
+            watch=self._watched,
+        )
         labs = self.room.laboratories
         self._players = Players(labs, [agent_policy(self._policy, labs, i) for i in range(len(labs.agents))])
         self._players.seed(0, seed)
@@ -217,6 +228,7 @@ class _Show:
     def __init__(self, lives: Sequence[Live], policies: Sequence[str], paused: bool, speed: int) -> None:
         self.lives, self.policies = lives, policies
         self.playing, self.speed, self.due = not paused, speed, dict.fromkeys(lives, 0)
+        self.failed: dict[Live, str] = {}
         self.changed, self.news = asyncio.Condition(), 0
         self.server: uvicorn.Server | None = None
 
@@ -236,15 +248,21 @@ class _Show:
         return None
 
     async def run(self, live: Live) -> None:
-        """Play a laboratory for ever, while it is allowed to."""
+        """Play a laboratory for ever, while it is allowed to; an error of a policy or a part pauses it."""
         while True:
             async with self.changed:
                 await self.changed.wait_for(lambda: not live.waits and (self.playing or self.due[live] > 0))
             self.due[live] = max(self.due[live] - 1, 0)
             began = asyncio.get_running_loop().time()
             turns = max(int(self.speed * _NEWS_S), 1) if self.playing else 1
-            await anyio.to_thread.run_sync(live.step, turns)
-            await self.after(live)
+            try:
+                await anyio.to_thread.run_sync(live.step, turns)
+                await self.after(live)
+            except Exception as error:  # of somebody else's code, too
+                traceback.print_exc()
+                self.playing, self.due = False, dict.fromkeys(self.lives, 0)
+                self.failed[live] = f"{type(error).__name__}: {error}"[:_LONGEST_ERROR]
+                await self.tell()
             if self.playing:
                 taken = asyncio.get_running_loop().time() - began
                 await asyncio.sleep(max(turns / self.speed - taken, 0.0))
@@ -263,6 +281,8 @@ class _Show:
             ValueError: it is none.
         """
         what, value = given.get("do"), given.get("value")
+        if what in ("play", "step", "new"):
+            self.failed.clear()
         if what in ("play", "pause"):
             self.playing = what == "play"
         elif what == "step":
@@ -280,7 +300,7 @@ class _Show:
 
     def status(self, live: Live) -> dict[str, Any]:
         """Data that the page shows beside the film."""
-        words, kind = live.words()
+        words, kind = (self.failed[live], "warn") if live in self.failed else live.words()
         return {
             "playing": self.playing,
             "speed": self.speed,

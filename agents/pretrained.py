@@ -13,9 +13,10 @@ import functools
 import hashlib
 import importlib.resources
 import json
+import re
 import shlex
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -64,6 +65,17 @@ class Interface(DataModel):
     channels: list[Annotated[list[str | int | float], Field(min_length=6, max_length=6)]]
     actions: list[str]
     discrete: bool
+
+
+_VESSEL = re.compile(
+    r"(?<=^temperature) of the jacket|(?<=^volume): .*|volume the piston leaves|no effect: the vessel is open"
+    r"|pressure in the sealed vessel|vapour pressure of the contents \(open through a condenser\)"
+)
+"""Words on the vessel of a reaction bench, which are not compared: policies from before say that all are sealed."""
+
+
+def _compared(values: Sequence[Any]) -> list[Any]:
+    return [_VESSEL.sub("", value) if isinstance(value, str) else value for value in values]
 
 
 def interface(workplace: Workplace) -> Interface:
@@ -381,13 +393,13 @@ def _difference(card: Card, workplace: Workplace) -> str:
     size = int(workplace.observation_space.shape[0]) + (card.action_size if card.advice is not None else 0)
     size += notes_size(workplace) if card.notes else 0
     for ours, theirs in zip(mine.channels, other.channels, strict=False):
-        if ours != theirs:
+        if _compared(ours) != _compared(theirs):
             return f"observation {ours[0]!r}: it knows {ours[1:]}, here {theirs[0]!r} is {theirs[1:]}"
     if card.observation_size != size:
         return f"it sees {card.observation_size} numbers, here there are {size}"
-    if mine.actions != other.actions:
-        pairs = zip(mine.actions, other.actions, strict=False)
-        i = next((i for i, (a, b) in enumerate(pairs) if a != b), min(len(mine.actions), len(other.actions)))
+    known, here = _compared(mine.actions), _compared(other.actions)
+    if known != here:
+        i = next((i for i, (a, b) in enumerate(zip(known, here, strict=False)) if a != b), min(len(known), len(here)))
         return f"it has {len(mine.actions)} actions, here there are {len(other.actions)}; they differ from {i} on"
     return ""
 

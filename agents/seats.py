@@ -192,7 +192,7 @@ class Room:
         )
         self._number = entry["number"]
         self._stem = self._folder / f"episode-{self._number:04d}"
-        players = {a: "seat" if a in self.seats else self._background for a in self.laboratories.agents}
+        players = {a: self._background for a in self.laboratories.agents if a not in self.seats}  # seats: as they act
         self._recorder = Recorder(f"{self._stem}.jsonl", self.laboratories, policies=players, held=True)
         self._recorder.begin(self._seed, options)
 
@@ -336,21 +336,23 @@ class Room:
             self._notices[agent] += [f"Safety event: {kind} {amount:.3g}." for kind, amount in events.items()]
 
     def play(self, agent: str, action: Any) -> None:
-        """Play a turn of a seat that has the turn, for instance by a policy that stands in for it.
+        """Play a turn of a seat that has the turn by the policy of agents without a seat, which stands in for it.
 
         An action that is not possible has no effect, as in the environments.
         """
         with self._changed:
             labs = self.laboratories
             mask = labs.mask(labs.agents.index(agent), labs.members)
-            self._take_turn(agent, action, mask)
+            self._take_turn(agent, action, mask, self._background)
             self._notices[agent] = []
             self._advance()
             if self._over:
                 self._close_books()
 
-    def _take_turn(self, agent: str, action: Any, mask: Any) -> None:
+    def _take_turn(self, agent: str, action: Any, mask: Any, player: str = "seat") -> None:
         """Play and count a turn of a seat, in which ``mask`` says what is possible."""
+        if self._recorder is not None:
+            self._recorder.played_by(agent, player)
         self._play(self.laboratories.agents.index(agent), action)
         if mask is None or mask[0, int(action)]:
             self._views[agent].acted(action)
@@ -364,7 +366,9 @@ class Room:
 
     # -- calls --------------------------------------------------------------------------------------------------------
 
-    def call(self, agent: str, verb: str, arguments: Mapping[str, Any] | None = None) -> Reply:
+    def call(
+        self, agent: str, verb: str, arguments: Mapping[str, Any] | None = None, count: int | None = None
+    ) -> Reply:
         """One call of a seat. It never raises because of what was given.
 
         Args:
@@ -372,6 +376,7 @@ class Room:
             verb: name of the verb.
             arguments: by name; ``turn``, the number of the turn that the call is meant for, makes a repeated call act
                 once; ``reason``, a text of at most 200 characters, stands in the transcript and nowhere else.
+            count: number of arguments, where more were given than the verb takes.
         """
         with self._changed:
             if not isinstance(agent, str) or agent not in self.seats:
@@ -386,6 +391,8 @@ class Room:
             began, played = self._episode, self._played
             arguments = {} if arguments is None else arguments
             try:
+                if count is not None:
+                    raise ToolError(f"{verb}: {self._verbs[agent][verb].takes}, given {count}")
                 reply = self._answer(agent, verb, arguments)
             except ToolError as error:
                 self._wrong[agent] += 1
@@ -667,7 +674,7 @@ def _method(verb: Verb) -> Callable[..., str]:
 
     def method(self: LabTools, *values: Any, **given: Any) -> str:
         if len(values) > len(names):
-            reply = self._room.call(self._agent, verb.name, {f"argument {i}": v for i, v in enumerate(values)})
+            reply = self._room.call(self._agent, verb.name, given, len(values) + len(given))
         else:
             reply = self._room.call(self._agent, verb.name, {**dict(zip(names, values, strict=False)), **given})
         if reply.error:

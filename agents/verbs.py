@@ -97,12 +97,22 @@ class Verb:
         arguments: in order.
         action: the action that checked arguments stand for; it raises :class:`ToolError` where there is none. None: the
             verb is no action of the laboratory.
+        settled: arguments of one possible value, which need not be given.
     """
 
     name: str
     meaning: str
     arguments: tuple[Argument, ...] = ()
     action: Callable[[Mapping[str, Any]], Any] | None = None
+    settled: tuple[Argument, ...] = ()
+
+    @property
+    def takes(self) -> str:
+        """Number and names of its arguments, as the end of a sentence."""
+        names = [argument.name for argument in self.arguments]
+        if not names:
+            return "takes no arguments"
+        return f"takes {len(names)} argument{'' if len(names) == 1 else 's'} ({', '.join(names)})"
 
     def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """All arguments, checked, with defaults.
@@ -112,6 +122,10 @@ class Verb:
         """
         names = [argument.name for argument in self.arguments]
         takes = f"takes {', '.join(names)}" if names else "takes no arguments"
+        for argument in self.settled:
+            if argument.name in given:
+                argument.checked(self.name, given[argument.name])
+        given = {key: value for key, value in given.items() if key not in [one.name for one in self.settled]}
         unknown = [plain(key) for key in given if key not in names]
         if unknown:
             raise ToolError(f"{self.name}: unknown argument {unknown[0]}; it {takes}")
@@ -129,6 +143,11 @@ class Verb:
 def _several(arguments: Iterable[Argument]) -> tuple[Argument, ...]:
     """The arguments that leave a choice."""
     return tuple(argument for argument in arguments if len(argument.options) != 1)
+
+
+def _settled(arguments: Iterable[Argument]) -> tuple[Argument, ...]:
+    """The arguments of one possible value."""
+    return tuple(argument for argument in arguments if len(argument.options) == 1)
 
 
 # -- the manager ------------------------------------------------------------------------------------------------------
@@ -180,7 +199,7 @@ def manager_verbs(labs: Laboratories, name: Callable[[str], str]) -> list[Verb]:
         return encode
 
     return [
-        Verb(kind, meaning, _several(arguments[kind]), encoder(kind))
+        Verb(kind, meaning, _several(arguments[kind]), encoder(kind), _settled(arguments[kind]))
         for kind, meaning in _MANAGER.items()
         if kind in kinds
     ]
@@ -257,7 +276,11 @@ def _operation_verb(kind: str, own: Mapping[tuple[Any, ...], int], unit: str) ->
         return own[chosen]
 
     return Verb(
-        kind, _OPERATIONS.get(kind, f"{kind.capitalize()}."), tuple(a for a in arguments if len(a.options) > 1), action
+        kind,
+        _OPERATIONS.get(kind, f"{kind.capitalize()}."),
+        tuple(a for a in arguments if len(a.options) > 1),
+        action,
+        _settled(arguments),
     )
 
 

@@ -22,7 +22,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from .config.loading import load_scenario
+from .config.loading import load_scenario, reachable_materials
 from .config.scenario import Scenario
 from .envs.aec import raw_env
 from .envs.batch import BatchedLaboratory
@@ -49,6 +49,64 @@ class CheckResult:
     name: str
     meaning: str
     error: str | None
+
+
+_FROZEN_K = 200.0
+"""A bench whose whole range of temperatures is below it was likely described in degrees Celsius."""
+
+
+def doubts(scenario: Scenario) -> list[str]:
+    """Return a line about everything in a valid scenario that can hardly be meant, beginning with its key.
+
+    Raises:
+        DataError: the scenario, or a part that it names, cannot be loaded.
+    """
+    raw_env(scenario)  # checks the keys of benches
+    at_hand = {name: mol for name, mol in scenario.stock.items() if mol > 0.0}
+    for vessel in scenario.shelf.vessel:
+        for name, mol in vessel.contents.items():
+            if mol > 0.0:
+                at_hand[name] = at_hand.get(name, 0.0) + mol
+    drawn = {name for draw in scenario.world.draws.values() for name in draw.materials}
+    own = any(".py:" in f"{bench.kind}{bench.model}" for bench in scenario.benches.values())
+    possible = reachable_materials(scenario, [*at_hand, *drawn])
+    found = []
+    for key, bench in scenario.benches.items():
+        extra = bench.model_extra or {}
+        fed = [*extra.get("reagents", ()), *(part.get("material") for part in extra.get("process", ()))]
+        for name in dict.fromkeys(name for name in fed if name):
+            if scenario.stock.get(name, 0.0) <= 0.0 and name not in drawn:
+                found.append(
+                    f"benches.{key}: adds {name!r}, of which there is none: give stock.{name} an amount in mol"
+                )
+        hottest = (extra.get("temperature_k") or {}).get("high", _FROZEN_K)
+        if hottest < _FROZEN_K:
+            found.append(
+                f"benches.{key}.temperature_k: high = {hottest:g} K is {hottest - 273.15:.0f} degrees Celsius; give "
+                "temperatures in K"
+            )
+    for goal in scenario.lab_goals:
+        if goal not in possible and not own:
+            found.append(f"goals: no reaction makes {goal!r} of what is in stock and on the shelf")
+        elif not drawn and not own:
+            most = _most_of(goal, at_hand, scenario)
+            given = scenario.theoretical_maximum_mol[goal]
+            if given > most * (1.0 + 1e-6):
+                found.append(
+                    f"theoretical_maximum_mol.{goal}: {given:g} mol, but the atoms in stock and on the shelf are "
+                    f"enough for {most:.3g} mol"
+                )
+    return found
+
+
+def _most_of(goal: str, at_hand: Mapping[str, float], scenario: Scenario) -> float:
+    """Return mol of a goal that the atoms of all materials at hand suffice for."""
+    materials = scenario.materials
+    atoms: dict[str, float] = {}
+    for name, mol in at_hand.items():
+        for element, number in materials[name].composition.items():
+            atoms[element] = atoms.get(element, 0.0) + mol * number
+    return min(atoms.get(element, 0.0) / number for element, number in materials[goal].composition.items())
 
 
 class _Fault(Exception):

@@ -42,6 +42,7 @@ from .config.catalogue import (
     keep_pairs,
     matches,
     normalized,
+    salts,
     spellings,
     wrong_cas,
 )
@@ -71,6 +72,12 @@ _MOST_PARTS = 10_000
 _RTOL, _ATOL = 1e-6, 1e-9
 _SHOWN_MOL = 1e-6
 _NEUTRAL = 1e-9
+_SALT = re.compile(
+    r"(?:Li|Na|K|Rb|Cs|Mg|Ca|Sr|Ba|Al|Fe|Cu|Zn|Ag|Mn|Ni|Co|NH4)(?:[A-Z][a-z]?|[\d()])+"
+    r"|(?:lithium|sodium|potassium|rubidium|caesium|cesium|magnesium|calcium|strontium|barium|alumini?um|iron|ferrous|"
+    r"ferric|copper|cupric|cuprous|zinc|silver|manganese|nickel|cobalt|ammonium)(?:\([iv]+\))?[ _][a-z ]+",
+)
+"""Formulas and names of salts of metals and of ammonium."""
 EVERYDAY = "everyday"
 """Reactions by default: salts dissolve, acids ionize in water, and nothing else."""
 _MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
@@ -81,6 +88,14 @@ _REMEMBERED = 10_000
 
 class SpillWarning(UserWarning):
     """A vessel overflowed; the lost material is in the flask's ``waste``."""
+
+
+class BoilingWarning(UserWarning):
+    """A thermostat has heated a closed flask beyond the point where its contents boil in the open."""
+
+
+class SaltWarning(UserWarning):
+    """A reaction file does not tell how a salt dissolves, so that it stays solid in water."""
 
 
 class Heated(NamedTuple):
@@ -426,6 +441,8 @@ class Flask:
         self._history: collections.deque[Moment] = collections.deque(maxlen=_REMEMBERED)
         self._names = frozenset(contents)
         self._known = _chemistry(setting, self._names)
+        self._insoluble: frozenset[str] = frozenset()
+        self._warn_of_salts(4)
         self._shelf = Shelf(self._known.table, 1, 1)
         self._events, self._spilled = np.zeros(len(SAFETY_EVENTS)), 0.0
         self._make_scratch()
@@ -658,6 +675,13 @@ class Flask:
             )
         self._seconds += seconds
         self._after(clock=T_MIX - CLOCK_SETTLED)
+        if closed and self.vapor_pressure_kpa > self.pressure_kpa:
+            warnings.warn(
+                f"at {jacket:g} K the contents would boil (vapour {self.vapor_pressure_kpa:.4g} of "
+                f"{self.pressure_kpa:.4g} kPa); temperature_k alone closes the flask, jacket_w_k leaves it open",
+                BoilingWarning,
+                stacklevel=3,
+            )
 
     @_all_or_nothing
     def wait(self, seconds: float) -> None:
@@ -939,16 +963,27 @@ class Flask:
         if name in known and known[name].role != "gas":
             return name
         keys = matches(name) or _of_structure(name)
+        kept = catalogue_material(keys[0]) if len(keys) == 1 else None
+        gas = keys[0] if kept and kept[1].role == "gas" else ""
+        if not keys:  # bundled gases
+            called = (key for key, m in known.items() if m.role == "gas" and normalized(name) == normalized(m.name))
+            gas = name if name in known else next(called, "")
+        if gas:
+            formula = "" if gas == name else f" ({gas})"
+            raise DataError(f"{name!r}{formula} is a gas, which an open flask cannot hold")
         if len(keys) == 1:
             return keys[0]
         if keys:
             raise DataError(f"{name!r} may be {' or '.join(map(repr, keys))}; give one of these names")
-        if name in known:
-            raise DataError(f"{name!r} is a gas, which an open flask cannot hold")
         if wrong_cas(name):
             raise DataError(f"{name!r} is no CAS number: its check digit is wrong; correct it, or give a name")
         near = list(dict.fromkeys([*difflib.get_close_matches(name, known, 1, 0.9), *closest(name)]))[:3]
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
+        if _SALT.fullmatch(name.strip()):
+            raise DataError(
+                f"{name!r} is a salt that is not in the catalogue; {hint}it has {', '.join(salts())}; others need "
+                "files of your own in material_files"
+            )
         raise DataError(
             f"unknown material {name!r}; {hint}Flask.known() lists all names; Flask.material({name!r}) looks another "
             "molecule up (needs pip install '.[chem]'); other salts, and what is not found, need files of your own in "
@@ -1020,7 +1055,23 @@ class Flask:
             solvents = [new.layout.solvents.index(name) for name in was.solvents]
             new.dissolved[0, 0][np.ix_(fluids, solvents)] = old.dissolved[0, 0]
         self._names, self._known, self._shelf = names, known, new
+        self._warn_of_salts(5)
         self._make_scratch()
+
+    def _warn_of_salts(self, stacklevel: int) -> None:
+        """Warn of salts that meet water, and that a reaction file of the user's has no solubility of."""
+        materials, family = self._known.scenario.materials, self._setting.reactions
+        if not family.endswith(".toml") or "water" not in materials:
+            return
+        known = {salt.solid for salt in self._known.scenario.family.salt}
+        found = frozenset(salts()) & set(materials) - known
+        for name in sorted(found - self._insoluble):
+            warnings.warn(
+                f"{name} has no [[salt]] entry in {Path(family).name}, so it does not dissolve; give it one there",
+                SaltWarning,
+                stacklevel=stacklevel,
+            )
+        self._insoluble |= found
 
     def _changing(self) -> list[FloatArray]:
         return [self._shelf.rows, self._shelf.waste, self._events]

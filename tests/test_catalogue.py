@@ -78,6 +78,13 @@ def test_other_names_find_an_amount() -> None:
     [
         (lambda: Flask({"acetonne": 1.0}), "did you mean 'acetone'"),
         (lambda: Flask({"unobtainium": 1.0}), r"Flask\.material\('unobtainium'\) looks another molecule up"),
+        (
+            lambda: Flask({"hydrogen": 0.1, "water": 10.0}),
+            r"'hydrogen' \(H2\) is a gas, which an open flask cannot hold",
+        ),
+        (lambda: Flask({"K2CO3": 0.1}), "'K2CO3' is a salt that is not in the catalogue; it has NaCl, NaOH"),
+        (lambda: Flask({"sodium cloride": 0.1}), "did you mean 'sodium chloride'"),
+        (lambda: Flask({"magnesium sulfate": 0.1}), "is a salt that is not in the catalogue"),
         (lambda: Flask({"C8H10": 1.0}), "may be .*'o-xylene'.*give one of these names"),
         (lambda: Flask({"xylene": 1.0}), "did you mean .*-xylene"),
         (lambda: Flask({"67-64-2": 1.0}), "its check digit is wrong"),

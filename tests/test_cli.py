@@ -10,6 +10,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -792,6 +793,17 @@ def test_an_episode_is_watched_instead(monkeypatch: pytest.MonkeyPatch) -> None:
     result = runner.invoke(app, ["run", "wurtz_dodecane_direct", "--watch", "--json"])
     assert (result.exit_code, len(opened)) == (2, 1)
     assert "--watch: cannot be given with" in result.output
+
+
+@pytest.mark.parametrize(("command", "option"), [("serve", "--port"), ("mcp", "--http")])
+def test_ports_that_cannot_be_had(command: str, option: str) -> None:
+    pytest.importorskip("mcp" if command == "mcp" else "starlette")
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        taken = server.getsockname()[1]
+        for port, words in ((taken, f"port {taken} is taken; give another with {option}"), (65536, "65535")):
+            result = runner.invoke(app, [command, "wurtz_dodecane_direct", option, str(port)])
+            assert (result.exit_code, "http://" in result.output) == (2, False), result.output
+            assert words in result.output
 
 
 def test_notebooks_show_what_things_are(tmp_path: Path) -> None:

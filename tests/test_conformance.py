@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
+from typing import Any
 
 import pytest
-from helpers import FEATURED, slow_but
+from helpers import FEATURED, mapping, slow_but
 from typer.testing import CliRunner
 
 from chemlab.cli import app
 from chemlab.config.inherit import scenario_names, synthesis_names
 from chemlab.config.loading import load_scenario
-from chemlab.conformance import CHECKS, check_scenario
+from chemlab.conformance import CHECKS, check_scenario, doubts
 
 PARTS = Path(__file__).parent / "parts"
 FAULTS = {
@@ -63,6 +65,26 @@ def test_a_fault_is_found(check: str, tmp_path: Path) -> None:
     errors = {result.name: result.error or "" for result in check_scenario(written(tmp_path, old, new))}
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(errors[check])
+
+
+@pytest.mark.parametrize("name", FEATURED)
+def test_bundled_scenarios_leave_no_doubt(name: str) -> None:
+    assert doubts(load_scenario(name)) == []
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "words"),
+    [
+        ("stock", {"Na": 0.0}, "benches.rxn: adds 'Na', of which there is none"),
+        ("stock", {"Na": 0.0}, "goals: no reaction makes 'dodecane' of what is in stock"),
+        ("theoretical_maximum_mol", {"dodecane": 500.0}, "dodecane: 500 mol, but the atoms in stock .* enough for"),
+        ("temperature_k", {"low": 60.0, "high": 100.0, "step": 10.0}, "high = 100 K is -173 degrees Celsius"),
+    ],
+)
+def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
+    tables = mapping("wurtz_dodecane_direct")
+    (tables["benches"]["rxn"] if key == "temperature_k" else tables)[key].update(value)
+    assert re.search(words, "\n".join(doubts(load_scenario(tables))))
 
 
 def test_the_command(tmp_path: Path) -> None:

@@ -345,6 +345,7 @@ def test_commands_write_and_judge_a_chemistry(tmp_path: Path) -> None:
     def run(*words: object) -> Any:
         return CliRunner().invoke(app, [str(word) for word in words])
 
+    assert "must be lower-case letters, digits and _" in run("generate", "My Chem").output
     done = run("generate", "mine", "--seed", 3, "--materials", 6, "--reactions", 4, "-o", tmp_path)
     assert done.exit_code == 0, done.output
     assert sorted(p.name for p in tmp_path.iterdir()) == ["mine.toml", "mine_materials.toml", "mine_reactions.toml"]

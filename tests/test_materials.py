@@ -64,7 +64,7 @@ def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     [
-        ("charge = 0\n", 'charge = 0\nodour = "foul"\n', ["odour", "not permitted", "'foul'"]),
+        ("charge = 0\n", 'charge = 0\nodour = "foul"\n', ["odour", "unknown key", "'foul'"]),
         ("density_kg_l = 0.9", "density_kg_l = -0.9", ["density_kg_l", "or equal to 0.00001", "-0.9"]),
         ("density_kg_l = 0.9", "density_kg_l = 99.0", ["density_kg_l", "less than or equal to 25", "99.0"]),
         ("density_kg_l = 0.9\n", "", ["density_kg_l", "required"]),
@@ -110,7 +110,7 @@ def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
         ('formula = "X2"', r'formula = "X\u0007"', ["formula", "without control characters"]),
         ("shade = 0.5", "shade = 0.5\n" + '"bad\\nkey" = 1', ["a key must be 1 to 100 printable characters"]),
         ('melting_point_k = "made up"\n', "", ["source", "cite", "melting_point_k"]),
-        ("width_nm = 10.0 }", "width_nm = 10.0, phase = 1 }", ["absorption.0.phase", "not permitted"]),
+        ("width_nm = 10.0 }", "width_nm = 10.0, phase = 1 }", ["absorption.0.phase", "unknown key"]),
     ],
 )
 def test_a_wrong_entry_is_named_with_file_key_and_bound(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:

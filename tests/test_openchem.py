@@ -169,7 +169,13 @@ def test_an_unknown_molecule_is_estimated_and_says_so() -> None:
 
 @pytest.mark.parametrize(
     ("text", "same"),
-    [("50-78-2", "aspirin"), ("aspirin", "CC(=O)Oc1ccccc1C(O)=O"), ("OCC", "ethanol"), ("64-17-5", "C(O)C")],
+    [
+        ("50-78-2", "aspirin"),
+        ("ethylene_glycol", "OCCO"),
+        ("aspirin", "CC(=O)Oc1ccccc1C(O)=O"),
+        ("OCC", "ethanol"),
+        ("64-17-5", "C(O)C"),
+    ],
 )
 def test_number_name_and_structure_are_the_same_compound(text: str, same: str) -> None:
     assert compound_of(text).smiles == compound_of(same).smiles
@@ -190,6 +196,7 @@ def test_a_fitted_vapor_pressure_is_the_curve_it_was_fitted_to() -> None:
     [
         ("xyzzy", ["unknown", "SMILES"]),
         ("tolune", ["unknown", "did you mean 'toluene'"]),
+        ("ethylene_glycoll", ["unknown", "did you mean 'ethylene glycol'"]),
         ("7732-18-6", ["check digit"]),
         ("[Na+].[Cl-]", ["2 fragments", "by hand", "'NaCl'"]),
         ("potassium iodide", ["2 fragments", "by hand"]),
@@ -503,6 +510,7 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
     assert "--ideal" in refused
     assert not path.exists()
     shown = " ".join(run(*words, "--ideal").output.split())
+    assert "fitting 2 pairs of liquids" in shown
     assert "ideal mixtures" in shown
     made = load_pairs([path])
     # Toluene with water is shipped, by measured solubilities, and is not written over.
@@ -650,6 +658,18 @@ def test_a_catalyst_is_put_in_and_fed(tmp_path: Path) -> None:
     assert ticks[0] > 5.0 * ticks[1]
 
 
+def test_a_catalyst_is_looked_up(tmp_path: Path) -> None:
+    """And a number of kJ/mol is not taken for one of J/mol without a word."""
+    path = tmp_path / "acetate.toml"
+    words = ["data", "reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "-o", path]
+    shown = run(*words, "--catalyst", "palladium", "--catalyst", "ethyl ether", "--activation", 60).output
+    assert "60 J/mol of acetic_anhydride + ethanol -> ethyl_acetate + acetic_acid is next to nothing" in shown
+    materials = load_materials([path.with_name("acetate_materials.toml")])
+    family = load_reactions(str(path), {**shipped_materials(), **materials})
+    assert list(materials) == ["palladium"]
+    assert family.reaction[0].catalysts == {"palladium": 1, "diethyl_ether": 1}
+
+
 def test_what_was_refused_has_left_nothing_behind(acetate: Path) -> None:
     lab = acetate.with_name("lab.toml")
     before = sorted(acetate.parent.iterdir())
@@ -676,7 +696,10 @@ def test_the_solvent_takes_no_part_and_boils_far_from_the_goal() -> None:
     [
         (["--goal", "toluene"], ["no reaction of 'acetate' makes it"]),
         (["--goal", "unobtainium"], ["unknown material", "acetic_acid"]),
-        (["--solvent", "unobtainium"], ["--solvent", "unknown material"]),
+        (
+            ["--solvent", "ethyl ether"],
+            ["--solvent", "unknown material", "chemlab data material 'ethyl ether' -o FILE"],
+        ),
         (["--solvent", "NaCl"], ["is not a known liquid"]),
         (["--solvent", "ethyl_acetate"], ["is the goal itself"]),
         (["--reactions", "fischer"], ["catalyst 'H+'", "is an ion", "shipped fischer"]),

@@ -116,7 +116,7 @@ def test_a_later_file_replaces_what_an_earlier_one_says(file: Path, tmp_path: Pa
         ("alpha = 0.2", "alpha = 0.0", ["pairs.1.alpha", "0.01"]),
         ("b = [30.0, 40.0]", "b = [90000.0, 40.0]", ["pairs.1", "tau is beyond 100 at 250.0 K"]),
         ("alpha = 0.2, low_k = 250.0", "alpha = 0.2, low_k = 450.0", ["pairs.1", "must be above low_k = 450.0"]),
-        ("c = [0.5, 0.25]", "d = [0.5, 0.25]", ["pairs.1.d", "not permitted"]),
+        ("c = [0.5, 0.25]", "d = [0.5, 0.25]", ["pairs.1.d", "unknown key"]),
     ],
 )
 def test_a_wrong_pair_is_refused(file: Path, old: str, new: str, parts: list[str]) -> None:

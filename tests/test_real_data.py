@@ -261,7 +261,7 @@ fusion_enthalpy_j_mol = "made up"
         ("formation_enthalpy_j_mol = -100000.0\n", "", ["formation_enthalpy_j_mol", "required"]),
         ('fusion_enthalpy_j_mol = "made up"\n', "", ["source must cite fusion_enthalpy_j_mol"]),
         ("fusion_enthalpy_j_mol = 12000.0", "fusion_enthalpy_j_mol = -1.0", ["fusion_enthalpy_j_mol", "greater than"]),
-        ('formation_state = "l"', 'formation_state = "l"\npka = 4.2', ["real.pka", "not permitted"]),
+        ('formation_state = "l"', 'formation_state = "l"\npka = 4.2', ["real.pka", "unknown key"]),
     ],
 )
 def test_wrong_properties_are_named(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:

@@ -25,7 +25,7 @@ from chemlab.config.materials import shipped_materials
 from chemlab.openchem.writing import material_text, pair_text
 from chemlab.physics import backends as laws
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.sandbox import Flask, SpillWarning
+from chemlab.sandbox import BoilingWarning, Flask, SaltWarning, SpillWarning
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -626,6 +626,26 @@ def test_what_does_not_fit_runs_over() -> None:
     assert flask.amounts["water"] + flask.waste["water"] == pytest.approx(7.0)
     molar = MATERIALS["water"].molar_mass_g_mol / 1000.0 / MATERIALS["water"].density_kg_l
     assert flask.events["spill_l"] == pytest.approx(7.0 * molar - 0.1)
+
+
+def test_a_thermostat_that_would_boil_an_open_flask() -> None:
+    flask = Flask({"water": 10.0, "ethanol": 2.0})
+    with pytest.warns(BoilingWarning, match=r"at 600 K the contents would boil .*jacket_w_k leaves it open") as caught:
+        flask.react(10.0, temperature_k=600.0)
+    assert caught[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        flask.react(10.0, temperature_k=300.0)
+
+
+def test_a_salt_that_a_reaction_file_forgets(first_order: str) -> None:
+    with pytest.warns(
+        SaltWarning, match=r"NaOH has no \[\[salt\]\] entry in first_order\.toml, so it does not"
+    ) as caught:
+        flask = Flask({"water": 10.0, "NaOH": 0.1}, reactions=first_order)
+    with pytest.warns(SaltWarning, match="NaCl has no") as more:
+        flask.add("NaCl", 0.1)
+    assert [one.filename for one in (*caught, *more)] == [__file__, __file__]
 
 
 @pytest.mark.parametrize(

@@ -129,7 +129,18 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
     ("old", "new", "parts"),
     [
         # Top level.
-        ('summary = "One', 'colour = "red"\nsummary = "One', ["colour", "not permitted", "'red'"]),
+        ('summary = "One', 'colour = "red"\nsummary = "One', ["colour", "unknown key", "'red'"]),
+        ('title = "A tiny', 'titel = "A tiny', ["titel: unknown key, given 'A tiny laboratory'; did you mean title?"]),
+        (
+            "capacity_l = 1.0\ncontents",
+            "capacity = 1.0\ncontents",
+            ["capacity: unknown key, given 1.0; did you mean capacity_l?"],
+        ),
+        (
+            'goals = ["dodecane", "NaCl"]',
+            'goals = "dodecane"',
+            ["goals: must be a list, as in [1, 2], given 'dodecane'"],
+        ),
         ('name = "tiny"', 'name = "Tiny Lab"', ["name", "pattern", "'Tiny Lab'"]),
         ('title = "A tiny laboratory"\n', "", ["title", "required"]),
         ('goals = ["dodecane", "NaCl"]', "goals = []", ["goals", "at least 1"]),
@@ -183,7 +194,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         (
             'kind = "extraction"',
             'kind = "extraction"\nshape = "round"',
-            ["benches.ext", "shape", "not permitted", "'round'"],
+            ["benches.ext", "shape", "unknown key", "'round'"],
         ),
         ('kind = "extraction"', 'kind = "extraction"\ncount = 0', ["benches.ext.count", "greater than or equal to 1"]),
         # Of a kind that chemlab has no data on.
@@ -257,7 +268,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         # Instruments, limits, safety.
         ('kind = "balance"', 'kind = "nose"', ["instruments.scales.kind", "'nose'", "balance"]),
         ("price = 0.01", "price = -0.01", ["instruments.scales.price", "greater than or equal to 0", "-0.01"]),
-        ("price = 0.01", "cost = 0.01", ["instruments.scales.cost", "not permitted"]),
+        ("price = 0.01", "cost = 0.01", ["instruments.scales.cost", "unknown key"]),
         ("ticks = 50", "ticks = 0", ["limits.ticks", "greater than or equal to 1", "0"]),
         ("{ spill_l = 1.0 }", "{ explosion = 1.0 }", ["safety", "weights.explosion", "unknown", "spill_l"]),
         ("{ spill_l = 1.0 }", "{ spill_l = -1.0 }", ["safety", "weights.spill_l", "-1.0", "or equal to 0"]),
@@ -306,6 +317,20 @@ def test_a_missing_file_of_materials_or_reactions_is_named(tmp_path: Path) -> No
     ):
         file.write_text(changed(BASE, old, new))
         refused(lambda: load_scenario(file), "no such file", tmp_path / missing)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[lock]\nx = 'y'\n[tar]\nmolar_mass_g_mol = 9.0", "is a file of materials, not a scenario"),
+        ("name = 'tar'\n[[reaction]]", "is a file of reactions, not a scenario"),
+        ("pairs = []", "is a file of pairs, not a scenario"),
+    ],
+)
+def test_another_kind_of_file(tmp_path: Path, text: str, words: str) -> None:
+    file = tmp_path / "other.toml"
+    file.write_text(text)
+    refused(lambda: load_scenario(file), file, words)
 
 
 def test_a_material_of_ones_own_may_not_take_a_shipped_name(tmp_path: Path) -> None:

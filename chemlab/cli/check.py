@@ -8,7 +8,7 @@ from dataclasses import asdict
 import typer
 
 from .options import JsonOption, ScenarioArgument, TrustOption, app
-from .screen import counting, out, plain
+from .screen import counting, err, out, plain
 
 
 @app.command()
@@ -16,12 +16,14 @@ def check(scenario: ScenarioArgument, trust: TrustOption = False, as_json: JsonO
     """Check that a scenario, with the benches, operations and instruments that it names, conforms to the interfaces.
 
     Plays random legal actions and tests spaces, limits, seeds, copies, conservation, records, and the agreement of all
-    environments. Exits with 0 if every check passes, and with 1 if one fails.
+    environments. Exits with 0 if every check passes, and with 1 if one fails. Warns of what can hardly be meant.
     """
     from ..config.loading import load_scenario
-    from ..conformance import CHECKS, check_scenario
+    from ..conformance import CHECKS, check_scenario, doubts
 
     spec = load_scenario(scenario)
+    for doubt in doubts(spec):
+        err.print(f"[yellow]warning[/yellow]: {plain(doubt)}")
     results = []
     with counting() as progress:
         task = progress.add_task("checks", total=len(CHECKS))

@@ -17,7 +17,7 @@ import typer
 
 from ..config.files import check_apart, check_new, check_target, write_text, write_texts
 from .options import JsonOption, app
-from .screen import counting, out, plain, show_table
+from .screen import counting, err, out, plain, show_table
 
 if TYPE_CHECKING:
     from ..config.materials import Material
@@ -96,6 +96,8 @@ def _made_pairs(
     from ..openchem.activity import make_pairs
     from ..openchem.writing import pair_text
 
+    if two and not err.is_terminal:  # which shows no progress
+        err.print(f"fitting {_count(len(two), 'pair')} of liquids")
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
         rows = make_pairs(two, known, lambda _: progress.advance(task), ideal)
@@ -318,15 +320,24 @@ def reactions(
     given |= {"--materials": materials, "--name": name, "--values": values}
     command = _command("data", "reactions", *_given(given))
     tables: dict[str, Any] = {}
-    wanted: list[Compound] = []
+    wanted: list[Compound] = [compound_of(smiles, key, structure=True) for key, smiles in strangers.items()]
+    ids = {s.inchi_key: s.key for s in species}
+    catalysts = []
+    for text in catalyst or ():
+        if text not in known and text not in strangers:
+            made_of = compound_of(named.get(text, text), text if text in named else "")
+            text = ids.get(made_of.inchi_key) or compounds.known_as(made_of, known) or made_of.key
+            if text not in known and text not in strangers:
+                strangers[text] = made_of.smiles
+                wanted.append(made_of)
+        catalysts.append(text)
     if strangers:
         _free(beside, force, *read)
-        wanted = [compound_of(smiles, key, structure=True) for key, smiles in strangers.items()]
         tables = compounds.material_tables(wanted, given_here)
         known |= compounds.checked_materials(tables)
     elif given_here:
         raise ValueError(f"--values: {min(given_here)}: is not written by this command: all materials are known")
-    family = templates.family_tables(output.stem, found, known, command, catalyst or ())
+    family = templates.family_tables(output.stem, found, known, command, catalysts)
     results = {output: family_text(family)}
     if strangers:
         results[beside] = material_text(tables, command)
@@ -353,8 +364,19 @@ def reactions(
         )
     if strangers:
         out.print(f"{plain(beside)}: {_count(len(strangers), 'material')}")
+    for step in found:
+        energy = step.template.rate.activation_j_mol
+        if energy is not None and 0.0 < energy < _SMALLEST_ACTIVATION:
+            err.print(
+                f"warning: --activation: {energy:g} J/mol of {plain(step.words)} is next to nothing; were "
+                f"{energy:g} kJ/mol meant, give {1000.0 * energy:g}"
+            )
     guesses = "; rate constants that were not given are guessed" if any("guess" in row[2] for row in rows) else ""
     out.print(f"{plain(output)}: {_count(len(found), 'reaction')}{guesses}")
+
+
+_SMALLEST_ACTIVATION = 1000.0
+"""J/mol, below which an activation energy was likely meant in kJ/mol."""
 
 
 def _rate_words(found: Found) -> str:
@@ -420,6 +442,12 @@ def _with_own_rates(found: list[Found], own: Mapping[str, Mapping[str, float]]) 
     return made
 
 
+def _check_name(name: str) -> None:
+    """Check the name of a scenario."""
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
+        raise ValueError(f"name: must be lower-case letters, digits and _, beginning with a letter; given {name!r}")
+
+
 @app.command()
 def new(
     name: Annotated[str, typer.Argument(help="Name of the scenario: lower-case letters, digits and _.")],
@@ -443,8 +471,7 @@ def new(
     from ..config.reactions import load_reactions
     from ..openchem import designs
 
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
-        raise ValueError(f"name: must be lower-case letters, digits and _, beginning with a letter; given {name!r}")
+    _check_name(name)
     path = output or Path(f"{name}.toml")
     read = [*(materials or ()), *(pairs or ())]
     _free(path, force, *read)
@@ -473,7 +500,10 @@ def new(
         proposed = designs.solvent_for(goal, family, known)
         solvent = typer.prompt("solvent", default=proposed) if asking else proposed
     if solvent not in known:
-        raise ValueError(f"--solvent: unknown material {solvent!r}; name its file with --materials")
+        make = _command("data", "material", solvent, "-o", "FILE.toml")
+        raise ValueError(
+            f"--solvent: unknown material {solvent!r}; name its file with --materials; make it with: {make}"
+        )
     at_hand = {**shipped_pairs(), **load_pairs(pairs or ())}
     missing = [two for two in designs.occurring(goal, solvent, family, known) if frozenset(two) not in at_hand]
     designs.check_design(goal, solvent, family, known, mol)
@@ -533,6 +563,7 @@ def generate(
     """
     from ..openchem.generate import generated
 
+    _check_name(name)
     made = generated(seed, materials, reactions, difficulty, physics, steps, goals, name)
     made.scenario()
     path = made.write(output, force)

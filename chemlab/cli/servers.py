@@ -25,7 +25,11 @@ def mcp(
     ] = None,
     http: Annotated[
         int | None,
-        typer.Option(help="Serve over HTTP on this port (0: a free one). Default: standard input and output."),
+        typer.Option(
+            min=0,
+            max=65535,
+            help="Serve over HTTP on this port (0: a free one). Default: standard input and output.",
+        ),
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     background: Annotated[str, typer.Option(help="Policy of the agents without a seat.")] = "scripted",
@@ -74,7 +78,7 @@ def mcp(
         if http is None:
             anyio.run(mcp_server.serve_stdio, room)
         else:
-            port = http or _free_port(host)
+            port = _free_port(host, http, "--http")
             tokens = {one: token or secrets.token_urlsafe(24) for one in seats}
             for one, own in tokens.items():
                 shown = "the given token" if token else own
@@ -118,7 +122,7 @@ def serve(
     host: Annotated[
         str, typer.Option(help="Address to listen on. Addresses that others can reach need tokens, which are printed.")
     ] = "127.0.0.1",
-    port: Annotated[int, typer.Option(help="Port; 0: a free one.")] = 8765,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0: a free one.")] = 8765,
     out_folder: Annotated[
         Path | None, typer.Option("--out", help="Folder of the records. Default: a temporary one, deleted at the end.")
     ] = None,
@@ -136,7 +140,7 @@ def serve(
     if speed not in SPEEDS:
         raise ValueError(f"--speed: must be one of {', '.join(map(str, SPEEDS))}, given {speed}")
     local = host in LOCAL
-    port = port or _free_port(host)
+    port = _free_port(host, port)
     agents = ["manager_0", *spec.bench_agents()]
     tokens = None if local else {one: secrets.token_urlsafe(24) for one in ("watch", *agents)}
     with tempfile.TemporaryDirectory() as folder:
@@ -151,9 +155,23 @@ def serve(
         live_server(live_app(lives, policies, tokens, hosts, paused, speed), host, port).run()
 
 
-def _free_port(host: str) -> int:
+def _free_port(host: str, port: int = 0, option: str = "--port") -> int:
+    """Return ``port`` if a server can listen there; for 0, a free one.
+
+    Raises:
+        ValueError: the port is taken, or reserved for administrators.
+    """
+    import errno
     import socket
 
-    with socket.socket() as probe:
-        probe.bind((host, 0))
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET) as probe:
+        if os.name == "posix":  # as servers do, so that a port of a server that has just ended is free
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            known = {errno.EADDRINUSE: "is taken", errno.EACCES: "is reserved for administrators"}
+            if error.errno not in known:
+                raise
+            raise ValueError(f"port {port} {known[error.errno]}; give another with {option}") from error
         return int(probe.getsockname()[1])

@@ -51,6 +51,12 @@ def acids_and_bases() -> frozenset[str]:
     return frozenset(species | {salt["solid"] for salt in family["salt"] if salt["anion"] in species})
 
 
+@functools.lru_cache(maxsize=1)
+def salts() -> tuple[str, ...]:
+    """Return the salts that dissolve in water."""
+    return tuple(salt["solid"] for salt in read_toml(FAMILY)["salt"])
+
+
 class CataloguePair(NamedTuple):
     """A row of ``pairs.csv``."""
 

@@ -6,10 +6,11 @@ Separate from :mod:`chemlab.config.datafile`, because importing pydantic takes a
 
 from __future__ import annotations
 
+import difflib
 import functools
 import re
-from collections.abc import Callable, Mapping, Set
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
+from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
@@ -25,16 +26,55 @@ class DataModel(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-def _described(error: ValidationError, where: str) -> str:
+_WORDS = {
+    "extra_forbidden": "unknown key",
+    "tuple_type": "must be a list, as in [1, 2]",
+    "list_type": "must be a list, as in [1, 2]",
+    "dict_type": "must be a table of keys and values",
+    "model_type": "must be a table of keys and values",
+}
+"""Problems in the words of files, by pydantic's name."""
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Yield the models in a type."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models(inner)
+
+
+def _hint(kind: Any, place: Sequence[int | str]) -> str:
+    """Return what an unknown key may have meant, as the end of a sentence."""
+    *path, key = place
+    models = list(_models(kind))
+    for part in path:  # an index, or a key of a table of models, is no field
+        inside = [
+            one
+            for model in models
+            if part in model.model_fields
+            for one in _models(model.model_fields[str(part)].annotation)
+        ]
+        models = inside or models
+    known = list(dict.fromkeys(field for model in models for field in model.model_fields))
+    near = difflib.get_close_matches(str(key), known, 1)
+    if near:
+        return f"; did you mean {near[0]}?"
+    return f"; known: {', '.join(known)}" if known else ""
+
+
+def _described(error: ValidationError, where: str, kind: Any) -> str:
     """Turn a pydantic error into lines ``where: key: problem (given value)``."""
     found = error.errors(include_url=False)
     lines = []
     for item in found[:_LINES]:
         place = ".".join(str(part) for part in item["loc"])
-        message = re.sub(r"^Value error, ", "", item["msg"])
+        message = _WORDS.get(item["type"]) or re.sub(r"^Value error, ", "", item["msg"])
         given = item.get("input")
         bare = isinstance(given, (dict, list, tuple, BaseModel)) or item["type"] == "missing"
-        lines.append(": ".join(filter(None, (where, place, message))) + ("" if bare else f", given {shown(given)}"))
+        hint = _hint(kind, item["loc"]) if item["type"] == "extra_forbidden" else ""
+        words = message + ("" if bare else f", given {shown(given)}") + hint
+        lines.append(": ".join(filter(None, (where, place, words))))
     if len(found) > _LINES:
         lines.append(f"{where}: and {len(found) - _LINES} more")
     return "\n".join(lines)
@@ -53,7 +93,7 @@ def validated(kind: type[T], values: Any, where: str) -> T:
         found: T = _reader(kind).validate_python(dict(values) if isinstance(values, Mapping) else values)
         return found
     except ValidationError as error:
-        raise DataError(_described(error, where)) from error
+        raise DataError(_described(error, where, kind)) from error
 
 
 def written(model: BaseModel, without: Set[str] = frozenset()) -> dict[str, Any]:

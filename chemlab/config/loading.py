@@ -6,7 +6,7 @@ import contextlib
 import difflib
 import functools
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from .checks import check_charges, check_draws, check_materials, check_vessels, 
 from .datafile import DataError, bounded, read_toml
 from .datamodel import validated, written
 from .inherit import campaign_names, completed, scenario_names, shipped_file, split_level, synthesis_names
-from .materials import Material, load_materials, shipped_materials
+from .materials import LOCK, Material, load_materials, shipped_materials
 from .pairs import Pair, load_pairs, shipped_pairs
 from .reactions import (
     HYDROXIDE,
@@ -75,6 +75,12 @@ def _reachable(family: ReactionFamily, present: list[str], ionizes: bool) -> tup
     return order, kept
 
 
+def reachable_materials(spec: Scenario, present: Iterable[str]) -> set[str]:
+    """Return what can occur in a scenario where some materials are present, these included."""
+    ionizes = spec.physics == "real" and {PROTON, HYDROXIDE} <= set(spec.materials)
+    return set(_reachable(spec.family, list(present), ionizes)[0])
+
+
 def _can_run(step: Reaction | Violent, known: set[str]) -> bool:
     """Return True if the reactants and catalysts of a reaction are available in one direction or the other."""
     if isinstance(step, Violent):
@@ -131,6 +137,7 @@ def _load_file(path: Path, level: int | None) -> Scenario:
 
 
 def _resolve(values: Mapping[str, Any], where: str, folder: Path, level: int | None = None) -> Scenario:
+    _check_is_scenario(values, where)
     if "@" in str(values.get("name")):
         raise DataError(f"{where}: name: {values['name']!r:.200} must not have a level; declare it under levels")
     if "base" in values and "name" not in values and Path(where).suffix == ".toml":
@@ -149,6 +156,23 @@ def _resolve(values: Mapping[str, Any], where: str, folder: Path, level: int | N
     check_materials([("costs.stock_per_mol", name) for name in spec.costs.stock_per_mol], known, where)
     pairs = load_pairs(folder / file for file in spec.pair_files)
     return _equipped(spec, known, family, pairs, where)
+
+
+def _check_is_scenario(values: Mapping[str, Any], where: str) -> None:
+    """Check that a file is no other kind of file.
+
+    Raises:
+        DataError: it has materials, reactions or pairs.
+    """
+    tables = [table for key, table in values.items() if key != LOCK]
+    kinds = {
+        "materials": all(isinstance(table, Mapping) and "molar_mass_g_mol" in table for table in tables),
+        "reactions": isinstance(values.get("reaction"), list),
+        "pairs": isinstance(values.get("pairs"), list),
+    }
+    for kind, key in (("materials", "material_files"), ("reactions", "reactions"), ("pairs", "pair_files")):
+        if tables and kinds[kind]:
+            raise DataError(f"{where}: is a file of {kind}, not a scenario; a scenario names it under {key}")
 
 
 def _equipped(

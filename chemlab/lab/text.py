@@ -31,6 +31,7 @@ _PURE = 5
 _COLUMNS = " | "
 """Between the cells of an order and the heads of their columns."""
 _READING = re.compile(r"(\S+ at tick \S+): (.*)")
+_ZEROS = re.compile(r"(\d)(?:(\.\d*[1-9])|\.)0+(?!\d)")
 _SHARES = re.compile(r"(\S+ [\d.]+%(, |$))+")
 
 
@@ -77,19 +78,24 @@ def measured_words(
     """
     table = laboratories.instruments
     channel = table.channels[instrument]
-    values = _as_exact_as(laboratories.scenario.instruments[table.names[instrument]].noise, values)
+    noise, values = laboratories.scenario.instruments[table.names[instrument]].noise, np.asarray(values)
+    low, span = (channel.low, channel.high - channel.low) if channel.size == 1 else (0.0, 1.0)
+    exact = (_as_exact_as(noise * span, low + values.astype(np.float64) * span) - low) / span
+    least = 0.5 * 10.0 ** math.floor(math.log10(noise)) if noise > 0.0 else 0.0
+    values = np.where(np.abs(values) <= least, 0.0, exact)  # of nothing, an instrument reads next to nothing
     if channel.unit == "grey":
         return Shades(laboratories.scenario).words(values, name)
     if channel.size > _LONG:
         return curve_words(channel, values)
     analytes = table.analytes[instrument]
     words = table.kinds[instrument].words(values, channel, [name(one) for one in analytes] if name else analytes)
-    return words.replace(".0%", "%")
+    # A reading with noise has fewer digits than the words of its instrument: the rest are zeros.
+    return _ZEROS.sub(r"\1\2", words) if noise > 0.0 else words.replace(".0%", "%")
 
 
 def _as_exact_as(noise: float, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Round values to the power of ten below their noise, a standard deviation on the same scale."""
-    return np.round(values, -math.floor(math.log10(noise))) if noise > 0.0 else np.asarray(values)
+    """Round values to a tenth of the power of ten below their noise, a standard deviation on the same scale."""
+    return np.round(values, 1 - math.floor(math.log10(noise))) if noise > 0.0 else np.asarray(values)
 
 
 def position_words(bench: Bench) -> str:

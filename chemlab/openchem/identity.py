@@ -138,7 +138,10 @@ def _near(text: str) -> str:
     """Return similar names as the end of a sentence."""
     if not 3 < len(text) <= _LONGEST_NAME:
         return ""
-    near = difflib.get_close_matches(text.lower(), pubchem_db.name_index, 2, 0.8)
+    text = text.lower()
+    # Of the million names, only those that a misspelling is likely to have meant: the rest takes a second.
+    similar = [name for name in pubchem_db.name_index if name[:1] == text[0] and abs(len(name) - len(text)) <= 2]
+    near = difflib.get_close_matches(text, similar, 2, 0.8)
     return f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
@@ -224,13 +227,13 @@ def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
     """
     text = text.strip()
     check_length(text, "compound")
-    entry, named = (None, "") if structure or not text else _entry_of(text)
+    entry, named = (None, "") if structure or not text else _entry_of(text.replace("_", " "))
     drawn = Chem.MolFromSmiles(text) if text else None
     molecule = parsed(entry.smiles, text) if entry else drawn
     if not _is_structure(molecule):
         raise DataError(
             f"{text!r}: unknown: neither a CAS number nor a name in the list of chemicals, nor a structure; give one "
-            f"of these, a structure as SMILES (ethanol: CCO){_near(text)}"
+            f"of these, a structure as SMILES (ethanol: CCO){_near(text.replace('_', ' '))}"
         )
     inchi_key = str(Chem.MolToInchiKey(molecule))
     if entry and _is_structure(drawn) and str(Chem.MolToInchiKey(drawn)) != inchi_key:

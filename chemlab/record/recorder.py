@@ -204,6 +204,11 @@ def environment_here() -> dict[str, str]:
     }
 
 
+def _decodable(name: str) -> str:
+    """Replace what cannot be written: a path from the command line may contain undecodable bytes."""
+    return name.encode(errors="surrogateescape").decode(errors="replace")
+
+
 class Recorder:
     """Writes the episodes of one laboratory to a file each.
 
@@ -239,13 +244,10 @@ class Recorder:
         self.part = self.path.parent / f"{self.path.name}.part"
         self._labs, self._member = laboratories, member
         self._rounds, self._force = rounds, force
-        # A path from the command line may contain undecodable bytes.
-        self._policies = {
-            agent: name.encode(errors="surrogateescape").decode(errors="replace")
-            for agent, name in (policies or {}).items()
-        }
+        self._policies = {agent: _decodable(name) for agent, name in (policies or {}).items()}
         self._file: BinaryIO | None = None
         self._held: list[bytes] | None = [] if held else None
+        self._opening: dict[str, Any] = {}
         self._witness: Witness | None = None
         self._tick = 0
         for there in (self.path, self.part):
@@ -288,7 +290,16 @@ class Recorder:
         if self._held is None:
             self._file = self._opened()
         self._tick = 0
+        self._opening = opening
         self._write(opening)
+
+    def played_by(self, agent: str, policy: str) -> None:
+        """Name an agent's policy, or one more, in a record that is held in memory."""
+        names = self._opening.get("policies", {})
+        known, policy = names.get(agent, ""), _decodable(policy)
+        if self._held and policy not in known.split(" and "):
+            names[agent] = f"{known} and {policy}" if known else policy
+            self._held[0] = to_text(self._opening).encode() + b"\n"
 
     def _opened(self) -> BinaryIO:
         """Open the file for exclusive use.

@@ -47,7 +47,8 @@ def protocol(record: Record, trust: bool = False) -> str:
     replay = RecordReplay(record, trust)
     labs = replay.laboratories
     spec, steps, latest = labs.scenario, list[_Step](), dict[str, _Step]()
-    lines = [f"# {spec.title}", "", f"{spec.summary} Simulated by chemlab {record.header.get('chemlab')}: scenario"]
+    summary = spec.summary if spec.summary.endswith((".", "!", "?")) or not spec.summary else f"{spec.summary}."
+    lines = [f"# {spec.title}", "", f"{summary} Simulated by chemlab {record.header.get('chemlab')}: scenario"]
     lines[-1] += f" `{spec.name}`, seed {record.header.get('seed')}."
     lines += ["", "## Vessels at the beginning", ""]
     for slot in range(spec.shelf.slots):

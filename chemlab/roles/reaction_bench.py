@@ -53,6 +53,7 @@ from .bench import (
 )
 from .models import checked_reaction
 
+_OPEN = "no effect: the vessel is open"
 _FULLEST = 0.98
 """Share of the vessel that the contents may fill at most when the piston moves in."""
 
@@ -312,8 +313,9 @@ def _seal(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, c
 class ReactionBench(Bench):
     """Reaction bench.
 
-    **Actions** - ``Box(0, 1, (n + 2,))``: temperature down/up, piston in/out (0.5 = no change, each step at most the
-    scenario's ``step``), then for each of n reagents the share of its remaining supply to add.
+    **Actions** - ``Box(0, 1, (n + 2,))``: temperature (of the jacket, if there is one) down/up, piston in/out (0.5 = no
+    change, each step at most the scenario's ``step``), then for each of n reagents the share of its
+    remaining supply to add.
 
     **Observation** - 200 absorptions of the UV-Vis spectrum; temperature, volume and pressure scaled to their ranges
     (pressure: 0 to 1.25 x the rated pressure); the remaining share of each reagent's supply; the goal's one-hot.
@@ -336,11 +338,14 @@ class ReactionBench(Bench):
         t, v = options.temperature_k, options.volume_l
         self._pressure_scale = 1.25 * options.rated_pressure_kpa
         self._elements = element_matrix(scenario)
+        place, pushes = "volume the piston leaves", "pressure in the sealed vessel"
+        if options.condenser_w is not None:
+            place, pushes = _OPEN, "vapour pressure of the contents (open through a condenser)"
         channels = (
             Channel("spectrum", len(WAVELENGTHS_NM), "absorption", 0.0, 1.0, "UV-Vis absorption, 200 to 800 nm"),
             Channel("temperature", 1, "K", t.low, t.high, "temperature of the contents"),
-            Channel("volume", 1, "L", v.low, v.high, "volume the piston leaves"),
-            Channel("pressure", 1, "kPa", 0.0, self._pressure_scale, "pressure in the sealed vessel"),
+            Channel("volume", 1, "L", v.low, v.high, place),
+            Channel("pressure", 1, "kPa", 0.0, self._pressure_scale, pushes),
             Channel(
                 "reagents", self.reagents, "fraction", 0.0, 1.0, "left of the supply: " + ", ".join(self.reagent_names)
             ),
@@ -351,9 +356,11 @@ class ReactionBench(Bench):
     @property
     def action_meanings(self) -> list[str]:
         t, v = self.options.temperature_k.step, self.options.volume_l.step
+        jacket = "" if self.options.jacket_w_k is None else " of the jacket"
+        opened_up = self.options.condenser_w is not None
         return [
-            f"temperature: 0 = {t:g} K down, 0.5 = hold, 1 = {t:g} K up",
-            f"volume: 0 = {v:g} L in, 0.5 = hold, 1 = {v:g} L out",
+            f"temperature{jacket}: 0 = {t:g} K down, 0.5 = hold, 1 = {t:g} K up",
+            f"volume: {_OPEN if opened_up else f'0 = {v:g} L in, 0.5 = hold, 1 = {v:g} L out'}",
             *(f"add this fraction of the {name} that is left" for name in self.reagent_names),
         ]
 

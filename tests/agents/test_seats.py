@@ -345,6 +345,21 @@ def test_methods_return_text_and_raise_one_kind_of_error(room: Room) -> None:
     assert tools.get_reward() == pytest.approx(-0.02 - load_scenario("unlabelled").demand.missed)
 
 
+def test_numbers_of_reactions_are_no_coefficients() -> None:
+    assert " -> (1) " in Room("relay").brief("manager_0")
+
+
+def test_an_argument_of_one_value_may_be_given_by_name() -> None:
+    tools: Any = LabTools(Room("runaway"), "manager_0")
+    labs = tools._room.laboratories
+    assert (len(labs.bench_agents), len(labs.scenario.lab_goals)) == (1, 1)
+    with pytest.raises(ToolError, match=r"start: takes 1 argument \(slot\), given 3"):
+        tools.start("rxn_0", 0, labs.scenario.goals[0])
+    with pytest.raises(ToolError, match="start: bench must be one of rxn_0; given rxn_9"):
+        tools.start(bench="rxn_9", slot=0)
+    assert "rxn_0" in tools.start(bench="rxn_0", slot=0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "part"),
     [

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED, laboratory
+from helpers import FEATURED, laboratory, mapping
 from hypothesis import given
 from hypothesis import strategies as st
 
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import RoleText, Shades, curve_words, reading_words
+from chemlab.lab.text import RoleText, Shades, curve_words, measured_words, reading_words
 from chemlab.roles.bench import Channel, channel_slices
 
 LEVELS = (0.0, 0.2, 0.45, 0.7, 1.0)
@@ -114,6 +114,39 @@ def test_orders_reports_and_vessels_at_benches_are_told() -> None:
     assert "vessel at" not in later
     for part in ("reported amount", "price", "ticks left", "amount at least"):
         assert part in said
+
+
+@pytest.mark.parametrize(("noise", "apart"), [(0.01, 1.0), (0.0003, 0.1)])
+def test_readings_are_as_exact_as_their_noise(noise: float, apart: float) -> None:
+    """To a digit finer than that of the noise, and without digits that do not occur."""
+    tables = mapping("unlabelled")
+    tables["instruments"]["probe"] = {"kind": "thermometer", "noise": noise}
+    labs = Laboratories(load_scenario(tables))
+    number = labs.instruments.names.index("probe")
+    channel = labs.instruments.channels[number]
+    span = channel.high - channel.low
+    assert 1.0 <= span / 100.0 < 10.0
+    warm = [300.0 + apart * i for i in range(20)]
+    words = [measured_words(labs, number, np.array([(one - channel.low) / span], np.float32)) for one in warm]
+    assert words == [f"{round(one, 1):g} K" for one in warm]
+
+
+def test_a_bench_is_described_as_it_is() -> None:
+    """With a jacket and a condenser, without them, and with a jacket alone."""
+    tables = mapping("wurtz_real")
+    tables["benches"]["rxn"].pop("condenser_w")
+    for scenario, jacket, opened in (
+        (load_scenario("wurtz_real"), " of the jacket", True),
+        (load_scenario("wurtz_dodecane"), "", False),
+        (load_scenario(tables), " of the jacket", False),
+    ):
+        bench = Laboratories(scenario).benches[0]
+        meaning = {channel.name: channel.meaning for channel in bench.channels}
+        temperature, volume = bench.action_meanings[:2]
+        assert temperature.startswith(f"temperature{jacket}: 0 = {bench.options.temperature_k.step:g} K down")
+        assert ("no effect" in volume, "no effect" in meaning["volume"]) == (opened, opened)
+        pressure = "vapour pressure of the contents (open through a condenser)" if opened else "pressure in the sealed"
+        assert meaning["pressure"].startswith(pressure)
 
 
 def test_readings_of_records_are_complete() -> None:

@@ -243,6 +243,26 @@ def test_a_policy_plays_unless_a_person_has_the_seat(tmp_path: Path) -> None:
         lab.step()
     lab.check()
     assert lab.verdict[0] == "ok"
+    assert set(read_record(lab.record).header["policies"].values()) == {"scripted"}
+
+
+def test_a_policy_that_fails_pauses_the_laboratory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with served(tmp_path, paused=True) as lab:
+        broken, works = lab.lives[0], lab.lives[0].step
+
+        def fail(turns: int) -> None:
+            raise KeyError("beaker")
+
+        broken.step = fail
+        show = lab.server.config.app.state.show
+        lab.order(do="play")
+        until(lambda: show.status(broken)["words"] == "KeyError: 'beaker'")
+        assert not show.playing
+        broken.step = works
+        lab.order(do="step")
+        until(lambda: broken.film.turns > 0)
+        assert "beaker" not in show.status(broken)["words"]
+    assert "KeyError: 'beaker'" in capsys.readouterr().err
 
 
 def test_a_policy_may_play_what_is_not_possible(tmp_path: Path) -> None:

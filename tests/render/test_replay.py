@@ -14,18 +14,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import record_episode
+from helpers import mapping, record_episode
 from PIL import Image
 from typer.testing import CliRunner
 
 from chemlab.agents.seats import Room
 from chemlab.cli import app
-from chemlab.config.loading import dump_scenario, restore_scenario
+from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
-from chemlab.record import RecordError, Replay, read_record
+from chemlab.record import Recorder, RecordError, Replay, read_record
 from chemlab.render.animation import animation
 from chemlab.render.draw import draw
+from chemlab.render.protocol import protocol
 from chemlab.render.replay_page import replay_data, replay_page
 from chemlab.render.scene import laboratory_scene
 
@@ -179,6 +180,14 @@ def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     assert f"- score {float(labs.result(labs.members)[0]):.4f}" in text
     assert any(" Read: " in line for line in steps) == any(" measure " in line for line in steps)
     assert re.search(r"Then \d+\.\d K, \d\.\d+ L\.", text)
+
+
+def test_a_protocol_ends_the_summary_with_a_full_stop(tmp_path: Path) -> None:
+    env = raw_env(load_scenario(mapping("wurtz_dodecane_direct") | {"summary": "Sodium to salt"}))
+    with Recorder(tmp_path / "a.jsonl", env.laboratories) as recorder:
+        env.reset(seed=0)
+        recorder.begin(0)
+    assert "\nSodium to salt. Simulated by chemlab" in protocol(read_record(recorder.part))
 
 
 def test_a_record_that_cannot_go_on(episode: Path, tmp_path: Path) -> None:
