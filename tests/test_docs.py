@@ -23,6 +23,8 @@ import typer
 from helpers import script, slow_but
 
 from chemlab import __version__
+from chemlab.agents.episodes import play_laboratory
+from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.cli.options import DefaultGroup
 from chemlab.config.datafile import read_toml
@@ -30,6 +32,7 @@ from chemlab.config.inherit import campaign_names, scenario_names, synthesis_nam
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import load_materials
 from chemlab.config.reactions import ReactionFamily
+from chemlab.lab.engine import Laboratories
 
 ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
@@ -123,12 +126,14 @@ def parse(words: list[str], where: str) -> None:
 
 
 def check_data(block: Block, folder: Path) -> None:
-    """A TOML block as what it is: a scenario, a material, a reaction family, or a part that parses."""
+    """A TOML block as what it is: a scenario that scripted agents play, a material, a reaction family, or a part that
+    parses."""
     path = folder / (block.file or "block.toml")
     path.write_text(block.text, encoding="utf-8")
     content = read_toml(path)
-    if "lab_goals" in content:
-        load_scenario(path)
+    if "lab_goals" in content or "base" in content:
+        labs = Laboratories(load_scenario(path))
+        play_laboratory(labs, make_policies("scripted", labs), None, 0)
     elif "reaction" in content:
         ReactionFamily.model_validate(content)
     elif any("molar_mass_g_mol" in table for table in content.values() if isinstance(table, dict)):
