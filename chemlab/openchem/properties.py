@@ -572,7 +572,9 @@ class Properties:
         return self._estimated_density()
 
     def _estimated_density(self) -> Value | None:
-        """Return a liquid's density by estimates: the geometric mean of two whose errors are independent."""
+        """Return a liquid's density by estimates: of hydrocarbons by corresponding states, of others by the geometric
+        mean of two kinds of estimates, whose errors are independent.
+        """
         tc, pc, critical = self.critical_temperature, self.critical_pressure, self._critical()
         other = self._girolami(1.0, "")
         if not (tc and pc and critical) or tc.estimated or pc.estimated:
@@ -581,7 +583,7 @@ class Properties:
         words = "an equation" if len(volumes) == 1 else f"median of {len(volumes)} equations"
         density = self.mass / float(np.median(list(volumes.values()))) / 1e6
         source = f"{words} of corresponding states ({', '.join(volumes)})"
-        if other is None:
+        if other is None or self.compound.composition.keys() <= {"C", "H"}:
             return Value(density, f"estimate: {source}")
         mean = math.sqrt(density * other.number)
         return Value(mean, f"estimate: mean of {other.source.removeprefix('estimate: ')}, and of the {source}")
