@@ -28,7 +28,6 @@ from safetensors.numpy import load, save
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
-from chemlab.config.inherit import shipped_file
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Memory, Policy, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
@@ -380,8 +379,7 @@ def _advice(workplace: Workplace) -> str:
 
 def given_as(scenario: Scenario) -> str:
     """Return the command-line argument for a scenario: a bundled one's name, else the path of its file."""
-    shipped = scenario.origin == str(shipped_file(scenario.name))
-    own = Path(scenario.origin).is_file() and not shipped
+    own = Path(scenario.origin).is_file() and not scenario.shipped
     return shlex.quote(scenario.origin + scenario.level if own else scenario.name)
 
 

@@ -102,10 +102,10 @@ def starts(
     with counting() as progress:
         spec, _ = prepare(scenario, quiet=True)
         from ..agents.start_recorder import record_starts
-        from ..lab.starts import is_shipped, starts_file, write_starts
+        from ..lab.starts import starts_file, write_starts
 
         path = output or starts_file(spec)
-        if output is None and is_shipped(spec) and path.exists():
+        if output is None and spec.shipped and path.exists():
             raise ValueError(f"{spec.name}: its recorded vessels come with chemlab; for others give --out FILE")
         check_result(path, scenario)
         task = progress.add_task("episodes", total=episodes * len(spec.goals))

@@ -250,11 +250,12 @@ def train(
     Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations with the
     scripted policy's scores, checkpoints, TensorBoard logs, and at the end result.json.
     """
+    from ..agents.runs import Run
     from ..agents.train.arguments import load_arguments
 
     arguments = load_arguments(config, _given(ctx.obj, target))
     place = folder or Path("runs") / arguments.folder()
-    if not (place / "result.json").exists():  # the folder of a finished run is only read
+    if not Run(place).result_file.exists():  # the folder of a finished run is only read
         check_folder(place, create=False)
     from ..agents.train import learn
 

@@ -560,6 +560,12 @@ class Scenario(DataModel):
         return (*SAFETY_EVENTS, *self.safety.events)
 
     @property
+    def shipped(self) -> bool:
+        """Whether it comes with chemlab, at any level; a user's file of the same name does not."""
+        file, origin = shipped_file(self.name), Path(self._origin)
+        return file is not None and (origin.suffix != ".toml" or origin.resolve() == file.resolve())
+
+    @property
     def argument(self) -> str:
         """Argument of ``chemlab`` commands for this scenario, quoted for a shell.
 

@@ -18,7 +18,6 @@ import pydantic
 from ..config.datafile import DataError, read_json
 from ..config.datamodel import DataModel, validated
 from ..config.files import write_text
-from ..config.inherit import shipped_file
 from ..config.scenario import Scenario
 from ..kernels.arrays import Field, FloatArray, IntArray, StreamArray
 from ..kernels.jit import inner
@@ -128,13 +127,7 @@ def draw_start(pool: StartPool, goal: int, state: StreamArray) -> Any:
 def starts_file(scenario: Scenario) -> Path:
     """Return the file of a scenario's recorded initial states: in the package, or beside the user's scenario file."""
     shipped = Path(__file__).parent.parent / "data" / "starts" / f"{scenario.name}.json"
-    return shipped if is_shipped(scenario) else Path(scenario.origin).with_suffix(_SUFFIX)
-
-
-def is_shipped(scenario: Scenario) -> bool:
-    """Return whether a scenario comes with chemlab, and is no file of the same name."""
-    file, origin = shipped_file(scenario.name), Path(scenario.origin)
-    return file is not None and (origin.suffix != ".toml" or origin.resolve() == file.resolve())
+    return shipped if scenario.shipped else Path(scenario.origin).with_suffix(_SUFFIX)
 
 
 def lab_starts(scenario: Scenario, bench: str) -> list[Start]:
