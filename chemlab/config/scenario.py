@@ -561,7 +561,7 @@ class Scenario(DataModel):
 
     @property
     def shipped(self) -> bool:
-        """Whether it comes with chemlab, at any level; a user's file of the same name does not."""
+        """True if it comes with chemlab, at any level; a user's file of the same name does not."""
         file, origin = shipped_file(self.name), Path(self._origin)
         return file is not None and (origin.suffix != ".toml" or origin.resolve() == file.resolve())
 
