@@ -561,6 +561,9 @@ def live_app(
 
 def live_server(app: Starlette, host: str, port: int) -> uvicorn.Server:
     """A server of the pages of :func:`live_app`."""
-    config = uvicorn.Config(app, host=host, port=port, log_level="warning", timeout_graceful_shutdown=3)
+    # uvicorn's own setting of logging would close the handlers of the whole process.
+    config = uvicorn.Config(
+        app, host=host, port=port, log_config=None, log_level="warning", timeout_graceful_shutdown=3
+    )
     server = app.state.show.server = uvicorn.Server(config)
     return server

@@ -64,4 +64,7 @@ def http_server(room: Room, tokens: Mapping[str, str], host: str, port: int) -> 
             yield
 
     app = Starlette(routes=[Mount(f"/{seat}", guarded(seat)) for seat in room.seats], lifespan=lifespan)
-    return uvicorn.Server(uvicorn.Config(app, host, port, log_level="warning", timeout_keep_alive=3600))
+    # uvicorn's own setting of logging would close the handlers of the whole process.
+    return uvicorn.Server(
+        uvicorn.Config(app, host, port, log_config=None, log_level="warning", timeout_keep_alive=3600)
+    )

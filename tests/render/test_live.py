@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import json
+import logging
 import threading
 import time
 from collections.abc import Iterator
@@ -263,6 +264,14 @@ def test_a_policy_that_fails_pauses_the_laboratory(tmp_path: Path, capsys: pytes
         until(lambda: broken.film.turns > 0)
         assert "beaker" not in show.status(broken)["words"]
     assert "KeyError: 'beaker'" in capsys.readouterr().err
+
+
+def test_a_server_leaves_the_logging_of_its_process_alone(tmp_path: Path) -> None:
+    with (tmp_path / "log.txt").open("w", encoding="utf-8") as stream:
+        handler = logging.StreamHandler(stream)
+        handler.close = stream.close  # as absl's handler does
+        with served(tmp_path, paused=True):
+            assert not stream.closed
 
 
 def test_a_policy_may_play_what_is_not_possible(tmp_path: Path) -> None:
