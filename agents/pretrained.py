@@ -13,10 +13,9 @@ import functools
 import hashlib
 import importlib.resources
 import json
-import re
 import shlex
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -64,17 +63,6 @@ class Interface(DataModel):
     channels: list[Annotated[list[str | int | float], Field(min_length=6, max_length=6)]]
     actions: list[str]
     discrete: bool
-
-
-_VESSEL = re.compile(
-    r"(?<=^temperature) of the jacket|(?<=^volume): .*|volume the piston leaves|no effect: the vessel is open"
-    r"|pressure in the sealed vessel|vapour pressure of the contents \(open through a condenser\)"
-)
-"""Words on the vessel of a reaction bench, which are not compared: policies from before say that all are sealed."""
-
-
-def _compared(values: Sequence[Any]) -> list[Any]:
-    return [_VESSEL.sub("", value) if isinstance(value, str) else value for value in values]
 
 
 def interface(workplace: Workplace) -> Interface:
@@ -391,14 +379,14 @@ def _difference(card: Card, workplace: Workplace) -> str:
     size = int(workplace.observation_space.shape[0]) + (card.action_size if card.advice is not None else 0)
     size += notes_size(workplace) if card.notes else 0
     for ours, theirs in zip(mine.channels, other.channels, strict=False):
-        if _compared(ours) != _compared(theirs):
+        if ours != theirs:
             return f"observation {ours[0]!r}: it knows {ours[1:]}, here {theirs[0]!r} is {theirs[1:]}"
     if card.observation_size != size:
         return f"it sees {card.observation_size} numbers, here there are {size}"
-    known, here = _compared(mine.actions), _compared(other.actions)
+    known, here = mine.actions, other.actions
     if known != here:
         i = next((i for i, (a, b) in enumerate(zip(known, here, strict=False)) if a != b), min(len(known), len(here)))
-        return f"it has {len(mine.actions)} actions, here there are {len(other.actions)}; they differ from {i} on"
+        return f"it has {len(known)} actions, here there are {len(here)}; they differ from {i} on"
     return ""
 
 
@@ -474,7 +462,7 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
         alone: whether benches trained on single benches are used in a laboratory as well.
 
     Raises:
-        ValueError: there is none; the message states why each policy of this kind does not fit.
+        ValueError: there is none; the message states why one of this kind does not fit, if possible of this scenario.
     """
     reasons, fitting = [], []
     cards = {name: _bundled(_shipped() / f"{name}.json") for name in pretrained_names()}
@@ -482,15 +470,17 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
     for name, card in alike.items():
         difference = _difference(card, workplace)
         if difference:
-            reasons.append(f"{name}: {difference}")
+            reasons.append((card.scenario != workplace.scenario.name, f"{name}: {difference}"))
         else:
             elsewhere = (card.scenario, card.bench) != (workplace.scenario.name, workplace.key)
             other = (card.background is None) == (laboratory and not alone)
             fitting.append((other, elsewhere, (card.starts == "paper") == laboratory, name))
     if not fitting:
+        reason = min(reasons)[1] if reasons else f"none for {workplace.kind} is bundled"
+        more = f"; {len(reasons) - 1} more do not fit either" if len(reasons) > 1 else ""
         raise ValueError(
-            f"no pretrained policy fits {workplace.key!r} of {workplace.scenario.name} "
-            f"({'; '.join(reasons) or f'none for {workplace.kind} is bundled'}); train one: {_advice(workplace)}"
+            f"no pretrained policy fits {workplace.key!r} of {workplace.scenario.name} ({reason}{more}); "
+            f"train one: {_advice(workplace)}"
         )
     policy = load_pretrained(min(fitting)[-1])
     policy.check(workplace)

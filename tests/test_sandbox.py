@@ -22,6 +22,7 @@ from scipy.optimize import brentq
 import chemlab.sandbox
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import shipped_materials
+from chemlab.envs.role_env import RoleEnv
 from chemlab.openchem.writing import material_text, pair_text
 from chemlab.physics import backends as laws
 from chemlab.physics.constants import GAS_CONSTANT
@@ -739,6 +740,22 @@ def test_docstrings() -> None:
     found = doctest.testmod(chemlab.sandbox)
     assert found.attempted >= 4
     assert found.failed == 0
+
+
+@pytest.mark.parametrize("name", ["snar", "fischer"])
+def test_what_a_bench_adds_reacts_in_the_same_step_as_in_a_flask(name: str) -> None:
+    env = RoleEnv(name, bench="rxn")
+    env.reset(seed=0)
+    shelf, options, reagents = env.batch.shelf, env.bench.options, env.bench.spec.reagents
+    contents = dict(zip(shelf.layout.materials, shelf.amounts[0, 0].tolist(), strict=True))
+    for reagent, mol in reagents.items():
+        contents[reagent] += mol
+    env.step(np.array([0.5, 0.5, *np.ones(len(reagents))]))
+    flask = Flask({m: mol for m, mol in contents.items() if mol}, reactions=env.scenario.reactions)
+    flask.react(options.tick, 298.15, jacket_w_k=options.jacket_w_k, condenser_w=options.condenser_w)
+    made = dict(zip(shelf.layout.materials, shelf.amounts[0, 0].tolist(), strict=True))
+    assert made == pytest.approx({m: flask.amounts.get(m, 0.0) for m in made}, rel=1e-3, abs=1e-6)
+    assert sum(made[goal] for goal in env.scenario.goals) > 0.01
 
 
 def test_what_a_runaway_boils_off_does_not_depend_on_how_long_one_looks_away() -> None:

@@ -55,12 +55,11 @@ class ScriptedRealReaction:
         present = {*bench.spec.start.contents, *reagents}
         boiling = min((materials[n].boiling_point_k for n in present if materials[n].role == "solvent"), default=400.0)
         self._wanted_k = min(boiling - _BELOW_BOILING_K, self._temperature.high - _BELOW_BOILING_K)
-        self._gain = _GAIN
         warmed = sum(mol * materials[n].heat_capacity_j_mol_k for n, mol in bench.spec.start.contents.items())
+        share = 1.0  # of the way to the set temperature in a step; from a gain of 2 / share - 1 on, it oscillates
         if bench.options.jacket_w_k and warmed:
-            # Share of the way to the jacket's temperature in a step; from a gain of 2 / share - 1 on, it oscillates.
             share = 1.0 - math.exp(-bench.options.jacket_w_k * bench.options.tick / warmed)
-            self._gain = min(_GAIN, 0.6 * (2.0 / share - 1.0))
+        self._gain = min(_GAIN, 0.6 * (2.0 / share - 1.0))
 
     def act(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray

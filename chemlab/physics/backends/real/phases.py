@@ -108,7 +108,6 @@ def elapse(
         row[TEMPERATURE] = chemistry.ambient_temperature
     if capacity <= 0.0:
         return False
-    place_new(row, chem)
     transfer = chemistry.room_transfer * max(volume(row, chem), 1e-3)
     around = Surroundings(chemistry.ambient_temperature, transfer, 0.0, _RTOL, _ATOL)
     changed = react(row, seconds, around, chem, waste, events, work) != 0

@@ -22,6 +22,7 @@ from .. import vapor_pressure
 from .heats import add_heat, enthalpy
 from .kinetics import KEPT, integrate
 from .partition import melt, melting_heat, melting_point
+from .phases import settle_phases
 from .real_chemistry import RealChemistry
 from .spans import drifted, lengthened, prepare, settle_shifts
 from .vapor import boiling_point, flash_off
@@ -89,8 +90,10 @@ def react(
 ) -> int:
     """React the contents of one vessel for ``dt`` while crystals dissolve and grow.
 
-    Vapour returns from the condenser; excess vapour is lost and is a safety event.
+    What has been added is in its phase before anything reacts. Vapour returns from the condenser; excess vapour is lost
+    and is a safety event.
     """
+    settle_phases(row, chem, waste, events, work)
     pressure = opened(RealChemistry, chem).ambient_pressure
     kept = work[KEPT]
     free = 0.0 <= around.transfer < math.inf
