@@ -80,6 +80,7 @@ COLD = Path(__file__).parent / "cold.toml"
 """A scenario of which every bench needs to be left cold: no observation is needed."""
 
 
+@pytest.mark.slow
 def test_constant_actions_of_benches_are_searched() -> None:
     """Scripted benches heat, so that a plan of the manager alone fails; with a constant cold bench it does not."""
     plan, everybody = (search_plan(COLD, budget=400, free=free) for free in (False, True))
@@ -103,6 +104,7 @@ def test_a_scenario_that_needs_memory_is_said_to_be_one() -> None:
     assert found["value_of_memory"]["low"] > 0.0
 
 
+@pytest.mark.slow
 def test_a_scenario_that_needs_two_benches_is_said_to_be_one(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """Products are made in one and purified in the other: without either, next to nothing is left."""
     found, _ = unlabelled
@@ -110,6 +112,7 @@ def test_a_scenario_that_needs_two_benches_is_said_to_be_one(unlabelled: tuple[d
     assert min(own["low"] for own in found["value_of_bench"].values()) > 0.1
 
 
+@pytest.mark.slow
 def test_the_oracle_is_never_below_a_policy(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """Neither in the mean nor in an episode: the scale of the rows ends at 1."""
     found, keep = unlabelled
@@ -128,6 +131,7 @@ def unlabelled(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any]
     return audit("unlabelled", TINY, keep), keep
 
 
+@pytest.mark.slow
 def test_an_audit_says_everything_that_it_promises(unlabelled: tuple[dict[str, Any], Path]) -> None:
     found, _ = unlabelled
     assert set(MEASURES.split()) <= set(found)
@@ -151,6 +155,7 @@ def test_an_audit_says_everything_that_it_promises(unlabelled: tuple[dict[str, A
     assert "unlabelled" in verdict(found)
 
 
+@pytest.mark.slow
 def test_looking_is_worth_it_where_vessels_look_alike(unlabelled: tuple[dict[str, Any], Path]) -> None:
     found, _ = unlabelled
     assert found["policy"] == "scripted"
@@ -159,6 +164,7 @@ def test_looking_is_worth_it_where_vessels_look_alike(unlabelled: tuple[dict[str
     assert found["criteria"]["open_loop_deviation"]
 
 
+@pytest.mark.slow
 def test_an_audit_goes_on_where_it_was_broken_off(unlabelled: tuple[dict[str, Any], Path]) -> None:
     found, keep = unlabelled
     files = sorted(keep.glob("*.json"))
@@ -211,6 +217,7 @@ def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path]
         assert path.read_bytes() == (unlabelled[1] / path.name).read_bytes()
 
 
+@pytest.mark.slow
 def test_a_part_that_is_not_as_it_was_written_is_played_again(unlabelled: tuple[dict[str, Any], Path]) -> None:
     _, keep = unlabelled
     crew = Crew(load_scenario("unlabelled"), TINY, keep)
@@ -242,6 +249,7 @@ def test_a_part_that_is_not_as_it_was_written_is_played_again(unlabelled: tuple[
     assert Crew(load_scenario("failing"), TINY, keep).kept(job) is None
 
 
+@pytest.mark.slow
 def test_where_nothing_is_hidden_a_blind_plan_does() -> None:
     """The known plan of wurtz_dodecane_direct: react, distil, submit what has come over."""
     found = audit("wurtz_dodecane_direct", AuditBudget(6, 120, 20, 2, 20))

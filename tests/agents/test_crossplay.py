@@ -49,6 +49,7 @@ def cell(found: dict[str, Any], manager: str, benches: str) -> dict[str, Any]:
     return dict(one)
 
 
+@pytest.mark.slow
 def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
     played: tuple[dict[str, Any], dict[str, Any], Path],
 ) -> None:
@@ -61,6 +62,7 @@ def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
         assert one["value"] <= 1.0
 
 
+@pytest.mark.slow
 def test_a_cell_is_its_manager_over_its_benches(played: tuple[dict[str, Any], dict[str, Any], Path]) -> None:
     """Put together by hand, agent by agent."""
     labs = Laboratories("unlabelled", 5, split="test")
@@ -70,6 +72,7 @@ def test_a_cell_is_its_manager_over_its_benches(played: tuple[dict[str, Any], di
     assert cell(played[1], "scripted:unsafe", "scripted@0.2")["score"] == pytest.approx(scores.mean(), rel=1e-12)
 
 
+@pytest.mark.slow
 def test_a_cell_can_be_played_and_proved(played: tuple[dict[str, Any], dict[str, Any], Path], tmp_path: Path) -> None:
     one = cell(played[1], "scripted:unsafe", "scripted")
     words = ["run", "unlabelled", "--policy", one["policy"], "--split", "test", "--seed", str(AUDIT_SEED)]
@@ -82,6 +85,7 @@ def test_a_cell_can_be_played_and_proved(played: tuple[dict[str, Any], dict[str,
         assert verify_record(path).status == "ok"
 
 
+@pytest.mark.slow
 def test_a_drop_is_the_partners_score_less_the_mean_of_strangers(
     played: tuple[dict[str, Any], dict[str, Any], Path],
 ) -> None:
@@ -182,6 +186,7 @@ def test_who_cannot_play_is_refused(managers: list[str], benches: list[str], mes
         find_players(load_scenario("wurtz_dodecane"), managers, benches)
 
 
+@pytest.mark.slow
 def test_the_command(
     played: tuple[dict[str, Any], dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

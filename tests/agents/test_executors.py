@@ -83,6 +83,7 @@ def gone(pid: int) -> bool:
 # -- results ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_results_are_the_same_wherever_jobs_are_played(jobs: Executor, tmp_path: Path) -> None:
     """An evaluation, and parts of an audit whose files are those of any other."""
     target = find_target("unlabelled")

@@ -157,6 +157,7 @@ def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> 
     assert not (tmp_path / "third").exists(), "another name may be given for the same folder"
 
 
+@pytest.mark.slow
 def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     """In laboratories that have begun anew; clones are scored before they learn, and a run can be exported."""
     small = {**SMALL, "scenario": "wurtz_dodecane_direct", "roles": ("rxn", "dit"), "rewards": "mixed"}

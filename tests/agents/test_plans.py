@@ -68,6 +68,7 @@ def played(scenario: Scenario, plan: Plan, seed: int = 0) -> list[tuple[str | in
 # -- searching --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_search_finds_what_is_best_of_all_plans() -> None:
     """Where an episode has three actions, all sequences of three can be tried one by one."""
     scenario = small(actions=3)
@@ -87,6 +88,7 @@ def test_the_search_finds_what_is_best_of_all_plans() -> None:
     assert np.mean(scores > scores.max() - 1e-6) < 0.05
 
 
+@pytest.mark.slow
 def test_the_search_improves_on_what_scripted_managers_do() -> None:
     """It begins there, with what needs eyes left out; nothing in the plan measures."""
     first, best = (search_plan("wurtz_dodecane", budget=budget, seed=0).found[0] for budget in (3, 700))

@@ -309,6 +309,7 @@ def test_a_scenarios_code_waits_for_the_flag(way: str, bait: Path, monkeypatch: 
     assert (bait / "ran").exists()
 
 
+@pytest.mark.slow
 def test_children_of_a_sweep_import_nothing_from_where_it_is_started(bait: Path) -> None:
     sweep = "[defaults]\n" + "".join(f"{key} = {value}\n" for key, value in TINY.items())
     sweep += '[[runs]]\nscenario = "chemlab/WurtzDistillation-v0"\nalgo = "ppo"\nsteps = 32\n'

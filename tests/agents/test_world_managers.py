@@ -161,6 +161,7 @@ def test_earlier_looks_are_worth_remembering() -> None:
     assert gained.mean() > 2.0 * gained.std() / np.sqrt(200.0)
 
 
+@pytest.mark.slow
 def test_memories_are_put_back() -> None:
     """An episode that is taken up again half way goes on as it did."""
     for name in ("campaign", "unlabelled", "failing", "rush", "relay", "refine", "crude"):
@@ -243,6 +244,7 @@ def test_particles_follow_the_vessel() -> None:
     assert np.exp(line.speed.mean()) == pytest.approx(gain, rel=0.05)
 
 
+@pytest.mark.slow
 def test_repairs_and_calibrations_are_worth_their_price() -> None:
     """On the same episodes, against managers for whom they are too dear."""
     scores = {}

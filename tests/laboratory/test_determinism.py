@@ -62,6 +62,7 @@ def digests(names: Iterable[str]) -> dict[str, str]:
     }
 
 
+@pytest.mark.slow
 def test_another_process_plays_the_same_episodes() -> None:
     here = digests(FEATURED)
     # Another hash seed shuffles sets of strings: an order that comes from one would show.

@@ -57,6 +57,7 @@ def reacted(scenario: Scenario, time: float) -> np.ndarray:
     return row[AMOUNTS : AMOUNTS + len(shelf.layout.materials)].copy()
 
 
+@pytest.mark.slow
 def test_its_kernels_follow_its_laws(brisk: Scenario) -> None:
     """Twice the rate constants are the same reactions in half the time."""
     paper = load_scenario("wurtz_dodecane")

@@ -54,6 +54,7 @@ def test_what_is_compiled_is_kept_and_used(tmp_path: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == kept
 
 
+@pytest.mark.slow
 def test_an_edit_to_a_function_of_another_file_is_compiled(tmp_path: Path) -> None:
     """numba itself looks at the file of the kernel alone."""
     packages, cache = tmp_path / "packages", tmp_path / "cache"
