@@ -477,7 +477,7 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
             fitting.append((other, elsewhere, (card.starts == "paper") == laboratory, name))
     if not fitting:
         reason = min(reasons)[1] if reasons else f"none for {workplace.kind} is bundled"
-        more = f"; {len(reasons) - 1} more do not fit either" if len(reasons) > 1 else ""
+        more = f"; others that do not fit: {len(reasons) - 1}" if len(reasons) > 1 else ""
         raise ValueError(
             f"no pretrained policy fits {workplace.key!r} of {workplace.scenario.name} ({reason}{more}); "
             f"train one: {_advice(workplace)}"

@@ -277,7 +277,7 @@ def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: py
         assert pretrained_for(direct).card.name in ("a", "b")
     with pytest.raises(ValueError, match=r"no pretrained policy fits 'ext'.*\(none for extraction is bundled\)"):
         pretrained_for(ExperimentBatch("wurtz_dodecane", "ext").bench)
-    with pytest.raises(ValueError, match=r"fits 'dit' of wurtz_real \(a: .*; 1 more do not fit either\); train one"):
+    with pytest.raises(ValueError, match=r"fits 'dit' of wurtz_real \(a: .*; others that do not fit: 1\); train one"):
         pretrained_for(ExperimentBatch("wurtz_real", "dit").bench)
 
 

@@ -26,10 +26,13 @@ from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 
 IDS = sorted(
-    name
-    for name, spec in gymnasium.registry.items()
-    if name.startswith("chemlab/") and {"bench", "scenario"} <= set(spec.kwargs or {})
-)[::-1]
+    (
+        name
+        for name, spec in gymnasium.registry.items()
+        if name.startswith("chemlab/") and {"bench", "scenario"} <= set(spec.kwargs or {})
+    ),
+    reverse=True,
+)
 """The last first: the quick tests take one, and the first has the slowest bench."""
 DISCRETE = [name for name in IDS if gymnasium.spec(name).kwargs["bench"] != "rxn"]
 KINDS = ["chemlab/FictitiousReaction-v0", "chemlab/WurtzExtraction-v0", "chemlab/WurtzDistillation-v0"]
