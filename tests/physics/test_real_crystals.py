@@ -15,7 +15,11 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
 from chemlab.physics import backends as laws
+from chemlab.physics.backends.real.crystals import saturate
 from chemlab.physics.backends.real.heats import enthalpy
+from chemlab.physics.backends.real.kinetics import SATURATION
+from chemlab.physics.backends.real.liquids import Liquids, gather, split
+from chemlab.physics.backends.real.real_chemistry import MOST_FLUIDS
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, build_chemistry, element_matrix
 from chemlab.physics.constants import GAS_CONSTANT, TRACE_MOL
 from chemlab.physics.shelf import Shelf
@@ -87,6 +91,32 @@ def test_what_stays_dissolved_is_the_solubility(solute: str, kelvin: float) -> N
     elapse(glass, 0, 1000.0, kelvin)
     assert crystals(glass, 0, solute) > warm
     assert 3.0 * held - crystals(glass, 0, solute) == pytest.approx(held, rel=1e-5)
+
+
+@pytest.mark.parametrize("kelvin", [350.0, 367.8, 367.95, 368.0, 368.05, 368.1, 369.0])
+def test_what_saturates_water_beside_an_oil(kelvin: float) -> None:
+    """Hot benzoic acid forms an oil in salt water: over a wide range, more of it hardly changes its activity."""
+    glass = Glass("benzoic_acid", "water", "NaCl")
+    glass.fill(0, {"water": 6.0, "NaCl": 0.145, "benzoic_acid": 0.25}, kelvin=kelvin)
+    row, acid, melts = glass.rows[0], glass.names.index("benzoic_acid"), MATERIALS["benzoic_acid"]
+    row[TEMPERATURE] = kelvin
+    saturate(row, glass.chem, glass.work)
+    found = glass.work[SATURATION, list(glass.shelf.layout.dissolved).index("benzoic_acid")]
+    target = -melts.real.fusion_enthalpy_j_mol / GAS_CONSTANT * (1.0 / kelvin - 1.0 / melts.melting_point_k)
+
+    def excess(mol: float) -> float:
+        """By how much its activity is above that of its crystals, in ln."""
+        liquids = Liquids(*(np.zeros(2 * MOST_FLUIDS**2) for _ in Liquids._fields))
+        at = gather(row, glass.chem, liquids)  # all of the acid is crystals yet
+        liquids.who[at], liquids.mol[at], liquids.share[at] = acid, mol, 0.5
+        split(at + 1, kelvin, glass.chem, liquids)
+        phase = 2 * at + 1 if liquids.share[at] > 0.5 else at
+        return float(liquids.log_gamma[phase] + math.log(liquids.x[phase]) - target)
+
+    if found == math.inf:
+        assert excess(0.25) < 0.0
+    else:
+        assert excess(0.98 * found) < 0.0 < excess(1.02 * found)
 
 
 def test_a_clear_solution_waits_for_a_seed() -> None:

@@ -21,7 +21,18 @@ _MOST_ROUNDS = 60
 _SATURATED = 1e-9
 """Convergence tolerance of ln of the dissolved amount at saturation."""
 _FLAT = 0.1
-"""Slope of an activity over the logarithm of its amount below which bisection replaces the secant."""
+"""Slope of an activity over the logarithm of the amount below which a molecule seems to form a liquid of its own."""
+
+
+@helper
+def _dilute(n: int, at: int, liquids: Liquids) -> float:
+    """Return mol of molecule ``at`` in a single liquid as dilute as the aqueous phase; 0 without one."""
+    others, wet = 0.0, 0.0
+    for a in range(n):
+        if a != at:
+            others += liquids.mol[a]
+            wet += liquids.mol[a] * (1.0 - liquids.share[a])
+    return liquids.mol[at] * (1.0 - liquids.share[at]) * others / wet if wet > TRACE_MOL else 0.0
 
 
 @inner
@@ -36,7 +47,7 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
     total = row[AMOUNTS + i]
     target = -chemistry.fusion[i] / GAS_CONSTANT * (1.0 / row[TEMPERATURE] - 1.0 / chemistry.melting[i])
     low, high = math.log(1e-9 * total), math.log(total)
-    here, before, gap_before = high, high, 0.0
+    here, before, gap_before, tried = high, high, 0.0, False
     for step in range(_MOST_ROUNDS):
         liquids.mol[at] = math.exp(here)
         split(n, row[TEMPERATURE], chem, liquids)
@@ -48,10 +59,12 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
             return math.inf
         else:
             low = here
-        # In dilute solution the activity is proportional to the amount; where it is flat or decreasing, bisection is
-        # safe.
+        # In dilute solution the activity is proportional to the amount. A molecule that forms a liquid of its own is
+        # nearly as active however much there is: saturation may be below the amount at which that liquid appears.
         slope = (gap - gap_before) / (here - before) if here != before else 1.0
-        there = here - gap / slope if slope > _FLAT else low
+        there = here - gap / slope if slope > 0.0 else low
+        if gap > 0.0 and slope < _FLAT and not tried:
+            tried, there = True, math.log(max(_dilute(n, at, liquids), 1e-300)) - gap
         if not low < there < high:
             there = 0.5 * (low + high)
         before, gap_before, here = here, gap, there
