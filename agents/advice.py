@@ -14,8 +14,10 @@ import numpy.typing as npt
 
 from chemlab.envs.players import Policy, Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.kernels.rng import as_sequence
 
 from .notes import Notes
+from .pretrained import Card
 
 
 def with_advice(observation: ObservationArray, advice: IntArray, actions: int) -> ObservationArray:
@@ -51,6 +53,11 @@ class Advisor(Remembering):
     ) -> ObservationArray:
         """Return [B, size + actions] the learner's observations with hints; arguments as for :meth:`Policy.act`."""
         return with_advice(observation, self.advice(observation, mask, step, members), self._actions)
+
+    def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
+        """Restart the teacher's random stream of one member."""
+        if hasattr(self._policy, "seed"):
+            self._policy.seed(member, seed)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
         """Inform the teacher of the actions [B] that were played after its hints."""
@@ -91,6 +98,16 @@ class AdvisedPolicy(Remembering):
         self._advisor.played(actions, members)
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Restart the random stream of one member."""
-        if hasattr(self._policy, "seed"):
-            self._policy.seed(member, seed)
+        """Restart the random streams of one member."""
+        for part, own in ((self._policy, seed), (self._advisor, as_sequence(seed).spawn(1)[0])):
+            if hasattr(part, "seed"):
+                part.seed(member, own)
+
+    @property
+    def card(self) -> Card:
+        """Card of the policy.
+
+        Raises:
+            AttributeError: it has none.
+        """
+        return self._policy.card  # type: ignore[attr-defined, no-any-return]

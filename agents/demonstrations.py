@@ -248,10 +248,8 @@ def write_datasets(
     ids = [f"{name}/{agent}-v0" for agent, _ in chosen]
     for id in ids:
         path = minari.storage.get_dataset_path(id)
-        if path.exists():
-            if not force:
-                raise ValueError(f"dataset {id} is already there ({path}); give another name, or --force to replace it")
-            shutil.rmtree(path)
+        if path.exists() and not force:
+            raise ValueError(f"dataset {id} is already there ({path}); give another name, or --force to replace it")
     return [_write(minari, id, agent, episodes, labs) for id, (agent, episodes) in zip(ids, chosen, strict=True)]
 
 
@@ -273,6 +271,11 @@ def _write(
     buffers = [_buffer(minari, record, demonstration) for record, demonstration in episodes]
     players = sorted({str(record.header["policies"].get(agent, "unknown")) for record, _ in episodes})
     path = minari.storage.get_dataset_path(id)
+    kept = path.with_name(f".{path.name}.replaced")
+    if kept.exists():  # by an export that was killed
+        shutil.rmtree(path, ignore_errors=True)
+    elif path.exists():
+        path.rename(kept)
     try:
         with warnings.catch_warnings():
             # Minari warns about missing author, email and code permalink, which a record does not contain.
@@ -296,7 +299,10 @@ def _write(
         dataset.storage.update_metadata({"scenario": labs.scenario.name, "scenario_hash": scenario_hash(labs.scenario)})
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)  # an incomplete dataset would block the next attempt
+        if kept.exists():
+            kept.rename(path)
         raise
+    shutil.rmtree(kept, ignore_errors=True)
     returns = [sum(demonstration.rewards) for _, demonstration in episodes]
     steps = sum(len(demonstration.rewards) for _, demonstration in episodes)
     return Dataset(id, agent, len(episodes), steps, float(np.mean(returns)), os.fspath(path))

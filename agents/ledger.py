@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -28,17 +29,23 @@ def append_entry(path: Path, entry: Mapping[str, Any]) -> dict[str, Any]:
 
     Raises:
         ValueError: the ledger is not intact, or another process keeps it locked.
+        OSError: the disk is full; nothing has been added.
     """
-    with path.open("a+b") as file:
+    with path.open("a+b", buffering=0) as file:
         if not wait_locked(file.fileno(), _PATIENCE_S):
             raise ValueError(f"{path}: another process keeps it locked; try again")
         entries = _checked(path, file_content(file))
         previous = entries[-1]["hash"] if entries else ""
         full = {"number": len(entries), "time": int(time.time()), **entry, "previous": previous}
         full["hash"] = _hash(full)
-        file.write(json.dumps(full).encode() + b"\n")
-        file.flush()
-        os.fsync(file.fileno())
+        line, end = json.dumps(full).encode() + b"\n", file.seek(0, os.SEEK_END)
+        try:
+            if file.write(line) < len(line):
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+            os.fsync(file.fileno())
+        except OSError:
+            file.truncate(end)  # a part of a line would make the ledger useless
+            raise
     return full
 
 

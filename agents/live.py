@@ -164,8 +164,12 @@ class Live:
 
     def check(self) -> None:
         """Replay the record of an episode that is over."""
-        found = verify_record(self.record)
-        self.verdict = (found.status, found.message)
+        with self._lock:
+            episode, record = self.episode, self.record
+        found = verify_record(record)
+        with self._lock:
+            if self.episode == episode:
+                self.verdict = (found.status, found.message)
 
     # -- seats --------------------------------------------------------------------------------------------------------
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import warnings
 from collections.abc import Collection, Sequence
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -28,7 +29,7 @@ from .open_loop import plan_for
 from .pretrained import PretrainedPolicy, pretrained_for, pretrained_names
 from .random_policy import RandomPolicy
 from .roles import role_of
-from .saved import find_saved, is_saved
+from .saved import find_saved, is_saved, saved_files
 from .scripted.crystallization import ScriptedCrystallization
 from .scripted.distillation import ScriptedDistillation
 from .scripted.exploration import CampaignManager, has_unknown_rate
@@ -73,6 +74,8 @@ _UNSCRIPTED: set[str] = set()
 class LapsingPolicy(Remembering):
     """Epsilon-random policy: plays a random legal action with a given probability, otherwise another policy's action.
 
+    A policy with memory knows which action was played.
+
     Args:
         policy: the other policy.
         probability: probability of a random action in each turn, in [0, 1].
@@ -100,10 +103,13 @@ class LapsingPolicy(Remembering):
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`Policy`."""
-        meant = self._policy.act(observation, mask, step, members)
+        advisor = Advisor(self._policy)
+        meant = advisor.advice(observation, mask, step, members)
         drawn = self._random.act(observation, mask, step, members)
         lapse = self._lapses.act(observation, None, step, members)[:, 0] < self._probability
-        return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
+        actions = np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
+        advisor.played(actions, members)
+        return actions
 
 
 def policy_names() -> tuple[str, ...]:
@@ -249,6 +255,22 @@ def agent_policy(
     skip = washing if own == "scripted:no-extraction" else []
     remember, schedule = own != "scripted:memoryless", own != "scripted:fifo"
     return scripted_manager(laboratories, careful, skip, remember, schedule, margin_k)
+
+
+def policy_files(name: str, deep: int = 0) -> list[Path]:
+    """Return the files from which a policy by name is loaded (see :func:`make_policies`), with its background's."""
+    found = list[Path]()
+    for number, part in enumerate(current_name(name).split(",")):
+        own = part.partition("=")[2] if number else part
+        steady, at, _ = own.rpartition("@")
+        own = steady if at and not is_saved(own) else own
+        if own.startswith("plan:"):
+            found.append(Path(own.partition(":")[2]))
+        elif _way(own)[0] not in policy_names() and is_saved(own):
+            found += saved_files(own)
+            if deep < _DEEPEST:
+                found += policy_files(find_saved(own).background, deep + 1)
+    return found
 
 
 def as_trained(

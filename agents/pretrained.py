@@ -412,23 +412,28 @@ def _read_card(path: Path) -> Card:
 _bundled = functools.cache(_read_card)
 
 
+def pretrained_files(name_or_path: str | Path) -> tuple[Path, Path]:
+    """Return the card and the weights of a policy by its name, or by the path of either, with or without a suffix."""
+    path = Path(name_or_path)
+    if isinstance(name_or_path, str) and name_or_path in pretrained_names():
+        path = _shipped() / name_or_path
+    if path.suffix in (".json", ".safetensors"):
+        path = path.with_suffix("")
+    return path.with_name(f"{path.name}.json"), path.with_name(f"{path.name}.safetensors")
+
+
 def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
     """Load a policy by its name (:func:`pretrained_names`) or by the path of either of its files.
 
     Raises:
         ValueError: the name is unknown, or files are missing or damaged.
     """
-    path = Path(name_or_path)
-    if isinstance(name_or_path, str) and name_or_path in pretrained_names():
-        path = _shipped() / name_or_path
-    if path.suffix in (".json", ".safetensors"):
-        path = path.with_suffix("")
-    card = _read_card(path.with_name(f"{path.name}.json"))
-    file = path.with_name(f"{path.name}.safetensors")
+    description, file = pretrained_files(name_or_path)
+    card = _read_card(description)
     try:
         weights = load(read_bytes(file, _MOST_BYTES))
     except Exception as error:  # safetensors has its own exception class, which is not public
-        raise DataError(f"{file}: cannot be read ({error!s:.500}); it belongs beside {path.name}.json") from error
+        raise DataError(f"{file}: cannot be read ({error!s:.500}); it belongs beside {description.name}") from error
     try:
         return PretrainedPolicy(card, weights)
     except ValueError as error:

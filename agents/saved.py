@@ -11,7 +11,7 @@ from chemlab.envs.players import Policy, as_policy
 from chemlab.roles.base import Workplace
 
 from .former_names import SAMPLED, split_way
-from .pretrained import Seed, fitted, load_pretrained, pretrained_names
+from .pretrained import Seed, fitted, load_pretrained, pretrained_files, pretrained_names
 from .roles import role_of
 from .runs import Run
 
@@ -86,6 +86,29 @@ def is_saved(name: str) -> bool:
     )
 
 
+def _is_exported(path: Path) -> bool:
+    return path.suffix in (".safetensors", ".json") or path.with_name(f"{path.name}.safetensors").exists()
+
+
+def _run_of(path: Path) -> tuple[Run, Path | None]:
+    """Return the run of a resolved path (its own, or that of its checkpoint), and the checkpoint."""
+    folder = path.parent if path.suffix == ".zip" else path
+    run = Run(folder.parents[1] if folder.parent.name == "checkpoints" else folder)
+    return run, folder if folder != run.path else run.checkpoint("best") or run.checkpoint("last")
+
+
+def saved_files(name: str) -> list[Path]:
+    """Return the files from which :func:`find_saved` loads policies."""
+    name, _ = split_way(name)
+    path = Path(name).resolve()
+    if name in pretrained_names() or _is_exported(path):
+        return list(pretrained_files(name))
+    run, folder = _run_of(path)
+    files = [] if folder is None and not path.is_dir() else sorted((folder or path).iterdir())
+    files = [run.config_file, *(file for file in files if file.suffix in (".safetensors", ".json", ".zip"))]
+    return [file for file in files if file.is_file()]
+
+
 def find_saved(name: str) -> Saved:
     """Find the policies of a path or a bundled policy's name.
 
@@ -98,14 +121,11 @@ def find_saved(name: str) -> Saved:
     name, way = split_way(name)
     if name in pretrained_names():
         return Saved({load_pretrained(name).card.bench: _exported(name, way)})
-    path = Path(name).resolve()  # a checkpoint is identified by its parent folders, and '.' has no name
-    if path.suffix in (".safetensors", ".json") or path.with_name(f"{path.name}.safetensors").exists():
-        return Saved({load_pretrained(path).card.bench: _exported(path, way)})
-    folder: Path | None = path.parent if path.suffix == ".zip" else path
-    assert folder is not None
-    run = Run(folder.parents[1] if folder.parent.name == "checkpoints" else folder)
-    if folder == run.path:
-        folder = run.checkpoint("best") or run.checkpoint("last")
+    path = Path(name).resolve()
+    if _is_exported(path):
+        card = load_pretrained(path).card
+        return Saved({card.bench: _exported(path, way)}, card.background or "scripted")
+    run, folder = _run_of(path)
     config = run.config()
     if config is None:
         cards = _cards(path, way) if path.is_dir() else {}

@@ -130,6 +130,8 @@ class Room:
             ValueError: unknown goal.
         """
         with self._changed:
+            if goal is not None:
+                self.laboratories.goal_index(goal)
             self.close()
             salt, seed = self._given
             self._salt = secrets.token_hex(16) if salt is None else salt
@@ -161,9 +163,9 @@ class Room:
             self._characters, self._tokens = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
             self._transcript: list[dict[str, Any]] = []
             self._played = 0
+            self._open_books({} if goal is None else {"goal": goal})
             self._status, self._over, self._began = "running", False, time.monotonic()
             self._episode += 1
-            self._open_books({} if goal is None else {"goal": goal})
             self._advance()
             if self._over:
                 self._close_books()

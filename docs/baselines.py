@@ -29,7 +29,7 @@ ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
 CROSSPLAY = ROOT / "docs" / "results" / "crossplay"
 PAGE = ROOT / "docs" / "protocol.md"
-LEARNERS = {"from-nothing": "from nothing", "team": "team", "cloned": "clone, then PPO", "benches": "learned"}
+LEARNERS = {"from-nothing": "from nothing", "team": "team", "cloned": "clone, then PPO", "benches": "clone, then PPO"}
 """Names of the sweep's runs, and what the tables of crossplay call them."""
 _ENDS = ("random", "oracle")
 _NAMES = {

@@ -312,7 +312,15 @@ def _entered(
 
 def _fitting(spec: Scenario, rows: Sequence[Row]) -> list[Row]:
     """Return the rows that may play a scenario: trained rows play the scenario of their training."""
-    return [row for row in rows if row.scenario is None or row.scenario in (spec.name, spec.origin)]
+    return [row for row in rows if row.scenario is None or _is_of(row.scenario, spec)]
+
+
+def _is_of(argument: str, spec: Scenario) -> bool:
+    """Return whether an argument of a run stands for a scenario: its name, or the path of its file, with its level."""
+    file, suffix, level = argument.rpartition(".toml")
+    return argument == spec.name or (
+        bool(suffix) and level == spec.level and Path(file + suffix).resolve() == Path(spec.origin).resolve()
+    )
 
 
 def check_rows(scenarios: Sequence[Scenario], rows: Sequence[Row]) -> None:
@@ -376,6 +384,12 @@ def benchmark(
     if _row_named(rows, baseline).records:
         raise ValueError(f"baseline: {baseline}: must have played all episodes, which people need not; give a policy")
     blocks = _blocks(chosen.episodes, seeds)
+    for row in rows:
+        if len(row.policies) > seeds:
+            raise ValueError(
+                f"seeds: {row.name} has {len(row.policies)} runs, and each plays a replication of its own; give at "
+                f"least as many, given {seeds}"
+            )
     found = {}
     entered = {
         (spec.name, row.name): _entered(row, spec, split, chosen.episodes, watch)

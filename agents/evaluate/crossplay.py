@@ -1,9 +1,9 @@
 """Zero-shot coordination with unseen partners (``chemlab crossplay``): every manager plays with every set of benches.
 
 A policy trained with others may have adapted to them rather than to the laboratory. So each is scored with its partners
-of training and with unseen ones: scripted, unsafe, epsilon-random, or trained with other seeds and algorithms. The drop
+of training and with unseen ones: scripted, unsafe, epsilon-random, or trained with other seeds and algorithms. The gap
 is the score with its own partners minus the mean over the others (the focal and background populations of Melting Pot:
-Leibo et al. 2021, Agapiou et al. 2022). Weak partners lower every score; the drop of the scripted agents, which were
+Leibo et al. 2021, Agapiou et al. 2022). Weak partners lower every score; the gap of the scripted agents, which were
 written for one another, is given for comparison.
 
 Episodes, worlds and scale are those of :mod:`~chemlab.agents.evaluate.benchmark`: 0 is random legal play, 1 the
@@ -230,7 +230,7 @@ def crossplay(
     Returns:
         Plain data: ``managers`` and ``benches`` as they were given, ``cells`` (a manager with benches: its policy as
         ``chemlab run`` knows it, whether they have learned together, score, the same on the scale with interval),
-        ``drops`` (of everybody that has a partner and met others) and how it was made.
+        ``gaps`` (of everybody that has a partner and met others) and how it was made.
 
     Raises:
         ValueError: unknown budget, a policy that does not fit after all, or no score above random play.
@@ -274,9 +274,9 @@ def crossplay(
             for m in managers
             for b in benches
         ],
-        "drops": [
-            *_drops(MANAGER_ROLE, managers, benches, scaled),
-            *_drops("benches", benches, managers, {(b, m): values for (m, b), values in scaled.items()}),
+        "gaps": [
+            *_gaps(MANAGER_ROLE, managers, benches, scaled),
+            *_gaps("benches", benches, managers, {(b, m): values for (m, b), values in scaled.items()}),
         ],
     }
 
@@ -286,7 +286,7 @@ def _met(player: Player, other: Player) -> bool:
     return player.partner is not None and _origin(player.partner) == _origin(other.policy)
 
 
-def _drops(
+def _gaps(
     side: str, players: Sequence[Player], others: Sequence[Player], scaled: dict[tuple[str, str], FloatArray]
 ) -> Iterator[dict[str, Any]]:
     """Yield what each player of a side loses with unseen partners; ``scaled`` is by player and other."""
@@ -306,5 +306,5 @@ def _drops(
                 "unseen": [other.name for other in unseen],
                 "with_partner": interval(own[0]),
                 "with_unseen": interval(apart),
-                "drop": interval(own[0] - apart),
+                "gap": interval(own[0] - apart),
             }

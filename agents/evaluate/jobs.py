@@ -24,7 +24,7 @@ from chemlab.record import scenario_hash
 from ..episodes import play_laboratory
 from ..executors import Inline, completed
 from ..open_loop import Context, all_contexts
-from ..policies import make_policies, scripted_manager
+from ..policies import make_policies, policy_files, scripted_manager
 from ..runs import versions
 from .contention import Contention
 from .informed import informed_scores
@@ -362,9 +362,12 @@ class Crew:
         return found
 
     def _stamp(self, job: Job, result: dict[str, Any]) -> str:
-        """Return a hash of the scenario, versions, budget, arguments and result of a part."""
+        """Return a hash of the scenario, versions, budget, policy's files, arguments and result of a part."""
         told = json.dumps([*self._made_of, job.kind, job.arguments, result]).encode()
-        return hashlib.blake2b(told, digest_size=16).hexdigest()
+        stamp = hashlib.blake2b(told, digest_size=16)
+        for file in policy_files(job.arguments.get("policy", "scripted")):
+            stamp.update(hashlib.blake2b(file.read_bytes()).digest())
+        return stamp.hexdigest()
 
     def kept(self, job: Job) -> dict[str, Any] | None:
         """Return the cached result of a job; None if there is none, or it is not as it was written for this job."""

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import pickle
 import random
+import re
 import shutil
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,8 @@ from ..runs import Run
 from ..sb3 import ChemlabVecEnv
 from ..seals import read_sealed, seal_file
 
+_OWN = re.compile(r"(new(-best|-first)?|last|best|first)-\d+")
+"""Names of checkpoints and of their drafts."""
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
 
 
@@ -118,10 +122,10 @@ def _renamed(draft: Path, final: Path) -> None:
 
 
 def tidy(run: Run, last: int, best: int | None) -> None:
-    """Remove every checkpoint except these two and that of before training, and drafts."""
-    keep = {f"last-{last}", f"best-{best}", "first-0", "replay"}
+    """Remove drafts, and every checkpoint except these two and that of before training."""
+    keep = {f"last-{last}", f"best-{best}", "first-0"}
     for folder in run.checkpoints.iterdir():
-        if folder.is_dir() and folder.name not in keep:
+        if _OWN.fullmatch(folder.name) and folder.name not in keep:
             shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -152,8 +156,17 @@ def _replay_files(run: Run) -> list[tuple[int, int, Path]]:
     found = []
     for file in (run.checkpoints / "replay").glob("*-*.npz"):
         start, _, stop = file.stem.partition("-")
-        found.append((int(start), int(stop), file))
+        if start.isdecimal() and stop.isdecimal():
+            found.append((int(start), int(stop), file))
     return sorted(found)
+
+
+def forget_replay(run: Run) -> None:
+    """Remove the run's replay memory, which only resuming needs."""
+    for *_, file in _replay_files(run):
+        file.unlink()
+    with suppress(OSError):  # there is none, or it has files of others
+        (run.checkpoints / "replay").rmdir()
 
 
 def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:

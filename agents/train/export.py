@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from chemlab.config.datafile import DataError
 from chemlab.config.extras import needs
+from chemlab.config.loading import load_scenario
 from chemlab.envs.players import as_policy
 from chemlab.kernels.arrays import ObservationArray
 
@@ -140,7 +141,8 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
         task, trained = find_task(arguments), config["fingerprint"]
     else:
         card = load_pretrained(best / str(role)).card
-        task, trained = task_of(card), card.fingerprint
+        splits = arguments.split, arguments.evaluation_split
+        task, trained = task_of(card, load_scenario(arguments.scenario), splits), card.fingerprint
     if trained != task.fingerprint:
         raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
     policy, model = load_pretrained(best / task.workplace.key), None

@@ -6,7 +6,6 @@ Needs the extra: ``pip install ".[train]"``.
 from __future__ import annotations
 
 import math
-import shutil
 import time
 import warnings
 from pathlib import Path
@@ -26,7 +25,7 @@ from ..recurrent import MaskedLstmPolicy
 from ..runs import Evaluation, Run
 from ..sb3 import ChemlabVecEnv
 from .arguments import ALGORITHMS, SAC, TD3, Recurrent, Replay, Single, Stage, curriculum_of
-from .checkpoints import load_agent, save_agent
+from .checkpoints import forget_replay, load_agent, save_agent
 from .imitate import imitate
 from .loop import Progress, Trainee, reached
 from .networks import card_of, learned_policy
@@ -122,14 +121,14 @@ class Agent(Trainee):
     def begin(self, run: Run) -> Progress:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         self._run, a, task = run, self.arguments, self._task
-        advisor = None if self._hints is None else task.advisor(self._hints)
+        advisor = None if self._hints is None else task.advisor(self._hints, a.seed)
         self.venv = ChemlabVecEnv(task.batch(a.envs), show_masks=a.algo == "maskable-recurrent-ppo", advisor=advisor)
         last, progress = run.checkpoint("last"), Progress()
         if last is not None:
             self.model, saved = load_agent(run, last, a.algo, self.venv)
             progress = Progress.of(saved, last)
         else:
-            shutil.rmtree(run.checkpoints / "replay", ignore_errors=True)
+            forget_replay(run)
             self.model = _learner(a, self.venv, self.steps)
             progress.seconds = self._clone()
         self._player = task.advised(as_policy(self.model), self._hints)
@@ -141,7 +140,7 @@ class Agent(Trainee):
         shown = getattr(a, "bc", None) or self._hints
         if shown is not None:
             more = {"spread": a.bc_std} if hasattr(a, "bc_std") else {}
-            batch, teacher, hinted = self._task.batch(a.envs), self._task.policy(shown), self._hints is not None
+            batch, teacher, hinted = self._task.batch(a.envs), self._task.policy(shown, a.seed), self._hints is not None
             imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, **more)  # type: ignore[attr-defined]
         return time.perf_counter() - begun
 
@@ -199,8 +198,7 @@ class Agent(Trainee):
     def close(self) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         self.venv.close()
-        # Only resuming needs replay memory, which is large.
-        shutil.rmtree(self._run.checkpoints / "replay", ignore_errors=True)
+        forget_replay(self._run)
 
 
 def _check_algorithm(algo: str, discrete: bool) -> None:

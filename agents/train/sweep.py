@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import time
 from collections.abc import Callable
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from dataclasses import dataclass
@@ -215,8 +216,10 @@ def run_sweep(
             one.run.failed_file.unlink(missing_ok=True)
             active[executor.submit(run_chemlab, _words(one), one.log)] = one
         watch(look({one.name for one in active.values()} | fresh))
-        if queue or active:
+        if active:
             wait(active, timeout=interval, return_when=FIRST_COMPLETED)
+        elif queue:
+            time.sleep(interval)
     final = look({one.name for one in runs})
     watch(final)
     return final

@@ -64,22 +64,22 @@ class Task(ABC):
         """Return [G, episodes] a policy's returns for each goal, with the seeds ``seed``, ``seed + 1``, ..."""
 
     @abstractmethod
-    def policy(self, name: str) -> Policy:
-        """Make a policy for this task by name.
+    def policy(self, name: str, seed: int = 0) -> Policy:
+        """Make a policy for this task by name; ``seed`` is that of what it draws, unless an episode's seed sets it.
 
         Raises:
             ValueError: the name is unknown, or nothing fits.
         """
 
-    def advisor(self, name: str) -> Advisor:
-        """Make the advisor of the learning agent.
+    def advisor(self, name: str, seed: int = 0) -> Advisor:
+        """Make the advisor of the learning agent; ``seed`` as for :meth:`policy`.
 
         Raises:
             ValueError: the name is unknown, or the learning agent is not a laboratory's manager.
         """
         if self.workplace.key != MANAGER_ROLE:
             raise ValueError(f"hints: are for a laboratory's manager; {self.agent} learns here")
-        return Advisor(self.policy(name), self.workplace.action_count)
+        return Advisor(self.policy(name, seed), self.workplace.action_count)
 
     def advised(self, policy: Policy, advice: str | None) -> Policy:
         """Wrap a policy with its own advisor by name, if it has one; errors as for :meth:`advisor`."""
@@ -152,9 +152,9 @@ class BenchTask(Task):
         played = play_bench(self._batches[episodes], policy, np.repeat(self.goals, episodes).tolist(), seeds)
         return played.returns.reshape(count, episodes)
 
-    def policy(self, name: str) -> Policy:
+    def policy(self, name: str, seed: int = 0) -> Policy:
         """See :class:`Task`."""
-        return bench_policy(name, self.workplace)
+        return bench_policy(name, self.workplace, seed)
 
     def warning(self) -> str | None:
         """See :class:`Task`; warns if the scenario declares no initial state of the single bench."""
@@ -231,17 +231,22 @@ class LaboratoryTask(Task):
         own = (one.returns if manages else one.measures[f"reward {self.agent}"] for one in played)
         return np.array(list(own))
 
-    def policy(self, name: str) -> Policy:
+    def policy(self, name: str, seed: int = 0) -> Policy:
         """See :class:`Task`."""
-        return agent_policy(name, Laboratories(self.scenario), self._number)
+        return agent_policy(name, Laboratories(self.scenario), self._number, seed)
 
     def trained(self, policy: Policy) -> Policy:
         """See :class:`Task`."""
         return as_trained(policy, Laboratories(self.scenario), self._number)
 
 
-def task_of(card: Card) -> Task:
+def task_of(card: Card, scenario: Scenario, splits: tuple[str, str] = ("train", "validation")) -> Task:
     """Return the task of a card's evaluation: a bench on its own if it states initial states, else a laboratory.
+
+    Args:
+        card: of the policy.
+        scenario: of its training.
+        splits: splits of worlds for training and for evaluation.
 
     Raises:
         DataError: the scenario, bench, goal or kind of initial states is unknown.
@@ -249,9 +254,9 @@ def task_of(card: Card) -> Task:
     """
     goals = tuple(card.goals)
     if card.bench != MANAGER_ROLE and (card.background is None or card.starts != "paper"):
-        return BenchTask(card.scenario, card.bench, goals, card.starts)
+        return BenchTask(scenario, card.bench, goals, card.starts, splits)
     agent = MANAGER_AGENT if card.bench == MANAGER_ROLE else f"{card.bench}_0"
-    return LaboratoryTask(card.scenario, agent, card.background or "scripted", goals)
+    return LaboratoryTask(scenario, agent, card.background or "scripted", goals, splits)
 
 
 def task_fingerprint(arguments: Arguments) -> str:

@@ -54,6 +54,7 @@ def measures(
     processes: ProcessesOption = None,
     address: AddressOption = None,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the results as JSON.")] = None,
+    trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure the value of observations, instruments, benches, roles and planning, against open-loop policies.
@@ -164,6 +165,7 @@ def difficulty(
     plans: Annotated[int, typer.Option(min=0, help="Open-loop plans tried per goal; 0: no search.")] = 100,
     explored: Annotated[int, typer.Option(min=1, help="Episodes of a random manager per goal.")] = 200,
     seed: SeedOption = 0,
+    trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Measure the difficulty of a scenario: its chemistry, scores, and what random exploration finds.

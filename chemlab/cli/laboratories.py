@@ -224,6 +224,7 @@ def warm(
     scenarios: Annotated[
         list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Default: all bundled scenarios.")
     ] = None,
+    trust: TrustOption = False,
 ) -> None:
     """Compile the kernels of scenarios ahead, by playing an episode of each; later starts load them from the cache."""
     from ..config.inherit import campaign_names, scenario_names, synthesis_names

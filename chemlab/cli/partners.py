@@ -76,7 +76,7 @@ def crossplay(
 
 
 def _show(found: dict[str, Any]) -> None:
-    """Print the benches, the matrix and the drops."""
+    """Print the benches, the matrix and the gaps."""
     from ..agents.evaluate.statistics import interval_text
 
     names = [player["name"] for player in found["benches"]]
@@ -89,18 +89,18 @@ def _show(found: dict[str, Any]) -> None:
         rows.append((name, *(interval_text(cell, 2) + " *" * cell["together"] for cell in own)))
     title = f"{found['scenario']}: {found['budget_episodes']} episodes, split {found['split']}; * trained together"
     show_table(title, ("manager", *letters.values()), rows, right=range(1, len(names) + 1))
-    drops = [
+    gaps = [
         (
             f"{one['side']} {one['policy']}",
-            *(interval_text(one[key], 2) for key in ("with_partner", "with_unseen", "drop")),
+            *(interval_text(one[key], 2) for key in ("with_partner", "with_unseen", "gap")),
         )
-        for one in found["drops"]
+        for one in found["gaps"]
     ]
-    if drops:
+    if gaps:
         show_table(
             "Scores with unseen partners",
-            ("who", "with its partner", "with unseen partners", "drop"),
-            drops,
+            ("who", "with its partner", "with unseen partners", "gap"),
+            gaps,
             right=(1, 2, 3),
         )
     page.print("0 is random play, 1 the oracle.")

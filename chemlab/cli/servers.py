@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from ..config.extras import needs
-from .options import ScenarioArgument, SeedOption, SplitOption, app, chosen_agents, prepare
+from .options import ScenarioArgument, SeedOption, SplitOption, TrustOption, app, chosen_agents, prepare
 from .screen import out, plain
 
 
@@ -50,6 +50,7 @@ def mcp(
         Path | None,
         typer.Option("--out", help="Folder of records, transcripts and the ledger. Records are written at the end."),
     ] = None,
+    trust: TrustOption = False,
 ) -> None:
     """Serve seats of a laboratory to language agents by the Model Context Protocol (needs the extra `mcp`).
 
@@ -126,6 +127,7 @@ def serve(
     out_folder: Annotated[
         Path | None, typer.Option("--out", help="Folder of the records. Default: a temporary one, deleted at the end.")
     ] = None,
+    trust: TrustOption = False,
 ) -> None:
     """Watch and play a laboratory in a browser (needs the extra `live`).
 

@@ -139,15 +139,15 @@ def table(result: dict[str, Any]) -> list[str]:
     found = result["measured"]
     runner = median(found["runner_s"])
     figures = {
-        "a runner plays a turn in": (1e6 * runner, "µs of a processor"),
-        "of which the laboratory takes": (1e6 * found["environment_s"], "µs"),
-        "the learning process takes a turn apart in": (1e6 * found["apart_s"], "µs of a processor"),
-        "and learns from it in": (1e6 * found["update_s"], "µs of a processor"),
-        "a turn is": (found["turn_bytes"] / 1024, "KiB"),
-        "the weights are": (found["weights_bytes"] / 1024, "KiB"),
-        "two runners gather, of what one does,": (result["gathering_speedup"], "times as much a second"),
-        "learning included": (result["speedup"], "times"),
-        "the same, simulated": (result["simulated_speedup"], "times"),
+        "runner, time of a turn": (1e6 * runner, "µs of a processor"),
+        "of which in the laboratory": (1e6 * found["environment_s"], "µs"),
+        "learner, taking a turn apart": (1e6 * found["apart_s"], "µs of a processor"),
+        "learner, updating with a turn": (1e6 * found["update_s"], "µs of a processor"),
+        "size of a turn": (found["turn_bytes"] / 1024, "KiB"),
+        "size of the weights": (found["weights_bytes"] / 1024, "KiB"),
+        "two runners to one, gathering": (result["gathering_speedup"], "x"),
+        "the same, learning included": (result["speedup"], "x"),
+        "the same, simulated": (result["simulated_speedup"], "x"),
     }
     lines = [
         "| measured | | |",

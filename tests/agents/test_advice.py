@@ -10,7 +10,8 @@ import pytest
 
 from chemlab.agents.advice import AdvisedPolicy, Advisor, with_advice
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.policies import agent_policy, make_policies
+from chemlab.agents.policies import LapsingPolicy, agent_policy, make_policies
+from chemlab.agents.random_policy import RandomPolicy
 from chemlab.envs.players import as_policy
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.manager_state import RUNNING
@@ -134,6 +135,33 @@ def test_a_teacher_with_an_advisor_passes_on_what_was_played() -> None:
     assert heard.played_by_others == []
     teacher.played(np.array([4]), nobody)
     assert heard.played_by_others == [4]
+
+
+def test_a_policy_knows_which_of_its_actions_were_replaced_at_random() -> None:
+    labs = Laboratories("unlabelled", 4)
+    played: list[int] = []
+    manager = agent_policy("trained", labs, 0)
+    told = manager.played  # type: ignore[attr-defined]
+    manager.played = lambda actions, members: (played.extend(actions.tolist()), told(actions, members))  # type: ignore[attr-defined]
+    lapsing = LapsingPolicy(manager, 1.0, 0, 0)
+    labs.begin(0)
+    members = labs.members
+    actions = lapsing.act(labs.observe(0, members), labs.mask(0, members), np.zeros(4, dtype=np.int64), members)
+    assert played == actions.tolist()
+
+
+def test_the_episode_s_seed_is_the_teacher_s_seed_too() -> None:
+    labs = Laboratories("unlabelled", 1)
+    policy = AdvisedPolicy(RandomPolicy(0, 0), Advisor(agent_policy("random", labs, 0), len(labs.actions)))
+    labs.begin(0)
+    drawn = []
+    for _ in range(2):
+        policy.seed(0, 7)
+        seen = policy._advisor.shown(
+            labs.observe(0, labs.members), labs.mask(0, labs.members), np.zeros(1, dtype=np.int64), labs.members
+        )
+        drawn.append(seen.tolist())
+    assert drawn[0] == drawn[1]
 
 
 def test_what_is_advised_and_not_yet_played_is_not_remembered() -> None:

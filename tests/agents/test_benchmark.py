@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.evaluate import statistics
 from chemlab.agents.evaluate.benchmark import Row, benchmark, check_rows, find_rows, part_count, write_benchmark
-from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget, Crew, Job
 from chemlab.agents.evaluate.leaderboard import (
     check_leaderboard,
     leaderboard_lines,
@@ -24,7 +24,8 @@ from chemlab.agents.evaluate.leaderboard import (
     summary,
     write_leaderboard,
 )
-from chemlab.agents.policies import make_policies
+from chemlab.agents.policies import make_policies, policy_files
+from chemlab.agents.pretrained import load_pretrained, save_policy
 from chemlab.agents.runs import Run
 from chemlab.agents.seats import Room
 from chemlab.cli import app
@@ -478,6 +479,8 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> 
     assert found["rows"][2]["steps"] == 32
     with pytest.raises(ValueError, match="given twice"):
         find_rows(["scripted", "scripted"])
+    with pytest.raises(ValueError, match=r"\(best\) has 2 runs, .* give at least as many, given 1"):
+        benchmark(["unlabelled"], rows, TINY, 1, baseline="random")
 
 
 def test_the_command(played: tuple[dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -519,6 +522,32 @@ def test_what_cannot_be_is_refused() -> None:
     with pytest.raises(ValueError, match=r"policies: team \(best\): was trained in rush"):
         check_rows([load_scenario("unlabelled")], [elsewhere])
     check_rows([load_scenario("unlabelled"), load_scenario("rush")], [elsewhere, *find_rows(["scripted"])])
+
+
+def test_a_run_on_a_file_fits_the_file_however_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text('base = "rush"\nname = "mine"\n')
+    for trained, played in (("mine.toml", "mine.toml"), ("mine.toml", str(tmp_path / "mine.toml"))):
+        for level in ("", "@1"):
+            row = Row("run", ("scripted",), scenario=trained + level)
+            check_rows([load_scenario(played + level)], [row])
+            with pytest.raises(ValueError, match=f"run: was trained in {trained}{level}"):
+                check_rows([load_scenario(played + ("@1" if not level else ""))], [row])
+
+
+def test_a_cached_part_belongs_to_the_weights_that_played(tmp_path: Path) -> None:
+    """Not to another policy that has been exported to the same path, or is its background."""
+    spec, manager = load_scenario("unlabelled"), load_pretrained("unlabelled_manager")
+    save_policy(tmp_path / "one", manager.card.model_copy(update={"name": "one"}), manager.weights)
+    job = Job("row", "play", {"policy": f"scripted,manager={tmp_path / 'one'}:sampled@0.1", "split": "test", "seed": 0})
+    made = Crew(spec, TINY, tmp_path / "kept").run([job])["row"]
+    assert Crew(spec, TINY, tmp_path / "kept").kept(job) == made
+    weights = {name: -values for name, values in manager.weights.items()}
+    save_policy(tmp_path / "one", manager.card.model_copy(update={"name": "one"}), weights)
+    assert Crew(spec, TINY, tmp_path / "kept").kept(job) is None
+    assert policy_files("scripted") == policy_files("random@0.2") == []
+    plan = policy_files(f"plan:{tmp_path / 'plan.json'},rxn={tmp_path / 'one.json'}")
+    assert plan == [tmp_path / name for name in ("plan.json", "one.json", "one.safetensors")]
 
 
 @pytest.mark.slow

@@ -86,22 +86,22 @@ def test_a_cell_can_be_played_and_proved(played: tuple[dict[str, Any], dict[str,
 
 
 @pytest.mark.slow
-def test_a_drop_is_the_partners_score_less_the_mean_of_strangers(
+def test_a_gap_is_the_partners_score_less_the_mean_of_strangers(
     played: tuple[dict[str, Any], dict[str, Any], Path],
 ) -> None:
     found = played[1]
-    drops = {(one["side"], one["policy"]): one for one in found["drops"]}
-    assert set(drops) == {("manager", "scripted"), ("benches", "scripted")}
-    one = drops["manager", "scripted"]
+    gaps = {(one["side"], one["policy"]): one for one in found["gaps"]}
+    assert set(gaps) == {("manager", "scripted"), ("benches", "scripted")}
+    one = gaps["manager", "scripted"]
     assert one["unseen"] == ["scripted@0.2", "scripted:unsafe"]
     apart = [cell(found, "scripted", name)["value"] for name in one["unseen"]]
     own = cell(found, "scripted", "scripted")
     assert own["together"]
-    assert one["drop"]["value"] == pytest.approx(own["value"] - np.mean(apart), abs=1e-12)
-    assert one["drop"]["low"] <= one["drop"]["value"] <= one["drop"]["high"]
-    other = drops["benches", "scripted"]
+    assert one["gap"]["value"] == pytest.approx(own["value"] - np.mean(apart), abs=1e-12)
+    assert one["gap"]["low"] <= one["gap"]["value"] <= one["gap"]["high"]
+    other = gaps["benches", "scripted"]
     assert other["unseen"] == ["scripted:unsafe"]
-    assert other["drop"]["value"] == pytest.approx(
+    assert other["gap"]["value"] == pytest.approx(
         own["value"] - cell(found, "scripted:unsafe", "scripted")["value"], abs=1e-12
     )
 
@@ -154,13 +154,21 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     assert cell(found, team, team)["together"]
     assert cell(found, str(first), "scripted")["together"]
     assert not cell(found, str(first), team)["together"]
-    unseen = {(one["side"], one["policy"]): one["unseen"] for one in found["drops"]}
+    unseen = {(one["side"], one["policy"]): one["unseen"] for one in found["gaps"]}
     assert unseen["manager", team] == ["scripted:unsafe", "scripted"]
     assert unseen["manager", str(first)] == ["scripted:unsafe", team]
     with pytest.raises(ValueError, match=r"benches: .*seed-0 has none of its own: there it stands for 'scripted'"):
         find_players(spec, ["scripted"], [str(first)])
     with pytest.raises(ValueError, match="given twice"):
         find_players(spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
+
+
+def test_bundled_managers_with_notes_have_the_partners_of_their_training() -> None:
+    managers, benches = find_players(load_scenario("rush"), ["trained"], ["scripted"])
+    assert [(one.name, one.partner) for one in managers] == [("trained", "scripted"), ("scripted", "scripted")]
+    assert [one.name for one in benches] == ["scripted"]
+    with pytest.raises(ValueError, match="there it stands for 'scripted'"):
+        find_players(load_scenario("rush"), ["scripted"], ["trained"])
 
 
 @pytest.mark.parametrize(
@@ -199,7 +207,7 @@ def test_the_command(
     done = runner.invoke(app, words)
     assert done.exit_code == 0, done.output
     assert max(map(len, done.output.splitlines())) <= 80
-    for text in ("scripted:unsafe", "scripted@0.2", "trained together", "Scores with unseen partners", "drop"):
+    for text in ("scripted:unsafe", "scripted@0.2", "trained together", "Scores with unseen partners", "gap"):
         assert text in done.output
     written = json.loads((tmp_path / "found.json").read_text())
     assert {**written, "budget": "own"} == json.loads(json.dumps(played[1]))

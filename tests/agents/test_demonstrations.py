@@ -263,6 +263,25 @@ def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
     assert runner.invoke(app, [*arguments, "--force"]).exit_code == 0
 
 
+def test_a_dataset_is_replaced_by_a_whole_one(
+    minari: Any, scripted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ["export", "demos", str(scripted), "-o", "tests/kept", "--agent", "manager_0", "--force"]
+    assert runner.invoke(app, arguments).exit_code == 0
+    before = minari.load_dataset("tests/kept/manager_0-v0").total_steps
+
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(minari, "create_dataset_from_buffers", full)
+        assert runner.invoke(app, arguments).exit_code != 0
+    assert minari.load_dataset("tests/kept/manager_0-v0").total_steps == before
+    folder = minari.storage.get_dataset_path("tests/kept/manager_0-v0").parent
+    assert runner.invoke(app, arguments).exit_code == 0
+    assert [path.name for path in folder.iterdir() if path.is_dir()] == ["manager_0-v0"]
+
+
 def test_what_did_not_happen_is_no_demonstration(minari: Any, scripted: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is given twice"):
         write_datasets([scripted, scripted.parent / "." / scripted.name], "chemlab/none")

@@ -25,6 +25,7 @@ from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.loop import Watcher
 from chemlab.agents.train.ppo import PPOTeam
+from chemlab.config.datafile import DataError
 from chemlab.lab.engine import Laboratories
 
 SMALL: dict[str, Any] = {
@@ -226,6 +227,15 @@ def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: P
         card = export_run(tmp_path / "run", tmp_path / "mine", "manager")
         load_pretrained(tmp_path / "mine").check(Laboratories("relay", 1).manager.workplace)
     assert card.bench == "manager"
+
+
+def test_a_team_on_a_scenario_of_ones_own_is_exported(tmp_path: Path) -> None:
+    own = tmp_path / "own.toml"
+    own.write_text('base = "wurtz_dodecane_direct"\nname = "own"\n[limits]\nticks = 90\n')
+    train(IPPO(**{**SMALL, "scenario": str(own), "roles": ("manager", "dit"), "steps": 40}), tmp_path / "run")
+    assert export_run(tmp_path / "run", tmp_path / "mine", "manager").scenario == "own"
+    with pytest.raises(DataError, match=r"run: chemlab export starts .*own\.toml"):
+        export_run(tmp_path / "run", tmp_path / "mine", "dit")
 
 
 def test_a_bench_that_has_not_all_goals_is_exported(tmp_path: Path) -> None:

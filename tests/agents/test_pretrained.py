@@ -406,7 +406,7 @@ def test_shipped_policies_do_what_their_cards_say(name: str) -> None:
     policy = load_pretrained(name)
     card = policy.card
     episodes, seed = card.evaluation["episodes_per_goal"], card.evaluation["seed"]
-    task = task_of(card)
+    task = task_of(card, load_scenario(card.scenario))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         policy.check(task.workplace)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import json
+import os
 import random
 import re
 import subprocess
@@ -253,6 +254,32 @@ def test_nothing_on_the_disk_tells_the_world_while_an_episode_runs(tmp_path: Pat
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {"ledger.jsonl", "episode-0000.jsonl.part", "episode-0000.transcript.jsonl"}
     assert room._salt in (tmp_path / "ledger.jsonl").read_text()
+
+
+def test_a_full_disk_leaves_a_ledger_intact_and_no_episode_begins(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    room = Room("unlabelled", folder=tmp_path)
+    ledger, write = tmp_path / "ledger.jsonl", os.fsync
+    before = len(read_ledger(ledger))
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        room.begin()
+    monkeypatch.setattr(os, "fsync", write)
+    assert room.over
+    assert len(read_ledger(ledger)) == before
+
+
+def test_an_unknown_goal_does_not_end_the_episode(tmp_path: Path) -> None:
+    room = Room("unlabelled", folder=tmp_path)
+    with pytest.raises(ValueError, match=r"goal: .* given 'gold'"):
+        room.begin("gold")
+    assert not room.over
+    assert len(read_ledger(tmp_path / "ledger.jsonl")) == 1
 
 
 def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:

@@ -222,6 +222,25 @@ def test_two_sweeps_at_once_leave_a_good_result_alone(tmp_path: Path) -> None:
     assert one.run.result() is not None
 
 
+def test_waiting_for_runs_of_another_process_takes_no_processor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("stable_baselines3")
+    file = sweep_file(tmp_path, '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
+    (one,) = plan(file, tmp_path / "out")
+    monkeypatch.setattr(one.run, "busy", lambda: True)
+    looked: list[float] = []
+
+    def watch(found: list[Status]) -> None:
+        looked.append(time.monotonic())
+        if len(looked) == 3:
+            raise KeyboardInterrupt
+
+    with executor(processes=1, commands=True) as jobs, pytest.raises(KeyboardInterrupt):
+        run_sweep([one], jobs, watch, interval=0.1)
+    assert looked[-1] - looked[0] >= 0.2
+
+
 @pytest.mark.slow
 def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("stable_baselines3")

@@ -152,6 +152,17 @@ def test_a_crash_after_the_last_step(tmp_path: Path) -> None:
     assert without_times(broken) == without_times(whole)
 
 
+def test_training_leaves_other_folders_alone(tmp_path: Path) -> None:
+    """A project may have checkpoints of its own where a run is put."""
+    others = [tmp_path / "checkpoints" / name for name in ("resnet50/model.pt", "replay/game.dem", "replay/a-b.npz")]
+    for other in others:
+        other.parent.mkdir(parents=True, exist_ok=True)
+        other.write_text("mine")
+    train(small("dqn"), tmp_path)
+    assert [other.read_text() for other in others] == ["mine"] * 3
+    assert len(list((tmp_path / "checkpoints" / "replay").iterdir())) == 2
+
+
 def test_lines_that_were_lost_before_the_checkpoint_come_back(tmp_path: Path) -> None:
     """As after ``git checkout``, which puts curves back and knows nothing of checkpoints."""
     arguments = small("ppo", checkpoints=6)

@@ -247,6 +247,21 @@ def test_a_policy_plays_unless_a_person_has_the_seat(tmp_path: Path) -> None:
     assert set(read_record(lab.record).header["policies"].values()) == {"scripted"}
 
 
+def test_a_verdict_is_of_the_episode_that_was_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lab, verify = live.Live(load_scenario(NAME), "scripted", 0, "train", tmp_path), live.verify_record
+    while not lab.room.over:
+        lab.step()
+
+    def slowly(record: Path) -> Any:
+        found = verify(record)
+        lab.begin(1)  # somebody presses "new" meanwhile
+        return found
+
+    monkeypatch.setattr(live, "verify_record", slowly)
+    lab.check()
+    assert (lab.episode, lab.verdict) == (2, ("", ""))
+
+
 def test_a_policy_that_fails_pauses_the_laboratory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with served(tmp_path, paused=True) as lab:
         broken, works = lab.lives[0], lab.lives[0].step
