@@ -113,7 +113,6 @@ ABOUT: dict[str, str] = {
     "processed": "Share of training over which only vessels from benches may be submitted, in ever fewer laboratories.",
     "own_goals": "Share of training over which half of the laboratories, ever fewer, start for goals of orders alone.",
     "shown_readings": "Share of training over which instruments read vessels unasked, ever fewer of them.",
-    "narrow": "Share of training over which hidden parameters vary less, in ever fewer laboratories.",
     "partial": "Share of training over which submissions that fail their specification are paid in part, ever less.",
     "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",
     "self_imitation": "Weight of the manager's own turns that went better than expected.",
@@ -416,7 +415,6 @@ _HELP = (
     "refund",
     "processed",
     "own_goals",
-    "narrow",
     "shown_readings",
     "partial",
     "free_readings",
@@ -457,10 +455,9 @@ class IPPO(Clipped, Arguments, Cloning):
     refund: Share = 0.25
     processed: Share = 0.15
     own_goals: Share = 0.25
-    narrow: Share = 0.0
-    shown_readings: Share = 0.35
+    shown_readings: Share = 0.15
     partial: Share = 0.3
-    free_readings: Share = 0.4
+    free_readings: Share = 0.8
     self_imitation: Weight = 1.0
     notes: bool | None = None
     tied: bool | None = None

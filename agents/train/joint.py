@@ -56,8 +56,6 @@ class Team(Trainee):
         self._labs = labs = Laboratories(self.scenario, 1)
         self.has_policy = a.bc is not None or a.begin_from is not None
         self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
-        if a.narrow and not self.scenario.world.draws:
-            raise ValueError(f"narrow: {a.scenario} has no hidden parameters; leave it out")
         for number, agent in enumerate(labs.agents):
             if role_of(agent) not in self.learning:
                 agent_policy(self._background, labs, number)

@@ -700,8 +700,6 @@ class PPOTeam:
         # Under a manager that starts them at random, benches would forget what they have learned.
         self.fixed = set(self.practices) if MANAGER_ROLE in self.learners else set()
         roles = [role for role in self.learners if role not in self.fixed]
-        if MANAGER_ROLE in self.learners and s.narrow:
-            self.labs.worlds.spread[:] = np.minimum((1.0 - remaining) / (s.narrow * self._places), 1.0)
         self.collect(remaining)
         learning = roles if s.regime == "together" else [roles[rounds // s.period % len(roles)]]
         return max(self.update(remaining, 1.0 - done, learning), 1)

@@ -172,7 +172,6 @@ class Worlds:
     Attributes:
         split: the split of worlds.
         active: whether anything is drawn.
-        spread: [N] how far from the middle of their distributions numbers are drawn: 1, but less in training.
 
     Raises:
         DataError: a drawn object does not exist, or a draw may have an impossible value.
@@ -189,7 +188,7 @@ class Worlds:
         except ValueError as error:
             raise DataError(f"{scenario.origin}: {error}") from error
         n = len(shelf.stock)
-        self.table, self.spread = world_draws(n, self._variables), np.ones(n)
+        self.table = world_draws(n, self._variables)
         self._parameters: list[_Parameter] = []
         self._contents: dict[str, tuple[IntArray, FloatArray]] = {}
         """By bench ("": the shelf), the drawn contents of its vessels and the declared mol: see
@@ -335,7 +334,7 @@ class Worlds:
             next_numbers(members, self.table.handle, self.split.number)
         else:
             drawn.work[members, 0] = np.uint64(self.split.world(int(world)))
-        draw_worlds(members, self._variables.handle, self.table.handle, self.split.test, self.spread)
+        draw_worlds(members, self._variables.handle, self.table.handle, self.split.test)
         if isinstance(world, Mapping):
             given = given_values(self._spec, world, self._shelf.layout.materials)
             drawn.values[members] = np.where(np.isnan(given), drawn.values[members], given)

@@ -14,7 +14,6 @@ from ..config.draws import (
     CHOICE,
     LOGNORMAL,
     NORMAL,
-    ORDER_QUANTITIES,
     PERMUTATION,
     UNIFORM,
     Draw,
@@ -28,9 +27,6 @@ from ..kernels.rng import normal, random_bits, uniform
 from ..kernels.tables import Table
 
 _TRIES = 10_000
-_NARROW_TRIES = 100
-"""After so many tries outside test regions, a narrower range is given up: it may lie in one."""
-
 _LEAST_KEPT = 0.05
 """Minimum probability of the prior outside test regions; training worlds inside them are redrawn."""
 
@@ -51,8 +47,6 @@ class Variables(NamedTuple):
     """[K] weight of the group's score in the number's own; the rest has the weight sqrt(1 - weight^2)"""
     block: Annotated[IntArray, Field("K")]
     """[K] for a permutation, index of its first number"""
-    of_order: Annotated[IntArray, Field("K")]
-    """[K] whether it is a term of an order: those are not drawn from a narrower range"""
     first_option: Annotated[IntArray, Field("K+1")]
     options: Annotated[FloatArray, Field("Q")]
     """[Q] numbers, or indices of materials"""
@@ -105,7 +99,7 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
             groups.append(draw.group)
         row = (*numbers_of(draw), -1 if draw.group is None else groups.index(draw.group), math.sqrt(draw.correlation))
         block = len(rows)
-        rows += [(*row, block, draw.what in ORDER_QUANTITIES)] * draw.variables
+        rows += [(*row, block)] * draw.variables
         options += [own] * draw.variables
         reached += [np.cumsum(weights) / weights.sum() if own else np.zeros(0)] * draw.variables
         regions += [reserved] * draw.variables
@@ -114,7 +108,7 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
             raise ValueError(
                 f"world.draws.{name}.test: leaves {kept:.2g} of all worlds to training; at least {_LEAST_KEPT:g}"
             )
-    columns = np.array(rows, dtype=np.float64).reshape(len(rows), 9).T
+    columns = np.array(rows, dtype=np.float64).reshape(len(rows), 8).T
     return Table(
         Variables(
             kind=columns[0].astype(np.int64),
@@ -125,7 +119,6 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
             group=columns[5].astype(np.int64),
             common=columns[6].copy(),
             block=columns[7].astype(np.int64),
-            of_order=columns[8].astype(np.int64),
             first_option=np.cumsum([0, *map(len, options)]),
             options=np.concatenate([np.zeros(0), *map(np.array, options)]),
             reached=np.concatenate([np.zeros(0), *reached]),
@@ -204,7 +197,7 @@ def _permuted(k: int, share: float, values: FloatArray, variables: Variables) ->
 
 
 @kernel
-def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bool, spread: FloatArray) -> None:
+def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bool) -> None:
     """Draw all numbers of the worlds of ``members`` from the worlds' numbers.
 
     Args:
@@ -212,8 +205,6 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
         declared: the declared draws (:class:`Variables`).
         drawn: receives the draws (:class:`WorldDraws`); ``work`` holds the worlds' numbers.
         anywhere: whether worlds may lie in test regions; otherwise they are redrawn until they do not.
-        spread: [N] factor of the standard deviations by which a number differs from the middle; orders are left as they
-            are.
     """
     variables, state = opened(Variables, declared), opened(WorldDraws, drawn)
     for i in range(members.shape[0]):
@@ -224,7 +215,6 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
         while again and tries < _TRIES:
             again = False
             tries += 1
-            width = spread[n] if tries < _NARROW_TRIES else 1.0
             for g in range(scores.shape[0]):
                 scores[g] = normal(stream)
             for k in range(values.shape[0]):
@@ -236,7 +226,7 @@ def draw_worlds(members: IntArray, declared: Handle, drawn: Handle, anywhere: bo
                     score, g, common = normal(stream), variables.group[k], variables.common[k]
                     if g >= 0:
                         score = common * scores[g] + math.sqrt(1.0 - common * common) * score
-                    values[k] = _number(k, score if variables.of_order[k] else width * score, 0.0, variables)
+                    values[k] = _number(k, score, 0.0, variables)
                 for z in range(variables.first_region[k], variables.first_region[k + 1]):
                     inside = variables.regions[z, 0] <= values[k] <= variables.regions[z, 1]
                     again = again or (inside and not anywhere)

@@ -207,19 +207,6 @@ def test_instruments_read_ever_fewer_vessels_unasked() -> None:
     assert (blind.labs.state.age == -1).all()
 
 
-def test_hidden_parameters_vary_less_at_first_in_ever_fewer_laboratories() -> None:
-    made, spreads = managers("campaign", narrow=0.5), []
-    for done in (0.0, 0.25, 0.5):
-        made.learn(done, 0)
-        spreads.append(made.labs.worlds.spread.tolist())
-    assert spreads[0] == [0.0] * 8
-    assert spreads[1] == pytest.approx([1.0] * 4 + [8.0 / 9.0, 8.0 / 11.0, 8.0 / 13.0, 8.0 / 15.0])
-    assert spreads[2] == [1.0] * 8
-    benches = PPOTeam(load_scenario("campaign"), ["rxn"], IPPO(scenario="campaign", **QUICK), "scripted")
-    benches.learn(0.0, 0)
-    assert (benches.labs.worlds.spread == 1.0).all(), "under a scripted manager, benches learn for worlds as they are"
-
-
 def test_a_bench_begins_with_the_action_that_changes_nothing() -> None:
     """Reagents that do not matter to its own score are not poured later either, since their numbers begin below 0."""
     benches = PPOTeam(load_scenario("failing"), ["east"], IPPO(scenario="failing", **QUICK), "scripted")
@@ -301,9 +288,7 @@ def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> N
 @pytest.mark.parametrize("scenario", ["failing", "crude", "rush"])
 def test_credit_comes_at_once_and_adds_up_to_the_score(scenario: str) -> None:
     """Without help, the rewards of an episode are its score, less what its vessels were nearly worth at first."""
-    none = dict.fromkeys(
-        ("refund", "processed", "own_goals", "narrow", "shown_readings", "partial", "free_readings"), 0.0
-    )
+    none = dict.fromkeys(("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0)
     made = managers(scenario, **{**none, "rollout": 600, "envs": 2, "self_imitation": 0.0})
     before = made._earned.copy()
     made.collect(1.0)

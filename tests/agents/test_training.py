@@ -579,7 +579,6 @@ NONSENSE: dict[str, tuple[Any, ...]] = {
     "refund": (-0.1, 1.1, NAN),
     "processed": (-0.1, 1.1, NAN),
     "own_goals": (-0.1, 1.1, NAN),
-    "narrow": (-0.1, 1.1, NAN),
     "shown_readings": (-0.1, 1.1, NAN),
     "partial": (-0.1, 1.1, NAN),
     "free_readings": (-0.1, 1.1, NAN),

@@ -137,36 +137,6 @@ def test_splits_have_worlds_of_their_own() -> None:
         Laboratories(scenario(), split="dev")
 
 
-def test_a_narrower_range_is_around_the_middle_and_outside_test_regions() -> None:
-    middle = {"kind": "lognormal", "median": 2.0, "sigma": 1.0, "low": 0.01, "high": 100.0}
-    rate = {"what": "pre_exponential", "of": [COUPLING], "shared": "episode", "distribution": middle}
-    even = {"what": "titre", "of": SLOTS, "material": HALIDES[0], "inert": "dodecane"}
-    even["distribution"] = {"kind": "uniform", "low": 0.2, "high": 1.0}
-    spread = {}
-    labs = Laboratories(scenario({"rate": rate, "titre": even}), 300)
-    for share in (0.0, 0.5, 1.0):
-        labs.worlds.spread[:] = share
-        labs.begin()
-        drawn = [labs.worlds.values(member) for member in range(300)]
-        rates, titres = np.log([one["rate"] for one in drawn]), np.array([list(one["titre"].values()) for one in drawn])
-        assert np.median(rates) == pytest.approx(np.log(2.0), abs=0.2)
-        assert np.median(titres) == pytest.approx(0.6, abs=0.05)
-        spread[share] = float(rates.std()), float(titres.std())
-    assert spread[0.0] == pytest.approx((0.0, 0.0), abs=1e-12)
-    assert spread[0.5][0] == pytest.approx(0.5 * spread[1.0][0], rel=0.2)
-    assert 0.4 * spread[1.0][1] < spread[0.5][1] < 0.8 * spread[1.0][1]
-    reserved = Laboratories(scenario({"rate": {**rate, "test": [[1.9, 2.1]]}}), 300)
-    reserved.worlds.spread[:] = 0.0
-    reserved.begin()
-    assert not any(1.9 <= reserved.worlds.values(member)["rate"] <= 2.1 for member in range(300))
-    orders = Laboratories(load_scenario("rush"), 2)
-    orders.worlds.spread[:] = 0.0
-    orders.begin()
-    drawn = orders.worlds.values(0)
-    assert list(drawn["titre"].values()) == pytest.approx([0.55] * 9)
-    assert len(set(drawn["arrives"].values())) == 8, "orders come as the scenario says"
-
-
 # -- what a world does ------------------------------------------------------------------------------------------------
 
 
