@@ -165,6 +165,8 @@ class Live:
     def check(self) -> None:
         """Replay the record of an episode that is over."""
         with self._lock:
+            if not self.room.over:
+                return  # another one has begun
             episode, record = self.episode, self.record
         found = verify_record(record)
         with self._lock:

@@ -26,7 +26,7 @@ from .discretised import NearestPolicy
 from .former_names import current_name, split_way
 from .notes import Notes
 from .open_loop import plan_for
-from .pretrained import PretrainedPolicy, pretrained_for, pretrained_names
+from .pretrained import PretrainedPolicy, load_pretrained, pretrained_for, pretrained_names
 from .random_policy import RandomPolicy
 from .roles import role_of
 from .saved import find_saved, is_saved, saved_files
@@ -103,13 +103,22 @@ class LapsingPolicy(Remembering):
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`Policy`."""
-        advisor = Advisor(self._policy)
-        meant = advisor.advice(observation, mask, step, members)
+        actions = self.advise(observation, mask, step, members)
+        self.played(actions, members)
+        return actions
+
+    def advise(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """Return [B] the actions the policy would play; :meth:`played` confirms them. Arguments as for :meth:`act`."""
+        meant = Advisor(self._policy).advice(observation, mask, step, members)
         drawn = self._random.act(observation, mask, step, members)
         lapse = self._lapses.act(observation, None, step, members)[:, 0] < self._probability
-        actions = np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
-        advisor.played(actions, members)
-        return actions
+        return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
+
+    def played(self, actions: IntArray, members: IntArray) -> None:
+        """Inform the policy of the actions [B] played after :meth:`advise`."""
+        Advisor(self._policy).played(actions, members)
 
 
 def policy_names() -> tuple[str, ...]:
@@ -267,9 +276,12 @@ def policy_files(name: str, deep: int = 0) -> list[Path]:
         if own.startswith("plan:"):
             found.append(Path(own.partition(":")[2]))
         elif _way(own)[0] not in policy_names() and is_saved(own):
-            found += saved_files(own)
-            if deep < _DEEPEST:
-                found += policy_files(find_saved(own).background, deep + 1)
+            files = saved_files(own)
+            cards = [load_pretrained(file).card for file in files if file.suffix == ".safetensors"]
+            others = {find_saved(own).background, *(card.advice for card in cards if card.advice)}
+            found += files
+            for other in sorted(others) if deep < _DEEPEST else ():
+                found += policy_files(other, deep + 1)
     return found
 
 

@@ -119,6 +119,8 @@ class Room:
         self._changed = threading.Condition(threading.RLock())
         self._episode = 0
         self._over = True
+        self._recorder: Recorder | None = None
+        self._stem: Path | None = None
         self.begin()
 
     # -- episodes -----------------------------------------------------------------------------------------------------
@@ -172,8 +174,7 @@ class Room:
 
     def _open_books(self, options: Mapping[str, Any]) -> None:
         """The ledger's entry and the record, which stays in memory while the episode runs."""
-        self._recorder: Recorder | None = None
-        self._stem: Path | None = None
+        self._recorder, self._stem = None, None
         if self._folder is None:
             return
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -267,7 +268,7 @@ class Room:
         with self._changed:
             if not self._over:
                 self._finish("given up")
-                self._close_books()
+            self._close_books()
 
     def _finish(self, status: str) -> None:
         self._over, self._status = True, status

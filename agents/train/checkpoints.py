@@ -163,10 +163,11 @@ def _replay_files(run: Run) -> list[tuple[int, int, Path]]:
 
 def forget_replay(run: Run) -> None:
     """Remove the run's replay memory, which only resuming needs."""
-    for *_, file in _replay_files(run):
+    folder = run.checkpoints / "replay"
+    for file in [*(file for *_, file in _replay_files(run)), *folder.glob(".draft-*")]:
         file.unlink()
     with suppress(OSError):  # there is none, or it has files of others
-        (run.checkpoints / "replay").rmdir()
+        folder.rmdir()
 
 
 def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:

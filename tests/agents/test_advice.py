@@ -135,6 +135,11 @@ def test_a_teacher_with_an_advisor_passes_on_what_was_played() -> None:
     assert heard.played_by_others == []
     teacher.played(np.array([4]), nobody)
     assert heard.played_by_others == [4]
+    lapsing = Advisor(LapsingPolicy(heard, 1.0, 0, 0))
+    lapsing.advice(np.zeros((1, 3), dtype=np.float32), np.ones((1, 3), dtype=np.int8), nobody, nobody)
+    assert heard.played_by_others == [4]
+    lapsing.played(np.array([2]), nobody)
+    assert heard.played_by_others == [4, 2]
 
 
 def test_a_policy_knows_which_of_its_actions_were_replaced_at_random() -> None:

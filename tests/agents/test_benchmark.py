@@ -546,6 +546,9 @@ def test_a_cached_part_belongs_to_the_weights_that_played(tmp_path: Path) -> Non
     save_policy(tmp_path / "one", manager.card.model_copy(update={"name": "one"}), weights)
     assert Crew(spec, TINY, tmp_path / "kept").kept(job) is None
     assert policy_files("scripted") == policy_files("random@0.2") == []
+    pupil = manager.card.model_copy(update={"name": "pupil", "advice": str(tmp_path / "one.json")})
+    save_policy(tmp_path / "pupil", pupil, manager.weights)
+    assert {file.name for file in policy_files(str(tmp_path / "pupil"))} >= {"pupil.safetensors", "one.safetensors"}
     plan = policy_files(f"plan:{tmp_path / 'plan.json'},rxn={tmp_path / 'one.json'}")
     assert plan == [tmp_path / name for name in ("plan.json", "one.json", "one.safetensors")]
 

@@ -7,6 +7,7 @@ import json
 import os
 import random
 import re
+import resource
 import subprocess
 import sys
 import typing
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chemlab.agents.ledger import read_ledger
+from chemlab.agents.ledger import append_entry, ended_episodes, read_ledger
 from chemlab.agents.seats import LabTools, Room, input_schema
 from chemlab.agents.verbs import ToolError
 from chemlab.config.inherit import scenario_names
@@ -256,22 +257,45 @@ def test_nothing_on_the_disk_tells_the_world_while_an_episode_runs(tmp_path: Pat
     assert room._salt in (tmp_path / "ledger.jsonl").read_text()
 
 
-def test_a_full_disk_leaves_a_ledger_intact_and_no_episode_begins(
+def test_a_full_disk_leaves_a_ledger_intact(tmp_path: Path) -> None:
+    """Of a line that does not fit, nothing stays."""
+    ledger = tmp_path / "ledger.jsonl"
+    append_entry(ledger, {"event": "begun"})
+    before, limits = ledger.read_bytes(), resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (len(before) + 10, limits[1]))
+    try:
+        with pytest.raises(OSError, match="ledger"):
+            append_entry(ledger, {"event": "ended"})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert ledger.read_bytes() == before
+
+
+def test_an_episode_that_could_not_be_written_down_is_written_down_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     room = Room("unlabelled", folder=tmp_path)
-    ledger, write = tmp_path / "ledger.jsonl", os.fsync
-    before = len(read_ledger(ledger))
 
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(OSError, match="No space left"):
-        room.begin()
-    monkeypatch.setattr(os, "fsync", write)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        for end in (room.close, room.begin):
+            with pytest.raises(OSError, match="No space left"):
+                end()
+            assert room.over
+    room.begin()
+    assert not room.over
+    room.close()
+    assert [entry["event"] for entry in read_ledger(tmp_path / "ledger.jsonl")] == ["begun", "ended"] * 2
+    assert len(ended_episodes(tmp_path)) == 2
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            room.begin()
     assert room.over
-    assert len(read_ledger(ledger)) == before
+    assert len(read_ledger(tmp_path / "ledger.jsonl")) == 4
 
 
 def test_an_unknown_goal_does_not_end_the_episode(tmp_path: Path) -> None:

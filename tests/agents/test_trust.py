@@ -289,6 +289,7 @@ SCENARIOS = {
     "audit": ["audit", "bait.toml"],
     "difficulty": ["audit", "difficulty", "bait.toml", "--episodes", 1, "--plans", 0, "--explored", 1],
     "warm": ["warm", "bait.toml"],
+    "serve": ["serve", "bait.toml", "--speed", 7],
     "train one": ["train", "bait.toml", "--roles", "manager", "--algo", "maskable-ppo", "--steps", 32, "--out", "new"],
     "train all": ["train", "bait.toml", "--steps", 32, "--out", "new"],
     "sweep": ["sweep", "sweep.toml", "--status"],

@@ -93,28 +93,37 @@ def test_what_stays_dissolved_is_the_solubility(solute: str, kelvin: float) -> N
     assert 3.0 * held - crystals(glass, 0, solute) == pytest.approx(held, rel=1e-5)
 
 
-@pytest.mark.parametrize("kelvin", [350.0, 367.8, 367.95, 368.0, 368.05, 368.1, 369.0])
-def test_what_saturates_water_beside_an_oil(kelvin: float) -> None:
+@pytest.mark.parametrize(
+    ("kelvin", "water", "other", "mol", "total"),
+    [
+        *((kelvin, 6.0, "NaCl", 0.145, 0.25) for kelvin in (350.0, 367.8, 367.95, 368.0, 368.05, 368.1, 369.0)),
+        (381.207, 2.7159, "NaCl", 0.1248, 1.9872),
+        (348.839, 3.9394, "toluene", 0.1136, 2.9117),
+        (352.789, 5.1814, "toluene", 0.1184, 1.2314),
+        (346.738, 2.2623, "toluene", 0.0595, 0.9064),
+    ],
+)
+def test_what_saturates_water_beside_an_oil(kelvin: float, water: float, other: str, mol: float, total: float) -> None:
     """Hot benzoic acid forms an oil in salt water: over a wide range, more of it hardly changes its activity."""
-    glass = Glass("benzoic_acid", "water", "NaCl")
-    glass.fill(0, {"water": 6.0, "NaCl": 0.145, "benzoic_acid": 0.25}, kelvin=kelvin)
+    glass = Glass("benzoic_acid", "water", other)
+    glass.fill(0, {"water": water, other: mol, "benzoic_acid": total}, kelvin=kelvin)
     row, acid, melts = glass.rows[0], glass.names.index("benzoic_acid"), MATERIALS["benzoic_acid"]
     row[TEMPERATURE] = kelvin
     saturate(row, glass.chem, glass.work)
     found = glass.work[SATURATION, list(glass.shelf.layout.dissolved).index("benzoic_acid")]
     target = -melts.real.fusion_enthalpy_j_mol / GAS_CONSTANT * (1.0 / kelvin - 1.0 / melts.melting_point_k)
 
-    def excess(mol: float) -> float:
+    def excess(amount: float) -> float:
         """By how much its activity is above that of its crystals, in ln."""
         liquids = Liquids(*(np.zeros(2 * MOST_FLUIDS**2) for _ in Liquids._fields))
         at = gather(row, glass.chem, liquids)  # all of the acid is crystals yet
-        liquids.who[at], liquids.mol[at], liquids.share[at] = acid, mol, 0.5
+        liquids.who[at], liquids.mol[at], liquids.share[at] = acid, amount, 0.0
         split(at + 1, kelvin, glass.chem, liquids)
         phase = 2 * at + 1 if liquids.share[at] > 0.5 else at
         return float(liquids.log_gamma[phase] + math.log(liquids.x[phase]) - target)
 
     if found == math.inf:
-        assert excess(0.25) < 0.0
+        assert excess(total) < 0.0
     else:
         assert excess(0.98 * found) < 0.0 < excess(1.02 * found)
 

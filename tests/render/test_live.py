@@ -260,6 +260,8 @@ def test_a_verdict_is_of_the_episode_that_was_checked(tmp_path: Path, monkeypatc
     monkeypatch.setattr(live, "verify_record", slowly)
     lab.check()
     assert (lab.episode, lab.verdict) == (2, ("", ""))
+    lab.check()  # which was asked for before
+    assert lab.verdict == ("", "")
 
 
 def test_a_policy_that_fails_pauses_the_laboratory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -50,6 +50,8 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
     here, before, gap_before, tried = high, high, 0.0, False
     for step in range(_MOST_ROUNDS):
         liquids.mol[at] = math.exp(here)
+        for a in range(n):
+            liquids.share[a] = 0.0  # from another amount's liquids, it may miss one of these
         split(n, row[TEMPERATURE], chem, liquids)
         phase = n + at if liquids.share[at] > 0.5 else at
         gap = liquids.log_gamma[phase] + math.log(max(liquids.x[phase], 1e-300)) - target
