@@ -18,7 +18,7 @@ from chemlab.config.files import replace_between, write_text
 
 SCORES = Path(__file__).parent / "results" / "ablations.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
-WORDS = {"all": "none of them", "none": "all of the above"}
+WORDS = {"all": "nothing", "none": "all options above"}
 
 
 def table(runs: list[dict[str, Any]]) -> list[str]:
