@@ -61,7 +61,7 @@ def drawn(spec: WorldSpec, count: int, split: str = "train", seed: int = 0) -> t
         sequence = chosen.sequence(np.random.SeedSequence(seed + member))
         table.arrays.stream[member, 0] = sequence.generate_state(1, np.uint64)[0]
     next_numbers(members, table.handle, chosen.number)
-    draw_worlds(members, variables.handle, table.handle, chosen.test, np.ones(len(members)))
+    draw_worlds(members, variables.handle, table.handle, chosen.test)
     return table.arrays.values, table
 
 
@@ -166,7 +166,7 @@ def test_a_world_is_its_number() -> None:
     table = world_draws(3, variables)
     for member, seed in enumerate((5, 6, 5)):
         table.arrays.work[member, 0] = np.uint64(split.world(seed))
-    draw_worlds(np.arange(3), variables.handle, table.handle, True, np.ones(3))
+    draw_worlds(np.arange(3), variables.handle, table.handle, True)
     values = table.arrays.values
     assert (values[0] == values[2]).all()
     assert (values[0] != values[1]).any()
