@@ -7,6 +7,7 @@ added; for discrete actions, the hint is part of the observation instead.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,29 @@ class Advisor(Remembering):
             tell(actions, members)
 
 
-class AdvisedPolicy(Remembering):
+class Advising(Remembering, ABC):
+    """Base class of policies that give an action first and are informed of the one that is played."""
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`chemlab.envs.players.Policy`."""
+        actions = self.advise(observation, mask, step, members)
+        self.played(actions, members)
+        return actions
+
+    @abstractmethod
+    def advise(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """Return [B] the actions the policy would play; :meth:`played` confirms them. Arguments as for :meth:`act`."""
+
+    @abstractmethod
+    def played(self, actions: IntArray, members: IntArray) -> None:
+        """Inform the policy of the actions [B] played after :meth:`advise`."""
+
+
+class AdvisedPolicy(Advising):
     """A policy that observes the hints of an advisor, or its notes.
 
     Args:
@@ -79,22 +102,14 @@ class AdvisedPolicy(Remembering):
     def __init__(self, policy: Policy, advisor: Advisor | Notes) -> None:
         self._policy, self._advisor = policy, advisor
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
-        actions = self.advise(observation, mask, step, members)
-        self.played(actions, members)
-        return actions
-
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """Return [B] the actions the policy would play; :meth:`played` confirms them. Arguments as for :meth:`act`."""
+        """See :class:`Advising`."""
         return self._policy.act(self._advisor.shown(observation, mask, step, members), mask, step, members)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """Inform the policy of the actions [B] played after :meth:`advise`."""
+        """See :class:`Advising`."""
         self._advisor.played(actions, members)
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:

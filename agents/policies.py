@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy, Remembering
+from chemlab.envs.players import Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.kernels.rng import as_sequence
 from chemlab.lab.engine import Laboratories
@@ -21,7 +21,7 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.discrete import Discretised
 from chemlab.roles.reaction_bench import ReactionBench
 
-from .advice import AdvisedPolicy, Advisor
+from .advice import AdvisedPolicy, Advising, Advisor
 from .discretised import NearestPolicy
 from .former_names import current_name, split_way
 from .notes import Notes
@@ -71,7 +71,7 @@ _UNSCRIPTED: set[str] = set()
 """Kinds of benches without a scripted policy for which a warning has been given."""
 
 
-class LapsingPolicy(Remembering):
+class LapsingPolicy(Advising):
     """Epsilon-random policy: plays a random legal action with a given probability, otherwise another policy's action.
 
     A policy with memory knows which action was played.
@@ -99,25 +99,17 @@ class LapsingPolicy(Remembering):
             if hasattr(part, "seed"):
                 part.seed(member, sequence)
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`Policy`."""
-        actions = self.advise(observation, mask, step, members)
-        self.played(actions, members)
-        return actions
-
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
-        """Return [B] the actions the policy would play; :meth:`played` confirms them. Arguments as for :meth:`act`."""
+        """See :class:`~chemlab.agents.advice.Advising`."""
         meant = Advisor(self._policy).advice(observation, mask, step, members)
         drawn = self._random.act(observation, mask, step, members)
         lapse = self._lapses.act(observation, None, step, members)[:, 0] < self._probability
         return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """Inform the policy of the actions [B] played after :meth:`advise`."""
+        """See :class:`~chemlab.agents.advice.Advising`."""
         Advisor(self._policy).played(actions, members)
 
 

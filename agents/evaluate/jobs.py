@@ -323,13 +323,12 @@ def _run(job: Job, scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
     return _KINDS[job.kind](scenario, budget, **job.arguments)
 
 
-def _weights(job: Job) -> str:
-    """Return a hash of the files that a job's policy is loaded from; empty without any."""
-    files = policy_files(job.arguments.get("policy", "scripted"))
+def _policy_hash(job: Job) -> str:
+    """Return a hash of the files from which a job's policy is loaded."""
     found = hashlib.blake2b(digest_size=16)
-    for file in files:
+    for file in policy_files(job.arguments.get("policy", "scripted")):
         found.update(hashlib.blake2b(file.read_bytes()).digest())
-    return found.hexdigest() if files else ""
+    return found.hexdigest()
 
 
 class Crew:
@@ -357,7 +356,8 @@ class Crew:
 
     def run(self, jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
         """Return the result of every job, by name."""
-        weights = {job.name: _weights(job) for job in jobs} if self._keep is not None else {}
+        # Before playing: a file may be replaced meanwhile.
+        hashes = {job.name: _policy_hash(job) for job in jobs} if self._keep is not None else {}
         found = {job.name: kept for job in jobs if (kept := self.kept(job)) is not None}
         for name in found:
             self._watch(name)
@@ -365,15 +365,15 @@ class Crew:
         run = functools.partial(_run, scenario=self._scenario, budget=self._budget)
         for job, result in completed(self._executor, run, missing):
             if self._keep is not None:
-                part = {"stamp": self._stamp(job, weights[job.name], result), "result": result}
+                part = {"stamp": self._stamp(job, hashes[job.name], result), "result": result}
                 write_text(self._keep / _file_name(job), json.dumps(part))
             found[job.name] = result
             self._watch(job.name)
         return found
 
-    def _stamp(self, job: Job, weights: str, result: dict[str, Any]) -> str:
-        """Return a hash of the scenario, versions, budget, arguments, weights and result of a part."""
-        told = json.dumps([*self._made_of, job.kind, job.arguments, *([weights] if weights else []), result]).encode()
+    def _stamp(self, job: Job, policy: str, result: dict[str, Any]) -> str:
+        """Return a hash of the scenario, versions, budget, arguments, policy's files and result of a part."""
+        told = json.dumps([*self._made_of, job.kind, job.arguments, policy, result]).encode()
         return hashlib.blake2b(told, digest_size=16).hexdigest()
 
     def kept(self, job: Job) -> dict[str, Any] | None:
@@ -388,6 +388,6 @@ class Crew:
         result = part.get("result") if isinstance(part, dict) else None
         return (
             result
-            if isinstance(result, dict) and part.get("stamp") == self._stamp(job, _weights(job), result)
+            if isinstance(result, dict) and part.get("stamp") == self._stamp(job, _policy_hash(job), result)
             else None
         )

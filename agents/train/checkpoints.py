@@ -20,7 +20,7 @@ import torch
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 
-from chemlab.config.files import draft_of, naming, open_regular, sync_file, sync_folder
+from chemlab.config.files import DRAFT, draft_of, naming, open_regular, sync_file, sync_folder
 
 from ..learners import load_learner, save_learner
 from ..runs import Run
@@ -164,7 +164,7 @@ def _replay_files(run: Run) -> list[tuple[int, int, Path]]:
 def forget_replay(run: Run) -> None:
     """Remove the run's replay memory, which only resuming needs."""
     folder = run.checkpoints / "replay"
-    for file in [*(file for *_, file in _replay_files(run)), *folder.glob(".draft-*")]:
+    for file in [*(file for *_, file in _replay_files(run)), *folder.glob(f"{DRAFT}*")]:
         file.unlink()
     with suppress(OSError):  # there is none, or it has files of others
         folder.rmdir()

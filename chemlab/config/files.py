@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-_DRAFT = ".draft-"
+DRAFT = ".draft-"
 """Prefix of the names of drafts, by which drafts of killed processes are recognized."""
 _ABANDONED_S = 60.0
 """Age in seconds without writes after which a draft counts as abandoned."""
@@ -71,7 +71,7 @@ def draft_of(path: Path) -> Iterator[Path]:
     Raises:
         OSError: it cannot be written; the error names ``path``.
     """
-    draft = path.parent / f"{_DRAFT}{os.getpid()}-{secrets.token_hex(4)}"
+    draft = path.parent / f"{DRAFT}{os.getpid()}-{secrets.token_hex(4)}"
     try:
         if path.exists() and not path.is_file():  # a device must not be replaced by a file
             raise OSError(errno.EINVAL, "not a regular file", str(path))
@@ -136,7 +136,7 @@ def _sweep(folder: Path) -> None:
     now = time.time()
     with os.scandir(folder) as entries:
         for entry in entries:
-            if entry.name.startswith(_DRAFT):
+            if entry.name.startswith(DRAFT):
                 with contextlib.suppress(OSError):  # another process has removed it
                     if entry.is_file(follow_symlinks=False) and now - entry.stat().st_mtime > _ABANDONED_S:
                         os.unlink(entry.path)

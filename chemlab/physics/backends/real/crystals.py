@@ -51,7 +51,7 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
     for step in range(_MOST_ROUNDS):
         liquids.mol[at] = math.exp(here)
         for a in range(n):
-            liquids.share[a] = 0.0  # from another amount's liquids, it may miss one of these
+            liquids.share[a] = 0.0  # begun with the liquids of another amount, it may miss one
         split(n, row[TEMPERATURE], chem, liquids)
         phase = n + at if liquids.share[at] > 0.5 else at
         gap = liquids.log_gamma[phase] + math.log(max(liquids.x[phase], 1e-300)) - target
