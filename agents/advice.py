@@ -8,7 +8,7 @@ added; for discrete actions, the hint is part of the observation instead.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,7 +18,9 @@ from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.kernels.rng import as_sequence
 
 from .notes import Notes
-from .pretrained import Card
+
+if TYPE_CHECKING:
+    from .pretrained import Card
 
 
 def with_advice(observation: ObservationArray, advice: IntArray, actions: int) -> ObservationArray:
