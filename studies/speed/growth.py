@@ -22,15 +22,15 @@ import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable
-from itertools import islice, permutations
+from itertools import cycle, islice, permutations
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 import numpy as np
+from throughput import Play
 
 from chemlab import BatchedLaboratory, load_scenario
-from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.files import replace_between
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv
@@ -116,53 +116,29 @@ color_shade_absorption = "made up"
 """
 
 
-class Play:
-    """Laboratories in which all agents play random legal actions."""
-
-    def __init__(self, spec: Scenario, count: int) -> None:
-        self._batch = BatchedLaboratory(count, spec, copy=False)
-        self._policies = {
-            agent: RandomPolicy((self._batch.action_space(agent).shape or (0,))[0], seed)
-            for seed, agent in enumerate(self._batch.possible_agents)
-        }
-        self._members, self._steps = np.arange(count), np.zeros(count, dtype=np.int64)
-        self._seen, self._infos = self._batch.reset(seed=0)
-
-    def turns(self, least: int, seconds: float) -> tuple[int, float]:
-        """Play a minimum number of turns and seconds; return (turns, processor seconds in ``step``)."""
-        done, spent = 0, 0.0
-        while done < least or spent < seconds:
-            actions = {}
-            for agent, policy in self._policies.items():
-                acting = int(self._infos[agent]["has_turn"].sum())
-                if acting:
-                    done += acting
-                    mask = self._infos[agent].get("action_mask")
-                    actions[agent] = policy.act(self._seen[agent], mask, self._steps, self._members)
-            begun = time.process_time()
-            self._seen, _, _, _, self._infos = self._batch.step(actions)
-            spent += time.process_time() - begun
-        return done, spent
-
-
 class BenchPlay(Play):
     """Reaction benches alone."""
 
-    def __init__(self, spec: Scenario, count: int) -> None:
-        self._envs = RoleVectorEnv(count, scenario=spec, bench="rxn", copy=False)
+    def __init__(self, scenario: str | Scenario, count: int) -> None:
+        self._envs = RoleVectorEnv(count, scenario=scenario, bench="rxn", copy=False)
         self._envs.reset(seed=0)
         self._envs.action_space.seed(0)
-        self._actions = [self._envs.action_space.sample() for _ in range(64)]
+        self._actions = cycle([self._envs.action_space.sample() for _ in range(64)])
 
-    def turns(self, least: int, seconds: float) -> tuple[int, float]:
-        """See :meth:`Play.turns`."""
-        steps, spent = 0, 0.0
-        while steps * self._envs.num_envs < least or spent < seconds:
-            begun = time.process_time()
-            self._envs.step(self._actions[steps % 64])
-            spent += time.process_time() - begun
-            steps += 1
-        return steps * self._envs.num_envs, spent
+    def round(self, _: int = 0) -> int:
+        """See :meth:`Play.round`."""
+        action, begun = next(self._actions), time.process_time()
+        self._envs.step(action)
+        self.spent += time.process_time() - begun
+        return self._envs.num_envs
+
+
+def turns(play: Play, least: int, seconds: float) -> tuple[int, float]:
+    """Play a minimum number of turns and seconds; return (turns, processor seconds in ``step``)."""
+    done, before = 0, play.spent
+    while done < least or play.spent - before < seconds:
+        done += play.round()
+    return done, play.spent - before
 
 
 Axis = tuple[tuple[int, ...], Callable[[int], Scenario], int, type[Play]]
@@ -205,10 +181,10 @@ def measure(name: str, rounds: int, seconds: float, most: int | None) -> dict[st
     specs = [scenario(size) for size in sizes]
     plays = [player(spec, count or size) for spec, size in zip(specs, sizes, strict=True)]
     for play in plays:
-        play.turns(_FIRST_TURNS, 0.0)
+        turns(play, _FIRST_TURNS, 0.0)
     found = []
     for _ in range(rounds):
-        found.append([1e6 * spent / turns for turns, spent in (play.turns(1, seconds) for play in plays)])
+        found.append([1e6 * spent / done for done, spent in (turns(play, 1, seconds) for play in plays)])
     del plays
     fits = [slope(sizes, row) for row in found]
     at_end = [slope(sizes[-2:], row[-2:]) for row in found]

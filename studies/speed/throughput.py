@@ -190,6 +190,39 @@ def parallel(seconds: float) -> float:
     return rate(step, seconds)
 
 
+class Play:
+    """Laboratories in which all agents play random legal actions.
+
+    Attributes:
+        spent: processor seconds in ``BatchedLaboratory.step`` so far.
+    """
+
+    spent = 0.0
+
+    def __init__(self, scenario: str | Scenario, count: int) -> None:
+        self._batch = BatchedLaboratory(count, scenario, copy=False)
+        self._policies = {
+            agent: RandomPolicy((self._batch.action_space(agent).shape or (0,))[0], seed)
+            for seed, agent in enumerate(self._batch.possible_agents)
+        }
+        self._members, self._steps = np.arange(count), np.zeros(count, dtype=np.int64)
+        self._seen, self._infos = self._batch.reset(seed=0)
+
+    def round(self, _: int = 0) -> int:
+        """Play a round; return the number of turns."""
+        turns, actions = 0, {}
+        for agent, policy in self._policies.items():
+            acting = int(self._infos[agent]["has_turn"].sum())
+            if acting:
+                turns += acting
+                mask = self._infos[agent].get("action_mask")
+                actions[agent] = policy.act(self._seen[agent], mask, self._steps, self._members)
+        begun = time.process_time()
+        self._seen, _, _, _, self._infos = self._batch.step(actions)
+        self.spent += time.process_time() - begun
+        return turns
+
+
 def batched_laboratory(
     count: int,
     seconds: float,
@@ -197,26 +230,7 @@ def batched_laboratory(
     clock: Callable[[], float] = time.perf_counter,
 ) -> float:
     """Return turns per second of ``count`` laboratories at once, random legal actions of all roles."""
-    batch = BatchedLaboratory(count, scenario, copy=False)
-    policies = {
-        agent: RandomPolicy((batch.action_space(agent).shape or (0,))[0], seed)
-        for seed, agent in enumerate(batch.possible_agents)
-    }
-    members, steps = np.arange(count), np.zeros(count, dtype=np.int64)
-    observations, infos = batch.reset(seed=0)
-
-    def step(i: int) -> int:
-        nonlocal observations, infos
-        turns, actions = 0, {}
-        for agent, policy in policies.items():
-            acting = int(infos[agent]["has_turn"].sum())
-            if acting:
-                turns += acting
-                actions[agent] = policy.act(observations[agent], infos[agent].get("action_mask"), steps, members)
-        observations, _, _, _, infos = batch.step(actions)
-        return turns
-
-    return rate(step, seconds, clock)
+    return rate(Play(scenario, count).round, seconds, clock)
 
 
 def manager_view(count: int, seconds: float) -> float:
