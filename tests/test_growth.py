@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import gc
 import sys
+import tracemalloc
 from pathlib import Path
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "studies" / "speed"))  # they import one another
 
+from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
-from studies.speed.growth import AXES, isomers, memory
+from studies.speed.growth import AXES, Play, isomers, memory, turns
 
 
 @pytest.mark.parametrize(("materials", "reactions"), [(10, 6), (20, 200), (200, 6)])
@@ -29,6 +32,20 @@ def test_memory_is_at_least_what_the_laboratory_holds() -> None:
     spec = AXES["laboratories"][1](1)
     labs = Laboratories(spec, 1)
     assert memory(spec) > labs.shelf.vessels[0].nbytes + 4 * labs.observation_sizes[0]
+
+
+@pytest.mark.parametrize("name", ["crude", "failing"])
+def test_episodes_leave_nothing_in_memory(name: str) -> None:
+    """After hundreds of episodes more, laboratories hold what they held before."""
+    play = Play(load_scenario(name), 32)
+    held = []
+    tracemalloc.start()
+    for count in (10_000, 20_000):
+        turns(play, count, 0.0)
+        gc.collect()
+        held.append(tracemalloc.get_traced_memory()[0])
+    tracemalloc.stop()
+    assert held[1] - held[0] < 16_384
 
 
 def test_a_simulated_round_is_the_sum_of_its_parts() -> None:

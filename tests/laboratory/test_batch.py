@@ -11,7 +11,6 @@ import pytest
 from helpers import FEATURED, assert_plays_rounds, refused, state_of
 
 from chemlab.envs.batch import BatchedLaboratory
-from studies.speed.soak import broken, soak
 
 
 class Batched:
@@ -202,18 +201,3 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
         batch, actions = mixed()
         for one, other in zip(after(batch, {**actions, "ext_0": whole}), expected, strict=True):
             np.testing.assert_array_equal(one, other)
-
-
-# -- soak -----------------------------------------------------------------------------------------------------------
-
-
-def test_a_soak_notices() -> None:
-    """A small version of studies/speed/soak.py finds nothing; and each bound can be broken, by NaN too."""
-    figures = soak("crude", 50, 32, seed=1)
-    assert broken(figures) == figures["broken"] == []
-    assert figures["episodes"] >= 50
-    assert figures["lost_manager_turns"] > 25  # play was not only legal
-    for name in ("atoms_drift", "charge", "numbers_outside_0_1", "rewards_not_finite", "amounts_not_sound"):
-        assert broken({**figures, name: 1.0}) == [name]
-        assert broken({**figures, name: float("nan")}) == [name]
-    assert broken({**figures, "memory_growth_mib": 100.0}) == ["memory_growth_mib"]
