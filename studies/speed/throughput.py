@@ -1,4 +1,4 @@
-"""Steps per second of every environment, a profile of a step, and start-up time.
+"""Steps per second of every environment, a profile of a step, and memory.
 
 Run ``python studies/speed/throughput.py`` (``--json`` for machines, ``--quick`` for a short run). Random actions,
 resets included. Every figure is also given as a ratio to Gymnasium's CartPole-v1 stepped singly in the same run, which
@@ -14,7 +14,6 @@ import os
 import statistics
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -34,15 +33,6 @@ from chemlab.laboratory import env as laboratory_env
 
 ROUNDS = 5
 IDS = ("WurtzReaction", "FictitiousReaction", "WurtzExtraction", "SaltFromOilExtraction", "WurtzDistillation")
-START_UP = """
-import time, sys
-begun = time.perf_counter()
-import gymnasium, chemlab
-env = gymnasium.make("chemlab/{name}-v0")
-env.reset(seed=0)
-env.step(env.action_space.sample())
-print(time.perf_counter() - begun)
-"""
 MEMORY = """
 import gymnasium, chemlab
 envs = gymnasium.make_vec("chemlab/{name}-v0", num_envs=4096, vectorization_mode="vector_entry_point")
@@ -319,12 +309,9 @@ def shares(scenario: str, every_role: bool, updates: int) -> dict[str, float]:
     return {"turns a second": rate} | {part: value / whole for part, value in spent.items()}
 
 
-def in_a_process(code: str, **environment: str) -> float:
+def in_a_process(code: str) -> float:
     """Return the output of a new Python process that runs ``code``."""
-    run = [sys.executable, "-c", code]
-    return float(
-        subprocess.run(run, check=True, capture_output=True, text=True, env={**os.environ, **environment}).stdout
-    )
+    return float(subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout)
 
 
 def rates(seconds: float, quick: bool) -> dict[str, Any]:
@@ -367,13 +354,6 @@ def medians(found: list[Any]) -> Any:
 def measure(seconds: float, quick: bool) -> dict[str, Any]:
     """Return all figures as medians of rounds, so that temporary load does not distort them."""
     result: dict[str, Any] = medians([rates(seconds, quick) for _ in range(1 if quick else ROUNDS)])
-    result["start_up_s"] = {}
-    for name in IDS[::2]:
-        result["start_up_s"][name] = {"warm": in_a_process(START_UP.format(name=name))}
-        if not quick:
-            with tempfile.TemporaryDirectory() as folder:
-                cold = in_a_process(START_UP.format(name=name), NUMBA_CACHE_DIR=folder)
-            result["start_up_s"][name]["cold"] = cold
     result["peak_memory_mib_4096"] = {name: in_a_process(MEMORY.format(name=name)) for name in IDS[::2]}
     return result
 
@@ -402,8 +382,6 @@ def table(result: dict[str, Any]) -> str:
     for name, figures in result["materials"].items():
         lines.append(f"| `{name}` | {figures['materials']} | {figures['rxn_256']:,.0f} | {figures['dit_256']:,.0f} |")
     lines.append("")
-    for name, figures in result["start_up_s"].items():
-        lines.append(f"first step of {name}: " + ", ".join(f"{kind} {value:.1f} s" for kind, value in figures.items()))
     memory = ", ".join(f"{name} {value:.0f} MiB" for name, value in result["peak_memory_mib_4096"].items())
     return "\n".join([*lines, f"peak memory of a process with a batch of 4,096: {memory}"])
 
@@ -445,7 +423,7 @@ def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--quick", action="store_true", help="fewer sizes, one round, no cold start")
+    parser.add_argument("--quick", action="store_true", help="fewer sizes, one round")
     parser.add_argument("--collection", action="store_true", help="only PPO's collection (needs PyTorch)")
     parser.add_argument(
         "--update",
