@@ -11,7 +11,6 @@ CHECKOUT PYTHON` (see compare_commits.py), both commits run in alternation.
 from __future__ import annotations
 
 import argparse
-import json
 import math
 import os
 import resource
@@ -23,7 +22,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from chemlab.config.files import replace_between
+from report import arguments, report
 
 SCENARIOS = ("wurtz_dodecane", "fictitious", "wurtz_real", "recrystallization")
 PLAY = "from chemlab.cli import main; main()"
@@ -69,26 +68,22 @@ def main() -> int:
     parser.add_argument("--rounds", type=int, default=1)
     parser.add_argument("--before", nargs=2, metavar=("CHECKOUT", "PYTHON"), help="another commit, to compare with")
     parser.add_argument("--most", type=float, default=math.inf, help="largest accepted ratio of cold starts")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
-    arguments = parser.parse_args()
+    given = arguments(parser)
     checkouts = [(Path(__file__).parents[2], sys.executable)]
-    if arguments.before:
-        checkouts.insert(0, (Path(arguments.before[0]), arguments.before[1]))
-    results = {name: measure(name, checkouts, arguments.rounds) for name in arguments.scenarios}
+    if given.before:
+        checkouts.insert(0, (Path(given.before[0]), given.before[1]))
+    results = {name: measure(name, checkouts, given.rounds) for name in given.scenarios}
     ratios = {name: rows[-1]["cold"]["processor_s"] / rows[0]["cold"]["processor_s"] for name, rows in results.items()}
     table = ["| scenario | kernels | cold, processor | cold, wall | warm, processor |", "|---|--:|--:|--:|--:|"]
     for name, rows in results.items():
         cold, warm = rows[-1]["cold"], rows[-1]["warm"]
-        ratio = f" ({ratios[name]:.2f}x)" if arguments.before else ""
+        ratio = f" ({ratios[name]:.2f}x)" if given.before else ""
         table.append(
             f"| `{name}` | {cold['kernels']:.0f} | {cold['processor_s']:.0f} s{ratio} | {cold['wall_s']:.0f} s "
             f"| {warm['processor_s']:.1f} s |"
         )
-    print(json.dumps(results, indent=1) if arguments.json else "\n".join(table))
-    if arguments.update is not None:
-        replace_between(arguments.update, "cold-start", table)
-    return int(max(ratios.values()) > arguments.most)
+    report(given, results, {"cold-start": table})
+    return int(max(ratios.values()) > given.most)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import argparse
 import gc
-import json
 import os
 import tempfile
 import time
@@ -28,10 +27,10 @@ from statistics import median
 from typing import Any
 
 import numpy as np
+from report import arguments, report
 from throughput import Play
 
 from chemlab import BatchedLaboratory, load_scenario
-from chemlab.config.files import replace_between
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv
 
@@ -237,19 +236,15 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=0.5, help="of each measurement")
     parser.add_argument("--most", type=int, help="no larger sizes")
     parser.add_argument("--quick", action="store_true", help="three short rounds, sizes up to 64")
-    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves")
-    parser.add_argument("--update", type=Path, metavar="FILE", help="put the table between the marks `growth`")
-    given = parser.parse_args()
+    given = arguments(parser)
     rounds, seconds, most = (3, 0.1, 64) if given.quick else (given.rounds, given.seconds, given.most)
     load = os.getloadavg()[0]
     result = {name: measure(name, rounds, seconds, most) for name in given.axes}
     lines = [*table(result), "", f"{rounds} rounds; load average {load:.1f} before."]
-    print(json.dumps(result, indent=1) if given.json else "\n".join(lines))
+    report(given, result, {"growth": lines})
     if given.plot is not None:
         plot(result, given.plot)
-    if given.update is not None:
-        replace_between(given.update, "growth", lines)
 
 
 if __name__ == "__main__":

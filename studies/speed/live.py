@@ -22,11 +22,12 @@ import threading
 import time
 from pathlib import Path
 
+from report import arguments, report
+
 from chemlab import load_scenario
 from chemlab.agents.live import Live, live_app, live_server
-from chemlab.config.files import replace_between
 
-BOUND, TURNS_A_SECOND = 0.25, 60
+TURNS_A_SECOND = 60
 
 
 def watch(port: int, episodes: int) -> None:
@@ -85,16 +86,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--scenario", action="append", help="default: wurtz_dodecane and relay")
     parser.add_argument("--episodes", type=int, default=4)
-    parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
-    arguments = parser.parse_args()
+    given = arguments(parser)
+    results = {name: measure(name, given.episodes) for name in given.scenario or ("wurtz_dodecane", "relay")}
     table = ["| scenario | turns | processor time of a turn (ms) | share of a core |", "|---|--:|--:|--:|"]
-    print(f"{'scenario':<24} {'turns':>6} {'ms a turn':>10} {'core':>6}  bound {BOUND}")
-    for scenario in arguments.scenario or ("wurtz_dodecane", "relay"):
-        found = measure(scenario, arguments.episodes)
-        print(f"{scenario:<24} {found['turns']:>6.0f} {found['ms']:>10.2f} {found['core']:>6.2f}", flush=True)
-        table.append(f"| `{scenario}` | {found['turns']:.0f} | {found['ms']:.2f} | {found['core']:.2f} |")
-    if arguments.update is not None:
-        replace_between(arguments.update, "live", [*table, "", f"Load average {os.getloadavg()[0]:.1f}."])
+    for name, found in results.items():
+        table.append(f"| `{name}` | {found['turns']:.0f} | {found['ms']:.2f} | {found['core']:.2f} |")
+    report(given, results, {"live": [*table, "", f"Load average {os.getloadavg()[0]:.1f}."]})
 
 
 if __name__ == "__main__":

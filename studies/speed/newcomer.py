@@ -18,7 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from chemlab.config.files import replace_between
+from report import arguments, report
 
 ROOT = Path(__file__).parents[2]
 TEAM = (
@@ -84,12 +84,9 @@ def main() -> None:
     """Print the table, and write it into a page."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--torch", default="torch", help="PyTorch as pip is given it, for instance torch==2.13.0")
-    parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
-    arguments = parser.parse_args()
-    table = measure(arguments.torch)
-    print("\n".join(table))
-    if arguments.update is not None:
-        replace_between(arguments.update, "newcomer", table)
+    given = arguments(parser)
+    table = measure(given.torch)
+    report(given, table, {"newcomer": table})
 
 
 if __name__ == "__main__":

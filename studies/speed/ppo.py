@@ -8,19 +8,17 @@ are timed in alternation; only the ratio of their medians is comparable between 
 from __future__ import annotations
 
 import argparse
-import json
 import statistics
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from report import arguments, report
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecEnv
 
 from chemlab.agents.sb3 import ChemlabVecEnv
-from chemlab.config.files import replace_between
 
 ENVS, STEPS = 10, 256
 BENCHES = ("rxn", "ext", "dit")
@@ -86,19 +84,15 @@ def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument("--update", type=Path, help="Markdown file whose table is replaced")
-    arguments = parser.parse_args()
+    given = arguments(parser)
     torch.set_num_threads(1)
-    results = [measure(bench, arguments.rounds) for bench in BENCHES]
+    results = [measure(bench, given.rounds) for bench in BENCHES]
     table = ["| bench of `wurtz_dodecane` | frames/s of PPO | computing nothing | ratio |", "|---|--:|--:|--:|"]
     table += [
         f"| `{row['bench']}` | {row['chemlab_fps']:,.0f} | {row['nothing_fps']:,.0f} | {row['ratio']:.2f} |"
         for row in results
     ]
-    print(json.dumps(results) if arguments.json else "\n".join(table))
-    if arguments.update is not None:
-        replace_between(arguments.update, "ppo", table)
+    report(given, results, {"ppo": table})
 
 
 if __name__ == "__main__":

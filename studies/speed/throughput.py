@@ -9,24 +9,22 @@ from __future__ import annotations
 
 import argparse
 import functools
-import json
 import os
 import statistics
 import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
+from report import arguments, report
 
 import chemlab  # noqa: F401 - registers the environments
 from chemlab import BatchedLaboratory, load_scenario, parallel_env, raw_env
 from chemlab.agents.background import role_vector_env
 from chemlab.agents.random_policy import RandomPolicy
-from chemlab.config.files import replace_between
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.laboratory import env as laboratory_env
@@ -358,7 +356,7 @@ def measure(seconds: float, quick: bool) -> dict[str, Any]:
     return result
 
 
-def table(result: dict[str, Any]) -> str:
+def table(result: dict[str, Any]) -> list[str]:
     """Return the figures as Markdown."""
     base = result["cartpole_single"]
     lines = [f"CartPole-v1, single: {base:,.0f} steps/s (= 1x)", ""]
@@ -383,7 +381,7 @@ def table(result: dict[str, Any]) -> str:
         lines.append(f"| `{name}` | {figures['materials']} | {figures['rxn_256']:,.0f} | {figures['dit_256']:,.0f} |")
     lines.append("")
     memory = ", ".join(f"{name} {value:.0f} MiB" for name, value in result["peak_memory_mib_4096"].items())
-    return "\n".join([*lines, f"peak memory of a process with a batch of 4,096: {memory}"])
+    return [*lines, f"peak memory of a process with a batch of 4,096: {memory}"]
 
 
 def collections(seconds: float) -> list[str]:
@@ -405,7 +403,7 @@ def collections(seconds: float) -> list[str]:
     return [*lines, "", f"Load average {os.getloadavg()[0]:.1f}."]
 
 
-def short_table(result: dict[str, Any]) -> str:
+def short_table(result: dict[str, Any]) -> list[str]:
     """Return the figures for README."""
     base = result["cartpole_single"]
     lines = ["| | single | batch of 256, 1 thread |", "|---|--:|--:|", f"| Gymnasium's `CartPole-v1` | {base:,.0f} | |"]
@@ -416,37 +414,21 @@ def short_table(result: dict[str, Any]) -> str:
     lines.append(
         f"| laboratory, turns of all agents | {one:,.0f} ({one / base:.2f}x) | {many:,.0f} ({many / base:.2f}x) |"
     )
-    return "\n".join(lines)
+    return lines
 
 
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", action="store_true", help="print JSON")
     parser.add_argument("--quick", action="store_true", help="fewer sizes, one round")
     parser.add_argument("--collection", action="store_true", help="only PPO's collection (needs PyTorch)")
-    parser.add_argument(
-        "--update",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="FILE",
-        help="replace the tables between the marks `throughput`, `speed` or `collection` in Markdown files",
-    )
-    arguments = parser.parse_args()
-    if arguments.collection:
+    given = arguments(parser)
+    if given.collection:
         lines = collections(1.0)
-        print("\n".join(lines))
-        for file in arguments.update:
-            replace_between(file, "collection", lines)
-        return
-    result = measure(0.3, arguments.quick)
-    for file in arguments.update:
-        if "<!-- speed: begin -->" in file.read_text(encoding="utf-8"):
-            replace_between(file, "speed", short_table(result).splitlines())
-        else:
-            replace_between(file, "throughput", table(result).splitlines())
-    print(json.dumps(result, indent=2) if arguments.json else table(result))
+        report(given, lines, {"collection": lines})
+    else:
+        result = measure(0.3, given.quick)
+        report(given, result, {"throughput": table(result), "speed": short_table(result)})
 
 
 if __name__ == "__main__":

@@ -12,15 +12,14 @@ from __future__ import annotations
 import argparse
 import time
 import warnings
-from pathlib import Path
 from typing import Any
 
 import torch
+from report import arguments, report
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
 
 from chemlab import parallel_env
 from chemlab.agents.torchrl.env import TorchLaboratory
-from chemlab.config.files import replace_between
 
 
 def frames_per_second(env: Any, laboratories: int, steps: int) -> float:
@@ -36,22 +35,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="wurtz_dodecane")
     parser.add_argument("--steps", type=int, default=100)
-    parser.add_argument("--update", type=Path, help="replace the table between the marks `torchrl` in a Markdown file")
-    arguments = parser.parse_args()
+    given = arguments(parser)
     warnings.filterwarnings("ignore")
     torch.set_num_threads(1)
-    wrapper = PettingZooWrapper(parallel_env(arguments.scenario), use_mask=True, return_state=True)
+    wrapper = PettingZooWrapper(parallel_env(given.scenario), use_mask=True, return_state=True)
+    figures: dict[int, Any] = {}
     lines = ["| laboratories | frames/s | without the state |", "|--:|--:|--:|"]
     for count in (16, 64, 256):
-        rates = [
-            frames_per_second(TorchLaboratory(count, arguments.scenario, seed=0, state=state), count, arguments.steps)
+        figures[count] = [
+            frames_per_second(TorchLaboratory(count, given.scenario, seed=0, state=state), count, given.steps)
             for state in (True, False)
         ]
-        lines.append(f"| {count} | " + " | ".join(f"{rate:,.0f}" for rate in rates) + " |")
-    lines.append(f"| 1, TorchRL's wrapper | {frames_per_second(wrapper, 1, arguments.steps):,.0f} | |")
-    if arguments.update:
-        replace_between(arguments.update, "torchrl", lines)
-    print("\n".join(lines))
+        lines.append(f"| {count} | " + " | ".join(f"{rate:,.0f}" for rate in figures[count]) + " |")
+    figures[1] = frames_per_second(wrapper, 1, given.steps)
+    lines.append(f"| 1, TorchRL's wrapper | {figures[1]:,.0f} | |")
+    report(given, figures, {"torchrl": lines})
 
 
 if __name__ == "__main__":
