@@ -69,10 +69,10 @@ def single(name: str, seconds: float) -> float:
     return rate(step, seconds)
 
 
-def batched(name: str, count: int, threads: int, seconds: float, **arguments: Any) -> float:
+def batched(name: str, count: int, threads: int, seconds: float, version: int = 0, **arguments: Any) -> float:
     """Return steps per second of a batch of ``count``."""
     envs = gymnasium.make_vec(
-        f"chemlab/{name}-v0",
+        f"chemlab/{name}-v{version}",
         num_envs=count,
         vectorization_mode="vector_entry_point",
         threads=threads,
@@ -324,8 +324,8 @@ def rates(seconds: float, quick: bool) -> dict[str, Any]:
     result["materials"] = {
         scenario: {
             "materials": len(load_scenario(scenario).materials),
-            "rxn_256": batched("Bench", 256, 1, seconds, scenario=scenario, bench="rxn"),
-            "dit_256": batched("Bench", 256, 1, seconds, scenario=scenario, bench="dit"),
+            "rxn_256": batched("Bench", 256, 1, seconds, 1, scenario=scenario, bench="rxn"),
+            "dit_256": batched("Bench", 256, 1, seconds, 1, scenario=scenario, bench="dit"),
         }
         for scenario in ("fictitious", "wurtz_dodecane_direct", "wurtz_dodecane")
     }
