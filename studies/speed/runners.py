@@ -1,8 +1,13 @@
 """Scaling of RLlib training with env runners: measured with one and two, simulated with more.
 
-Run ``python studies/speed/runners.py`` (``--json``, ``--quick``, ``--update docs/performance.md``). One and two runners
-alternate round by round, as in ``rllib_scaling.py``. Figures are processor times of each process, which exclude other
-load on the machine; they describe the case of one core per runner.
+Run ``python studies/speed/runners.py`` (``--json``, ``--quick``, ``--update docs/performance.md docs/cluster.md``). One
+and two runners exist side by side and alternate round by round; figures are medians of rounds without the first. A
+round gathers a batch of turns and learns from it. The learning rate is so small that policies stay constant: learning
+policies would play other episodes (a manager that submits at once makes twenty times as many), which is other work. The
+number of episodes per round shows that the work is the same. One process learns, so only gathering can scale.
+
+The table `rllib-scaling` has turns per second of the clock. The tables `runners` have processor times of each process,
+which exclude other load on the machine; they describe the case of one core per runner.
 
 A simulated round: every runner plays its share of turns, and the round waits for the slowest (each takes the time of a
 randomly drawn measured round). The samples are sent to the learner process, which unpacks them and updates; the new
@@ -14,9 +19,9 @@ runners is reported beside the measured one: the slower runner's time plus the l
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import pickle
+import sys
 import time
 from pathlib import Path
 from statistics import median
@@ -24,16 +29,29 @@ from typing import Any
 
 import numpy as np
 import torch
-from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED
-from rllib_scaling import Timed
+from ray.rllib.utils.metrics import ENV_RUNNER_RESULTS, NUM_ENV_STEPS_SAMPLED, NUM_EPISODES
+from report import arguments, report
 
+from chemlab import load_scenario
 from chemlab.agents.executors import connected
 from chemlab.agents.rllib import LaboratoryMultiAgentEnv
-from chemlab.config.files import replace_between
+from chemlab.agents.roles import chosen_roles
+from chemlab.kernels.arrays import FloatArray
+from chemlab.lab.engine import Laboratories
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "recipes"))
+import rllib
 
 RUNNERS = (1, 2, 8, 64, 512)
+STILL = 1e-9
+"""A learning rate without effect."""
 _ROUNDS = 200
 """Rounds of a simulation."""
+
+
+def clocks() -> FloatArray:
+    """Return [2] seconds of the clock and of this process's processor time."""
+    return np.array([time.perf_counter(), time.process_time()])
 
 
 def processor_seconds(_: Any) -> float:
@@ -47,18 +65,33 @@ def bytes_a_turn(runner: Any) -> float:
     return len(pickle.dumps(runner.sample(num_timesteps=turns))) / turns
 
 
-class Clocked(Timed):
-    """A team, and processor seconds per turn of its rounds.
+class Team:
+    """An algorithm for all roles, and figures of its rounds.
 
-    They are the slowest runner's, those of the learner process without updating, and those of updating.
+    Attributes:
+        rounds: of each, seconds per turn and the number of episodes. Seconds of the clock are ``gathering`` and
+            ``learning``, processor seconds are ``slowest`` runner, ``apart`` (the learner process without updating)
+            and ``update``.
+        each: processor seconds per turn of every runner in every round.
     """
 
-    clock = staticmethod(time.process_time)
-
     def __init__(self, scenario: str, runners: int, batch: int) -> None:
-        super().__init__(scenario, None, runners, batch)
-        self.seconds: list[tuple[float, float, float]] = []
+        roles = chosen_roles(Laboratories(scenario, 1), None)
+        settings: Any = {"runners": runners, "batch": batch, "learning_rate": STILL}
+        self.algorithm = rllib.algorithm_config(load_scenario(scenario), roles, **settings).build_algo()
+        self.rounds: list[dict[str, float]] = []
         self.each: list[float] = []
+        self._learning = np.zeros(2)
+        group: Any = self.algorithm.learner_group
+        update = group.update
+
+        def timed(*given: Any, **named: Any) -> Any:
+            begun = clocks()
+            found = update(*given, **named)
+            self._learning += clocks() - begun
+            return found
+
+        group.update = timed
 
     def of_runners(self, function: Any) -> list[float]:
         """Return a number of each runner."""
@@ -68,14 +101,20 @@ class Clocked(Timed):
 
     def round(self) -> None:
         """Play and learn once."""
-        self._learning = 0.0
-        runners, mine = self.of_runners(processor_seconds), time.process_time()
-        turns = int(self.algorithm.train()[ENV_RUNNER_RESULTS][NUM_ENV_STEPS_SAMPLED])
-        own = time.process_time() - mine
-        taken = [after - before for before, after in zip(runners, self.of_runners(processor_seconds), strict=True)]
-        share = turns / len(taken)
-        self.each += [one / share for one in taken]
-        self.seconds.append((max(taken) / turns, (own - self._learning) / turns, self._learning / turns))
+        self._learning[:] = 0.0
+        runners, begun = self.of_runners(processor_seconds), clocks()
+        found = self.algorithm.train()[ENV_RUNNER_RESULTS]
+        taken = clocks() - begun
+        played = [after - before for before, after in zip(runners, self.of_runners(processor_seconds), strict=True)]
+        turns = int(found[NUM_ENV_STEPS_SAMPLED])
+        (gathering, apart), (learning, update) = (taken - self._learning) / turns, self._learning / turns
+        self.each += [one * len(played) / turns for one in played]
+        seconds = {"gathering": gathering, "learning": learning, "slowest": max(played) / turns, "apart": apart}
+        self.rounds.append({**seconds, "update": update, "episodes": int(found.get(NUM_EPISODES, 0))})
+
+    def middle(self, *names: str) -> float:
+        """Return the median over rounds of a figure, or of the sum of several."""
+        return float(median(sum(row[name] for name in names) for row in self.rounds[1:]))
 
 
 def environment_alone(scenario: str, turns: int) -> float:
@@ -98,22 +137,31 @@ def environment_alone(scenario: str, turns: int) -> float:
 
 
 def measure(scenario: str, rounds: int, batch: int) -> dict[str, Any]:
-    """Return seconds per turn and bytes, with one runner and with two."""
+    """Return seconds per turn and bytes, with one runner and with two, all in one Ray instance."""
     torch.set_num_threads(1)
+    # Ray's workers import the recipe, too.
+    paths = (str(Path(rllib.__file__).parent), os.environ.get("PYTHONPATH"))
+    os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
+    # Ray gives its workers a low priority, so that other load on the machine would be measured.
+    os.environ.setdefault("RAY_worker_niceness", "0")
     with connected(None, 3):
-        runs = {n: Clocked(scenario, n, batch) for n in RUNNERS[:2]}
+        runs = {n: Team(scenario, n, batch) for n in RUNNERS[:2]}
         for _ in range(rounds + 1):
             for run in runs.values():
                 run.round()
         one = runs[1]
         found = {
             "runner_s": one.each[1:],
-            "apart_s": median(row[1] for row in one.seconds[1:]),
-            "update_s": median(row[2] for row in one.seconds[1:]),
+            "apart_s": one.middle("apart"),
+            "update_s": one.middle("update"),
             "turn_bytes": median(one.of_runners(bytes_a_turn)),
             "weights_bytes": len(pickle.dumps(one.algorithm.learner_group.get_weights())),
-            "round_s": {n: median(sum(row) for row in run.seconds[1:]) for n, run in runs.items()},
-            "gathering_s": {n: median(row[0] for row in run.seconds[1:]) for n, run in runs.items()},
+            "round_s": {n: run.middle("slowest", "apart", "update") for n, run in runs.items()},
+            "gathering_s": {n: run.middle("slowest") for n, run in runs.items()},
+            "clock": {
+                n: [1.0 / run.middle("gathering"), 1.0 / run.middle("gathering", "learning"), run.middle("episodes")]
+                for n, run in runs.items()
+            },
         }
         for run in runs.values():
             run.algorithm.stop()
@@ -168,6 +216,15 @@ def table(result: dict[str, Any]) -> list[str]:
     return lines
 
 
+def scaling_table(clock: dict[int, list[float]]) -> list[str]:
+    """Return the turns per second of the clock as Markdown."""
+    lines = ["| env runners | turns gathered a second | learning included | episodes a round |", "|--:|--:|--:|--:|"]
+    for runners, (*rates, episodes) in clock.items():
+        cells = [f"{rate:,.0f} ({rate / first:.2f}x)" for rate, first in zip(rates, clock[1], strict=False)]
+        lines.append(f"| {runners} | {' | '.join(cells)} | {episodes:.0f} |")
+    return lines
+
+
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -177,10 +234,7 @@ def main() -> None:
     parser.add_argument("--share", type=int, default=2048, help="turns of each runner in a simulated round")
     parser.add_argument("--gigabits", type=float, default=10.0, help="a second, of the learner's network")
     parser.add_argument("--quick", action="store_true", help="3 short rounds")
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--update", type=Path, metavar="FILE", help="put the table between the marks `runners`")
-    given = parser.parse_args()
-    os.environ.setdefault("RAY_worker_niceness", "0")
+    given = arguments(parser)
     load = os.getloadavg()[0]
     rounds, batch = (3, 512) if given.quick else (given.rounds, given.batch)
     found = measure(given.scenario, rounds, batch)
@@ -192,14 +246,14 @@ def main() -> None:
         "speedup": found["round_s"][1] / found["round_s"][2],
         "simulated_speedup": halves[1] / halves[0],
         "simulated": {str(n): simulate(found, n, given.share, given.gigabits) for n in RUNNERS},
+        "load": load,
     }
-    if given.json:
-        print(json.dumps({**result, "load": load}, indent=1))
-        return
-    lines = [*table(result), "", f"{rounds} rounds of {batch} turns; load average {load:.1f} before."]
-    print("\n".join(lines))
-    if given.update is not None:
-        replace_between(given.update, "runners", lines)
+    before = f"load average {load:.1f} before."
+    tables = {
+        "runners": [*table(result), "", f"{rounds} rounds of {batch} turns; {before}"],
+        "rllib-scaling": [*scaling_table(found["clock"]), "", f"{os.cpu_count()} cores; {before}"],
+    }
+    report(given, result, tables)
 
 
 if __name__ == "__main__":
