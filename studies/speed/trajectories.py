@@ -10,7 +10,6 @@ agents, observations, masks, actions, rewards and scores are combined into one h
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import sys
 from pathlib import Path
@@ -19,80 +18,51 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import chemlab  # noqa: F401 - registers the single benches
-from chemlab import load_scenario
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+
+from helpers import digest
+
+from chemlab import load_scenario, raw_env
+from chemlab.agents.episodes import PlayedTurn, play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.config.datafile import DataError
 from chemlab.config.inherit import scenario_names, synthesis_names
 
 
-class Digest:
-    """A hash of arrays and numbers, independent of their containers."""
-
-    def __init__(self) -> None:
-        self._hash = hashlib.blake2b(digest_size=12)
-
-    def add(self, *values: Any) -> None:
-        for value in values:
-            if value is None:
-                self._hash.update(b"none")
-            elif isinstance(value, str):
-                self._hash.update(value.encode())
-            else:
-                # -0.0 and 0.0 are equal.
-                self._hash.update(np.ascontiguousarray(np.asarray(value) + 0).tobytes())
-
-    def text(self) -> str:
-        return self._hash.hexdigest()
-
-
-def laboratory_episode(env: Any, policies: dict[str, Any], seed: int) -> str:
+def laboratory_episode(env: raw_env, policies: dict[str, Any], seed: int) -> str:
     """Return the hash of one episode with one policy per agent."""
-    digest = Digest()
-    for name, policy in policies.items():
-        if hasattr(policy, "seed"):
-            policy.seed(0, np.random.SeedSequence([seed, env.possible_agents.index(name)]))
-    env.reset(seed=seed)
-    members, steps = np.zeros(1, dtype=np.int64), dict.fromkeys(env.possible_agents, 0)
-    for agent in env.agent_iter():
-        observation, reward, terminated, truncated, info = env.last()
-        digest.add(agent, observation, float(reward), float(terminated), float(truncated), float(info["cost"]))
-        if terminated or truncated:
-            env.step(None)
-            continue
-        mask = info.get("action_mask")
-        number = env.possible_agents.index(agent)
-        steps[agent] = int(env.laboratories.turns_had(number)[0])
-        action = policies[agent].act(
-            observation[None], None if mask is None else mask[None], np.array([steps[agent]]), members
-        )[0]
-        digest.add(mask, action)
-        env.step(action)
-    digest.add(float(env.laboratories.result(members)[0]), env.laboratories.total())
-    return digest.text()
+    found: list[str] = []
+
+    def watch(turn: PlayedTurn) -> None:
+        own = env.agent_selection
+        # Plus 0.0, so that -0.0 and 0.0 are equal.
+        numbers = np.array([turn.info["cost"], *env.rewards.values()]) + 0.0
+        over = bool(env.terminations[own]), bool(env.truncations[own])
+        found.append(digest(turn.agent, np.asarray(turn.action), numbers, over))
+        found.append(digest(own, env.observe(own) + 0.0, env.infos[own].get("action_mask")))
+
+    result = play_episode(env, policies, seed, watch=watch)
+    return digest(found, result.score, env.laboratories.total())
 
 
 def bench_episode(env: gymnasium.Env[Any, Any], seed: int) -> str:
     """Return the hash of one episode of random legal actions."""
-    digest = Digest()
+    found: list[str] = []
     observation, info = env.reset(seed=seed)
     env.action_space.seed(seed)
     over = False
     while not over:
         mask = info.get("action_mask")
         action = env.action_space.sample() if mask is None else env.action_space.sample(mask)
-        digest.add(observation, mask, action)
+        found.append(digest(observation + 0.0, mask, np.asarray(action)))
         observation, reward, terminated, truncated, info = env.step(action)
         over = terminated or truncated
-        digest.add(float(reward), float(info["cost"]), float(over))
-    digest.add(observation)
-    return digest.text()
+        found.append(digest(np.array([reward, info["cost"]]) + 0.0, bool(over)))
+    return digest(found, observation + 0.0)
 
 
 def hashes(seeds: int) -> dict[str, list[str]]:
     """Return the hashes by scenario and policy, one per seed."""
-    from chemlab import raw_env
-    from chemlab.agents.policies import make_policies
-
     found: dict[str, list[str]] = {}
     for scenario in (*scenario_names(), *synthesis_names()):
         env = raw_env(scenario)
