@@ -41,6 +41,7 @@ ROWS: dict[str, str] = {
     **{f"manager's view, {count}": f"manager_view({count}, SECONDS)" for count in (64, 256)},
     **{f"PPO's collection, manager, {s}": f"collection(4 * SECONDS, {s!r})" for s in ("rush@1", "unlabelled@1")},
     "PPO's collection, every role, rush@1": 'collection(4 * SECONDS, "rush@1", True)',
+    "verification, turns": "verification(4 * SECONDS)",
 }
 WORKER = """
 import json, sys

@@ -13,8 +13,10 @@ import os
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -24,10 +26,13 @@ from report import arguments, report
 import chemlab  # noqa: F401 - registers the environments
 from chemlab import BatchedLaboratory, load_scenario, parallel_env, raw_env
 from chemlab.agents.background import role_vector_env
+from chemlab.agents.episodes import play_episode
+from chemlab.agents.policies import make_policies
 from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.laboratory import env as laboratory_env
+from chemlab.record import Recorder, verify_record
 
 ROUNDS = 5
 IDS = ("WurtzReaction", "FictitiousReaction", "WurtzExtraction", "SaltFromOilExtraction", "WurtzDistillation")
@@ -255,6 +260,24 @@ def collection(seconds: float, scenario: str = "rush@1", every_role: bool = Fals
     while time.process_time() - begun < seconds:
         team.collect(1.0)
     return (sum(team.turns.values()) - before) / (time.process_time() - begun)
+
+
+def verification(seconds: float) -> float:
+    """Return turns per second of processor time that :func:`verify_record` verifies, in records of random episodes."""
+    with tempfile.TemporaryDirectory() as folder:
+        paths = []
+        for name in ("wurtz_dodecane", "relay", "rush", "failing"):
+            env = raw_env(name)
+            paths.append(Path(folder) / f"{name}.jsonl")
+            with Recorder(paths[-1], env.laboratories) as recorder:
+                play_episode(env, make_policies("random", env.laboratories), 0, recorder=recorder)
+
+        def step(i: int) -> int:
+            found = verify_record(paths[i % len(paths)])
+            assert found.status == "ok", found.message
+            return found.turns
+
+        return rate(step, seconds, time.process_time)
 
 
 def shares(scenario: str, every_role: bool, updates: int) -> dict[str, float]:

@@ -31,5 +31,5 @@ def test_every_test_and_file_that_is_named_is_there() -> None:
     assert [name for name in sorted(named) if f"def {name}(" not in sources] == []
     there = {path.name for folder in ("tests", "studies") for path in (ROOT / folder).rglob("*.py")}
     files = set(re.findall(r"\b(?:tests/[\w/]+/)?(\w+\.py)[` ]", text))
-    assert {"forgeries.py", "verify_pairs.py"} <= files
+    assert {"forgeries.py", "compare_commits.py"} <= files
     assert sorted(files - there) == []
