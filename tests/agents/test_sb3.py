@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -235,21 +234,6 @@ def test_what_a_wrapper_writes_into_an_info_stays_there(bench: str) -> None:
         for info in infos:
             assert "seen" not in info
             info["seen"] = 1
-
-
-def test_pickles_go_on_alike() -> None:
-    venv = ChemlabVecEnv(2, bench="ext", threads=2)
-    venv.seed(3)
-    venv.reset()
-    actions = random_actions(RoleEnv(bench="ext").action_space, 60, 2)
-    for action in actions[:20]:
-        venv.step(action)
-    twin = pickle.loads(pickle.dumps(venv))
-    for action in actions[20:]:
-        for one, other in zip(venv.step(action)[:3], twin.step(action)[:3], strict=True):
-            np.testing.assert_array_equal(one, other)
-    venv.close()
-    twin.close()
 
 
 # -- learners ---------------------------------------------------------------------------------------------------------

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import os
-import pickle
 import shutil
 import tempfile
 from collections import defaultdict
@@ -110,30 +108,6 @@ def test_same_actions_give_the_same_observations_and_rewards(scenario: str) -> N
         for name in acted:
             assert earned[name] == pytest.approx(paid[name], rel=1e-12, abs=1e-15), "nothing is lost between turns"
         assert ours.score == theirs.laboratories.result(theirs.laboratories.members)[0]
-
-
-@pytest.mark.parametrize("how", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
-@pytest.mark.parametrize("scenario", ["wurtz_dodecane", "wurtz_real"])
-def test_copies_play_on_alike(scenario: str, how: Any) -> None:
-    """Background policies of a copy play in the copy's laboratory, and the other way round."""
-    env = LaboratoryMultiAgentEnv({"scenario": scenario, "roles": ["manager"], "background": "random"})
-    observations, _ = env.reset(seed=3)
-
-    def play(one: LaboratoryMultiAgentEnv, seen: Any, seed: int) -> list[Any]:
-        rng, found = np.random.default_rng(seed), []
-        for _ in range(15):
-            mask = parts(seen["manager_0"])[1]
-            seen, rewards, *_ = one.step({"manager_0": random_legal(one.action_spaces["manager_0"], mask, rng)})
-            found += [parts(seen["manager_0"])[0], rewards["manager_0"], one.laboratory.state()]
-            if not one._running():
-                seen, _ = one.reset()
-        return [*found, seen]
-
-    *_, observations = play(env, observations, 0)
-    other = how(env)
-    expected = play(env, observations, 1)[:-1]
-    for one, two in zip(expected, play(other, observations, 1)[:-1], strict=True):
-        np.testing.assert_array_equal(one, two)
 
 
 @pytest.mark.parametrize("roles", [["rxn"], ["manager"], ["ext", "dit"]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import importlib
 import pickle
 from collections.abc import Callable
 from typing import Any
@@ -19,6 +20,7 @@ from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.laboratory import env as ordered_env
 from chemlab.laboratory import parallel_env, raw_env
 
+ONE_LEARNS = {"roles": ["manager"], "background": "random"}
 HOW = {"deepcopy": copy.deepcopy, "pickle": lambda env: pickle.loads(pickle.dumps(env))}
 
 
@@ -84,6 +86,29 @@ def together(env: Any, steps: int, rng: np.random.Generator) -> Any:
     return found
 
 
+def with_sb3(env: Any, steps: int, rng: np.random.Generator) -> Any:
+    """Play a batch of Stable-Baselines3's; infos are left out, which tell the time."""
+    found: list[Any] = []
+    if not hasattr(env, "told"):
+        env.seed(3)
+        env.told = env.reset()
+    for _ in range(steps):
+        masks = env.batch.action_masks() if env.batch.action_count else [None] * env.num_envs
+        found.append(env.step(np.array([random_legal(env.action_space, mask, rng) for mask in masks]))[:3])
+    return found
+
+
+def with_rllib(env: Any, steps: int, rng: np.random.Generator) -> Any:
+    """Play RLlib's environment, in which one agent with discrete actions learns."""
+    found, seen = [], env.told if hasattr(env, "told") else env.reset(seed=3)[0]
+    for _ in range(steps):
+        ((agent, own),) = seen.items()
+        results = env.step({agent: random_legal(env.action_spaces[agent], own["action_mask"], rng)})
+        found.append((*results, env.laboratory.state()))
+        seen = env.told = env.reset()[0] if results[2]["__all__"] else results[0]
+    return found
+
+
 def benches(make: Callable[..., Any], scenario: str, **arguments: Any) -> list[Any]:
     """An environment of every bench of a scenario."""
     return [make(scenario=scenario, bench=key, **arguments) for key in load_scenario(scenario).benches]
@@ -92,6 +117,12 @@ def benches(make: Callable[..., Any], scenario: str, **arguments: Any) -> list[A
 def benches_of(name: str) -> list[str]:
     """The agents of a scenario's benches."""
     return load_scenario(name).bench_agents()
+
+
+def optional(package: str, module: str) -> Any:
+    """A module of agents/ that needs a package."""
+    pytest.importorskip(package)
+    return importlib.import_module(f"chemlab.agents.{module}")
 
 
 CLASSES: dict[str, tuple[Callable[[str], list[Any]], Callable[..., list[Any]]]] = {
@@ -105,6 +136,14 @@ CLASSES: dict[str, tuple[Callable[[str], list[Any]], Callable[..., list[Any]]]] 
     "RoleVectorEnv": (
         lambda name: [role_vector_env(2, name), role_vector_env(2, name, benches_of(name)[0], "random")],
         together,
+    ),
+    "ChemlabVecEnv": (
+        lambda name: benches(optional("stable_baselines3", "sb3").ChemlabVecEnv, name, env=2, threads=2),
+        with_sb3,
+    ),
+    "LaboratoryMultiAgentEnv": (
+        lambda name: [optional("ray.rllib", "rllib").LaboratoryMultiAgentEnv(ONE_LEARNS | {"scenario": name})],
+        with_rllib,
     ),
 }
 
