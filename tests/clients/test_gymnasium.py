@@ -1,4 +1,4 @@
-"""Gymnasium's own checkers and wrappers on the laboratory's views."""
+"""Checkers of Gymnasium and Stable-Baselines3 on benches and views; Gymnasium's wrappers."""
 
 from __future__ import annotations
 
@@ -20,15 +20,30 @@ from chemlab.config.loading import load_scenario
 from chemlab.record import scenario_hash
 
 MANAGER, AGENT = "chemlab/LabManager-v1", "chemlab/LabAgent-v1"
-VIEWS = [(name, agent) for name in FEATURED for agent in ("manager_0", *load_scenario(name).bench_agents())]
+CHECKED: list[tuple[str, dict[str, Any]]] = [
+    *((name, {}) for name in gymnasium.registry if name.startswith("chemlab/") and name not in (MANAGER, AGENT)),
+    *((MANAGER, {"scenario": name}) for name in FEATURED),
+    *((AGENT, {"scenario": name, "agent": bench}) for name in FEATURED for bench in load_scenario(name).bench_agents()),
+]
+"""Every registered bench, and every agent of scenarios."""
 
 
-@pytest.mark.parametrize(("name", "agent"), VIEWS)
-def test_checker(name: str, agent: str) -> None:
-    env = gymnasium.make(AGENT, scenario=name, agent=agent, disable_env_checker=True)
+@pytest.mark.parametrize(("name", "arguments"), CHECKED)
+def test_gymnasiums_checker_finds_nothing(name: str, arguments: dict[str, Any]) -> None:
+    env = gymnasium.make(name, **arguments, render_mode="ansi", disable_env_checker=True)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=True)
+        check_env(env.unwrapped)
+
+
+@pytest.mark.parametrize(("name", "arguments"), CHECKED)
+def test_stable_baselines3s_checker_finds_nothing(name: str, arguments: dict[str, Any]) -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the extra train")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # It advises actions in [-1, 1]; the laboratory's are fractions.
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized Box action space.*")
+        checker.check_env(gymnasium.make(name, **arguments))
 
 
 def test_the_passive_checker_finds_nothing() -> None:

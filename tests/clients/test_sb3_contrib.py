@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -18,7 +17,6 @@ from helpers import watched, weights
 from sb3_contrib import MaskablePPO
 from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
 from sb3_contrib.common.maskable.utils import is_masking_supported
-from stable_baselines3.common.env_checker import check_env
 from stable_baselines3.common.env_util import make_vec_env
 
 import chemlab  # noqa: F401 - registers the environments
@@ -42,17 +40,6 @@ def learned(model: Any, steps: int) -> dict[str, Any]:
 def manager_batch(members: int, name: str = "wurtz_dodecane") -> ChemlabVecEnv:
     """The manager's view of a batch of laboratories, for SB3."""
     return ChemlabVecEnv(role_vector_env(members, name, autoreset_mode="SameStep"))
-
-
-# -- its checker ------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.filterwarnings("error::UserWarning", "ignore:.*symmetric and normalized Box action space")
-@pytest.mark.parametrize("name", ["failing", "refine"])
-def test_checker(name: str) -> None:
-    check_env(gymnasium.make("chemlab/LabManager-v1", scenario=name).unwrapped, skip_render_check=True)
-    for agent in load_scenario(name).bench_agents():
-        check_env(gymnasium.make("chemlab/LabAgent-v1", scenario=name, agent=agent).unwrapped, skip_render_check=True)
 
 
 # -- the manager ------------------------------------------------------------------------------------------------------

@@ -10,14 +10,12 @@ import gc
 import os
 import subprocess
 import sys
-import warnings
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from gymnasium.utils.env_checker import check_env
 from helpers import assert_is_singles, random_actions, random_legal
 
 from chemlab.config.datafile import DataError
@@ -67,23 +65,7 @@ def test_every_bench_kind_is_registered() -> None:
         assert isinstance(spec.vector_entry_point, str)
 
 
-# -- checkers, spaces, seeds ------------------------------------------------------------------------------------------
-
-
-@pytest.mark.filterwarnings("error::UserWarning")
-@pytest.mark.parametrize("name", IDS)
-def test_gymnasium_finds_nothing_wrong(name: str) -> None:
-    check_env(gymnasium.make(name, render_mode="ansi").unwrapped)
-
-
-@pytest.mark.parametrize("name", IDS)
-def test_sb3_finds_nothing_wrong(name: str) -> None:
-    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="needs the train extra")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        # SB3 advises actions in [-1, 1]; the laboratory's are fractions.
-        warnings.filterwarnings("ignore", message=".*symmetric and normalized Box action space.*")
-        checker.check_env(gymnasium.make(name))
+# -- spaces, seeds ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", IDS)
