@@ -1,7 +1,7 @@
 """PettingZoo's own tests and tools on every scenario, through both interfaces.
 
 ``max_cycles_test`` is left out: it wants an environment whose agents all act the same number of times.
-``test_save_obs`` and ``state_test`` stand with the AEC environment's own tests.
+``state_test`` stands with the AEC environment's own tests.
 """
 
 from __future__ import annotations
@@ -50,6 +50,11 @@ pytestmark = pytest.mark.filterwarnings(
 
 
 @pytest.mark.parametrize("name", FEATURED)
+def test_api(name: str) -> None:
+    api_test(seeded(laboratory_env(name)), num_cycles=500)
+
+
+@pytest.mark.parametrize("name", FEATURED)
 def test_parallel_api(name: str) -> None:
     parallel_api_test(seeded(parallel_env(name)), num_cycles=200)
 
@@ -58,6 +63,16 @@ def test_parallel_api(name: str) -> None:
 def test_seeds(name: str) -> None:
     seed_test(lambda: laboratory_env(name), num_cycles=200)
     parallel_seed_test(lambda: parallel_env(name), num_cycles=200)
+
+
+@pytest.mark.parametrize(("kind", "expected"), [("aec", raw_env), ("parallel", parallel_env)])
+def test_the_registry_knows_the_laboratory(kind: str, expected: type) -> None:
+    pettingzoo = pytest.importorskip("pettingzoo", minversion="1.27")
+    env = pettingzoo.make(kind, "chemlab/Laboratory-v1", scenario="wurtz_dodecane_direct")
+    env.reset(seed=0)
+    assert env.possible_agents == ["manager_0", "rxn_0", "dit_0"]
+    assert isinstance(env.unwrapped, expected)
+    assert env.unwrapped.scenario.name == "wurtz_dodecane_direct"
 
 
 class StepReturnsObservation(BaseWrapper):

@@ -1,4 +1,4 @@
-"""The laboratory as an AEC environment: PettingZoo's own tests, turns, spaces, masks, actions, rewards, endings.
+"""The laboratory as an AEC environment: its state, turns, spaces, masks, actions, rewards, endings.
 
 Expected values come from the design (agents, turns, spaces, rewards), not from what the environment prints.
 """
@@ -12,8 +12,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import FEATURED, manager, mapping, random_legal, seeded
-from pettingzoo.test import api_test
+from helpers import FEATURED, manager, mapping, random_legal
 from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
 
@@ -37,20 +36,7 @@ def random_turn(env: raw_env, rng: np.random.Generator, submit: bool = True) -> 
     return random_legal(env.action_space(agent), mask, rng)
 
 
-# -- PettingZoo's own tests -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.filterwarnings(
-    "error::UserWarning",
-    # The roles differ, a bench without an experiment sees nothing, and api_test passes an option of its own.
-    "ignore:Agents have different observation space sizes",
-    "ignore:Observations are different shapes",
-    "ignore:Observation numpy array is all zeros",
-    "ignore:.*reset options",
-)
-@pytest.mark.parametrize("name", FEATURED)
-def test_api(name: str) -> None:
-    api_test(seeded(laboratory_env(name)), num_cycles=500)
+# -- PettingZoo's tests of the state --------------------------------------------------------------------------------
 
 
 @pytest.mark.filterwarnings("error::UserWarning")
@@ -60,14 +46,6 @@ def test_state(name: str) -> None:
     check_state_space(env)
     check_state(env, 100)  # plays any action of the spaces, legal or not
     assert sum(channel.size for channel in env.unwrapped.state_channels) == env.state_space.shape[0]
-
-
-def test_the_registry_knows_the_laboratory() -> None:
-    pettingzoo = pytest.importorskip("pettingzoo", minversion="1.27")
-    env = pettingzoo.make("aec", "chemlab/Laboratory-v1", scenario="wurtz_dodecane_direct")
-    env.reset(seed=0)
-    assert env.possible_agents == ["manager_0", "rxn_0", "dit_0"]
-    assert env.unwrapped.scenario.name == "wurtz_dodecane_direct"
 
 
 # -- turns ----------------------------------------------------------------------------------------------------------

@@ -56,9 +56,6 @@ def test_one_script_is_one_episode(name: str) -> None:
     assert assert_plays_rounds(Parallel(name), name, 1, 400, submit=0.02) > 0
 
 
-# -- masks ----------------------------------------------------------------------------------------------------------
-
-
 # -- actions that are none ------------------------------------------------------------------------------------------
 
 
@@ -85,14 +82,3 @@ def test_a_missing_action_is_asked_for(missing: str) -> None:
         env.step({})
     for was, now in zip(before, env.laboratories.snapshot(), strict=True):
         np.testing.assert_array_equal(now, was)
-
-
-# -- the interface --------------------------------------------------------------------------------------------------
-
-
-def test_the_registry_knows_it() -> None:
-    pettingzoo = pytest.importorskip("pettingzoo", minversion="1.27")
-    env = pettingzoo.make("parallel", "chemlab/Laboratory-v1", scenario="wurtz_dodecane_direct")
-    assert env.possible_agents == ["manager_0", "rxn_0", "dit_0"]
-    _, infos = env.reset(seed=0)
-    assert infos["manager_0"]["has_turn"]
