@@ -29,6 +29,7 @@ from sphinx.pycode import ModuleAnalyzer
 
 import chemlab
 from chemlab.agents.evaluate.audit import measure_rows
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.policies import has_memory
 from chemlab.cli import app as command
 from chemlab.cli.evaluation import RESULT_COLUMNS
@@ -86,11 +87,9 @@ Rows = Iterable[Sequence[Any]]
 
 def _table(head: Sequence[str], rows: Rows, right: Sequence[int] = ()) -> str:
     """Return a Markdown table; ``right`` are the columns of numbers. Empty without rows."""
-    lines = ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in rows]
-    if not lines:
-        return ""
-    rule = "|" + "|".join("--:" if i in right else "---" for i in range(len(head))) + "|"
-    return "\n".join(["| " + " | ".join(head) + " |", rule, *lines, ""])
+    cells = [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
+    columns = {name: i in right for i, name in enumerate(head)}
+    return "\n".join([*markdown_table(columns, cells), ""]) if cells else ""
 
 
 def _facts(table: facts.FactTable) -> str:

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.config.catalogue import catalogue_pairs
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.materials import Material
@@ -125,17 +126,15 @@ def main() -> None:
     """Write the table."""
     found = list(rows())
     lines = ["one,other,measured_k,measured_x,model_k,model_x,met"]
-    table = [
-        "| mixture | measured (K) | chemlab (K) | measured (mole fraction) | chemlab (mole fraction) | met |",
-        "|---|---|---|---|---|---|",
-    ]
+    columns = "mixture", "measured (K)", "chemlab (K)", "measured (mole fraction)", "chemlab (mole fraction)", "met"
+    table = []
     for row in found:
         cells = [_shown(row.measured_k, 1), _shown(row.model_k, 1), _shown(row.measured_x, 2), _shown(row.model_x, 2)]
         lines.append(",".join([f'"{row.one}"', f'"{row.other}"', cells[0], cells[2], cells[1], cells[3], str(row.met)]))
         names = f"{row.one} and {row.other}".replace("_", " ")
-        table.append(f"| {names} | {' | '.join(cells)} | {'yes' if row.met else 'no'} |")
+        table.append([names, *cells, "yes" if row.met else "no"])
     write_text(HERE / "azeotropes.csv", "\n".join(lines) + "\n")
-    replace_between(PAGE, "azeotropes", table)
+    replace_between(PAGE, "azeotropes", markdown_table(dict.fromkeys(columns, False), table))
     print(f"{sum(row.met for row in found)} of {len(found)} met")
 
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.seats import Room
 from chemlab.agents.verbs import ToolError
@@ -113,12 +114,9 @@ def main(names: list[str]) -> None:
     from chemlab.config.inherit import scenario_names
 
     encoding = bpe_openai.get_encoding("o200k_base")
-    print(
-        "| scenario | brief | look, median | look, max | reply, median | reply, max | calls | episode of a seat, max |"
-    )
-    print("|---|---|---|---|---|---|---|---|")
-    for name in names or scenario_names():
-        print(f"| {' | '.join(measure(name, lambda text: len(encoding.encode(text))))} |", flush=True)
+    columns = "scenario", "brief", "look, median", "look, max", "reply, median", "reply, max", "calls"
+    rows = [measure(name, lambda text: len(encoding.encode(text))) for name in names or scenario_names()]
+    print("\n".join(markdown_table(dict.fromkeys((*columns, "episode of a seat, max"), False), rows)))
 
 
 if __name__ == "__main__":
