@@ -281,8 +281,23 @@ if COMPILED:
 
         return kind(count), generate
 
+    @extending.intrinsic  # type: ignore[untyped-decorator]
+    def part(context: Any, whole: Any, at: Any, count: Any) -> Any:
+        """Return a view [count] of scratch [n], from index ``at`` on; its bounds are not checked."""
+        kind = types.Array(types.float64, 1, "C")
+
+        def generate(target: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            memory = cgutils.create_struct_proxy(kind)(target, builder, value=arguments[0]).data
+            return _array(target, builder, kind, builder.gep(memory, [arguments[1]]), [arguments[2]])
+
+        return kind(kind, types.intp, types.intp), generate
+
 else:
 
     def scratch(count: int) -> FloatArray:
         """Return an uninitialized array [count]."""
         return np.empty(count)
+
+    def part(whole: FloatArray, at: int, count: int) -> FloatArray:
+        """Return a view [count] of an array [n], from index ``at`` on."""
+        return whole[at : at + count]

@@ -194,6 +194,8 @@ class ExperimentState(NamedTuple):
     """[N, E] safety events of the last action"""
     stream: Annotated[StreamArray, Field("N 1", first=None)]
     """[N, 1] random stream of the bench's own draws (camera)"""
+    noise_stream: Annotated[StreamArray, Field("N 1")]
+    """[N, 1] state of the stream at the start of the experiment, from which its noise is drawn"""
     gain: Annotated[FloatArray, Field("N 2", first=1.0)]
     """[N, 2] factors of the effects of stirring and of heating (:data:`STIR`, :data:`HEAT`)"""
     life: Annotated[FloatArray, Field("N", first=math.inf)]
@@ -350,8 +352,8 @@ def _blur(
     for b in range(members.shape[0]):
         m = members[b]
         if state.busy[m]:
-            work[0] = state.stream[m, 0]
-            work[1] = state.stream[m, 0] ^ (np.uint64(1 + state.steps[m]) * _APART)
+            work[0] = state.noise_stream[m, 0]
+            work[1] = state.noise_stream[m, 0] ^ (np.uint64(1 + state.steps[m]) * _APART)
             work[1] = random_bits(work[1:])
             for k in range(noise.shape[0]):
                 value = float(out[b, k])
@@ -596,6 +598,7 @@ class Bench(ABC):
         _begin(members, *self._handles(shelf, experiments))
         if self._errors is not None:
             experiments.stream[members] += _APART  # no two experiments have the same noise
+            experiments.noise_stream[members] = experiments.stream[members]
         self.prepare(shelf, experiments, members)
         experiments.baseline[members] = self.measure(shelf, experiments, members)
 

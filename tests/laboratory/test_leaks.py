@@ -5,11 +5,13 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario, plain_scenario
 from chemlab.config.scenario import Scenario
+from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices
 from tests.helpers import laboratory, manager, mapping
@@ -173,6 +175,27 @@ def test_what_a_bench_observes_is_noisy_once_an_experiment_and_once_a_step() -> 
     values["benches"]["rxn"]["noise"] = {"spectrum": 0.1, "smell": 0.1}
     with pytest.raises(DataError, match=r"benches\.rxn\.noise: unknown channel 'smell'; choose from spectrum"):
         Laboratories(load_scenario(values))
+
+
+@pytest.mark.parametrize("bench", ["rxn", "dit"])
+def test_half_of_a_bench_s_noise_stays_for_an_experiment(bench: str) -> None:
+    """Also where a camera draws in every step: looking again does not replace an instrument."""
+    seen: list[list[npt.NDArray[np.float32]]] = []
+    channel = "temperature" if bench == "rxn" else "volume"
+    for noise in ({channel: 0.05}, {}):
+        values = mapping("wurtz_dodecane")
+        values["benches"][bench]["noise"] = noise
+        env = RoleVectorEnv(300, load_scenario(values), bench=bench)
+        looks = [env.reset(seed=0)[0].copy()]
+        for _ in range(4):
+            actions = np.full((300, *env.single_action_space.shape), 0.5, dtype=np.float32)
+            idle = env.single_action_space.n - 2 if bench == "dit" else 0  # pours from an empty vessel
+            looks.append(env.step(actions if bench == "rxn" else np.full(300, idle))[0].copy())
+        seen.append(looks)
+    off = np.array(seen[0]) - np.array(seen[1])
+    at = channel_slices(env.bench.channels)[channel].start
+    assert off[..., at].std() == pytest.approx(0.05, rel=0.2)
+    assert np.corrcoef(off[1, :, at], off[4, :, at])[0, 1] == pytest.approx(0.5, abs=0.15)
 
 
 def test_a_resolution_rounds_what_a_bench_observes() -> None:

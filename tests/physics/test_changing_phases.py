@@ -9,8 +9,12 @@ import numpy as np
 import pytest
 
 from chemlab.config.materials import shipped_materials
+from chemlab.physics import backends as laws
 from chemlab.physics.backends.real.heats import enthalpy
-from chemlab.sandbox import Flask
+from chemlab.physics.chemistry import AIR, AMOUNTS, TEMPERATURE
+from chemlab.physics.surroundings import Surroundings
+from chemlab.physics.thermal import seal_vessel
+from chemlab.sandbox import BoilingWarning, Flask
 
 NAPHTHALENE = shipped_materials()["naphthalene"]
 
@@ -188,3 +192,96 @@ def test_wrong_arguments_are_named(call: Callable[[Flask], object], message: str
 def test_the_end_of_an_instrument_s_range_is_said() -> None:
     assert str(Flask({"DCM": 40.0}, capacity_l=3.0).measure("balance")) == "2.000 kg or more, the end of its range"
     assert str(Flask({"water": 1.0}).measure("balance")) == "0.018 kg"
+
+
+@pytest.mark.parametrize(
+    "contents",
+    [
+        {"toluene": 5.0, "water": 5.0, "benzoic_acid": 1.5},
+        {"diethyl_ether": 3.0, "water": 10.0, "salicylic_acid": 1.5},
+    ],
+)
+def test_an_acid_dissolves_in_oil_and_water_alike_in_one_call_and_in_many(contents: dict[str, float]) -> None:
+    left = []
+    for calls in (1, 100):
+        flask = Flask(contents, capacity_l=4.0)
+        for _ in range(calls):
+            flask.react(3600.0 / calls, temperature_k=298.15)
+        flask.settle()
+        left.append(flask.layers[0].contents[list(contents)[-1]])
+    assert left[0] == pytest.approx(left[1], rel=0.02)
+    assert 0.3 < left[1] < 1.3
+
+
+CLOSED = Surroundings(300.0, 0.0, -1.0, 1e-3, 1e-9)
+"""An insulated and sealed vessel."""
+
+
+@pytest.mark.parametrize(
+    ("contents", "hot", "kelvin"),
+    [
+        ({"salicylic_acid": 1.71, "water": 1.42}, 440.0, 290.0),
+        ({"benzoic_acid": 1.2, "water": 1.0, "NaOH": 0.8, "NaCl": 0.4, "naphthalene": 0.7}, 440.0, 330.0),
+    ],
+)
+def test_what_crystallizes_in_a_closed_vessel_keeps_its_energy(
+    contents: dict[str, float], hot: float, kelvin: float
+) -> None:
+    flask = Flask(contents, capacity_l=5.0)
+    row, arguments = flask._row, (flask._chem, flask._shelf.waste[0], flask._events, flask._work)
+    row[AIR] = 0.01
+    for at in (hot, kelvin):
+        row[TEMPERATURE] = at
+        laws.settle_phases(row, *arguments)
+        if at == hot:
+            laws.react(row, 1000.0, CLOSED._replace(jacket=hot, transfer=-1.0), *arguments)
+    before = enthalpy(row, flask._chem)
+    laws.react(row, 1000.0, CLOSED, *arguments)
+    assert enthalpy(row, flask._chem) == pytest.approx(before, abs=1e-3)
+    assert kelvin < row[TEMPERATURE] < 400.0
+
+
+def test_salts_that_do_not_converge_keep_the_energy() -> None:
+    """Strongly exothermic salts with common ions: the solution for all of them and the temperature is hard to find."""
+    rng = np.random.default_rng(1)
+    salts = ["NaCl", "NaOH", "KNO3", "KCl", "NaNO3", "KBr", "NaI", "KOH", "sodium_acetate", "NaBr", "KI"]
+    for _ in range(150):
+        contents = {"water": 10 ** rng.uniform(-1.0, 1.0)}
+        contents |= {str(salt): 10 ** rng.uniform(-1.0, 0.6) for salt in rng.choice(salts, 3, replace=False)}
+        flask = Flask(contents, capacity_l=5.0)
+        row, row[TEMPERATURE] = flask._row, rng.uniform(280.0, 350.0)
+        row[AIR] = 0.01
+        before = enthalpy(row, flask._chem)
+        laws.settle_phases(row, flask._chem, flask._shelf.waste[0], flask._events, flask._work)
+        assert enthalpy(row, flask._chem) == pytest.approx(before, abs=1e-3), contents
+
+
+def test_a_sealed_vessel_stays_sealed_after_its_valve_has_opened() -> None:
+    flask = Flask({"water": 20.0, "NaCl": 1.0}, capacity_l=1.0)
+    row, chem, waste, events, work = flask._row, flask._chem, flask._shelf.waste[0], flask._events, flask._work
+    seal_vessel(row, chem)
+    row[TEMPERATURE] = 435.0
+    laws.vent(row, 500.0, chem, waste, events)
+    row[TEMPERATURE], water = 415.0, flask.amounts["water"]
+    row[AMOUNTS + flask._shelf.layout.index("NaCl")] += 0.5
+    laws.settle_phases(row, chem, waste, events, work)
+    assert flask.amounts["water"] == water
+
+
+def test_a_closed_flask_loses_nothing_whatever_is_dissolved() -> None:
+    flask = Flask({"water": 10.0, "NaCl": 2.0})
+    with pytest.warns(BoilingWarning):
+        flask.react(60.0, temperature_k=420.0)
+    assert flask.amounts["water"] == pytest.approx(10.0, abs=1e-9)
+    assert sum(flask.waste.values()) == 0.0
+
+
+def test_boiling_and_melting_alone_are_changes() -> None:
+    for contents, kelvin in (({"diethyl_ether": 1.0, "dodecane": 3.0}, 400.0), ({"naphthalene": 1.0}, 353.5)):
+        flask = Flask(contents, capacity_l=2.0)
+        flask._row[TEMPERATURE] = kelvin
+        before = flask._row.copy()
+        waste = flask._shelf.waste[0]
+        changed = laws.elapse(flask._row, 1.0, flask._chem, waste, flask._events, flask._work)
+        assert changed
+        assert (flask._row[AMOUNTS:] != before[AMOUNTS:]).any()

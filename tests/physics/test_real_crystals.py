@@ -14,12 +14,13 @@ from chemlab.agents.scripted.crystallization import solubility
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table, shipped_pairs
+from chemlab.kernels.arrays import FloatArray, Handle
+from chemlab.kernels.jit import kernel
 from chemlab.physics import backends as laws
 from chemlab.physics.backends.real.crystals import saturate
 from chemlab.physics.backends.real.heats import enthalpy
 from chemlab.physics.backends.real.kinetics import SATURATION
-from chemlab.physics.backends.real.liquids import Liquids, gather, split
-from chemlab.physics.backends.real.real_chemistry import MOST_FLUIDS
+from chemlab.physics.backends.real.liquids import clear_liquids, gather, liquids_in, split
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE, build_chemistry, element_matrix
 from chemlab.physics.constants import GAS_CONSTANT, TRACE_MOL
 from chemlab.physics.shelf import Shelf
@@ -93,6 +94,18 @@ def test_what_stays_dissolved_is_the_solubility(solute: str, kelvin: float) -> N
     assert 3.0 * held - crystals(glass, 0, solute) == pytest.approx(held, rel=1e-5)
 
 
+@kernel
+def _activity(row: FloatArray, material: int, mol: float, chem: Handle) -> float:
+    """Return ln of the activity of ``mol`` of a material that is all crystals yet, dissolved in the liquids."""
+    block = clear_liquids()
+    liquids = liquids_in(block)
+    at = gather(row, chem, block)
+    liquids.who[at], liquids.mol[at], liquids.share[at] = material, mol, 0.0
+    split(at + 1, row[TEMPERATURE], chem, block)
+    phase = 2 * at + 1 if liquids.share[at] > 0.5 else at
+    return liquids.log_gamma[phase] + math.log(liquids.x[phase])
+
+
 @pytest.mark.parametrize(
     ("kelvin", "water", "other", "mol", "total"),
     [
@@ -115,12 +128,7 @@ def test_what_saturates_water_beside_an_oil(kelvin: float, water: float, other: 
 
     def excess(amount: float) -> float:
         """By how much its activity is above that of its crystals, in ln."""
-        liquids = Liquids(*(np.zeros(2 * MOST_FLUIDS**2) for _ in Liquids._fields))
-        at = gather(row, glass.chem, liquids)  # all of the acid is crystals yet
-        liquids.who[at], liquids.mol[at], liquids.share[at] = acid, amount, 0.0
-        split(at + 1, kelvin, glass.chem, liquids)
-        phase = 2 * at + 1 if liquids.share[at] > 0.5 else at
-        return float(liquids.log_gamma[phase] + math.log(liquids.x[phase]) - target)
+        return float(_activity(row, acid, amount, glass.chem)) - target
 
     if found == math.inf:
         assert excess(total) < 0.0

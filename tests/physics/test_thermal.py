@@ -222,6 +222,20 @@ def test_boiling_dry_is_an_event() -> None:
     assert glass.amount(0, "NaCl") == 1.0
 
 
+def test_a_full_vessel_boils_dry_exactly() -> None:
+    """Without air, an empty vessel has no heat capacity at all."""
+    glass = still({"water": 10.0})
+    row, material = glass.rows[0], glass.scenario.materials["water"]
+    row[CAPACITY] = glass.volume(0)
+    glass.heat(
+        0,
+        1,
+        cp(glass, "water") * 10.0 * (material.boiling_point_k - ROOM) + 10.0 * material.vaporization_enthalpy_j_mol,
+    )
+    assert glass.amount(0, "water") == 0.0
+    assert np.isfinite(row).all()
+
+
 def test_liquid_that_is_left_is_no_event() -> None:
     """Boiling one liquid away from another that stays is no event, nor is reaching the mantle's temperature."""
     glass = still({"diethyl_ether": 0.5, "dodecane": 1.0})

@@ -73,9 +73,10 @@ def heat(
     if not liquid:
         events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
     capacity = heat_capacity(row, chem) + air
-    target = max(min(row[TEMPERATURE] + left / capacity, hottest), row[TEMPERATURE])
-    left -= capacity * (target - row[TEMPERATURE])
-    row[TEMPERATURE] = target
+    if capacity > 0.0:
+        target = max(min(row[TEMPERATURE] + left / capacity, hottest), row[TEMPERATURE])
+        left -= capacity * (target - row[TEMPERATURE])
+        row[TEMPERATURE] = target
     # Heat of the vessel itself that was spent on boiling does not return to the mantle.
     refused = min(left, joules)
     return joules - refused, condenser + (left - refused)

@@ -17,7 +17,7 @@ from ...events import BOILED_DRY, DRY_HEATING
 from ...transfer import add, heat_capacity, within_range
 from .column import LADDER, MOST_STAGES, overhead
 from .heats import add_heat, enthalpy, set_enthalpy
-from .liquids import Liquids, clear_liquids, count_ions, gather, on_curve
+from .liquids import clear_liquids, count_ions, gather, liquids_in, on_curve
 from .partition import melt, melting_point
 from .real_chemistry import MOST_FLUIDS, RealChemistry
 from .salts import let_salts_fall_out, settle_salts, settle_with_heat
@@ -36,11 +36,12 @@ _TRIFLE = 2e-3
 
 
 @helper
-def evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: FloatArray, liquids: Liquids) -> None:
+def evaporate(n: int, mol: float, partial: FloatArray, before: FloatArray, at: FloatArray, block: FloatArray) -> None:
     """Remove ``mol`` of vapour with the composition ``partial`` from the amounts ``before``.
 
     Each molecule leaves at the rate that belongs to the amounts ``at``; none becomes negative, however volatile.
     """
+    liquids = liquids_in(block)
     total = 0.0
     for a in range(n):
         total += partial[a]
@@ -65,7 +66,7 @@ class _Still(NamedTuple):
 
 @helper
 def _boil(
-    row: FloatArray, n: int, boiling: float, left: float, begun: bool, still: _Still, chem: Handle, liquids: Liquids
+    row: FloatArray, n: int, boiling: float, left: float, begun: bool, still: _Still, chem: Handle, block: FloatArray
 ) -> tuple[float, float]:
     """Integrate one midpoint step of at most ``left`` joules; the new amounts are in ``liquids``, the old in
     ``still.before``.
@@ -73,6 +74,7 @@ def _boil(
     Returns:
         Joules spent on vapour, and the change in K of the boiling point that the pot follows; vapour leaves halfway.
     """
+    liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     ambient, before, halfway, partial = chemistry.ambient_pressure, still.before, still.halfway, still.partial
     mol, spent, rise = 0.0, 0.0, 0.0
@@ -80,18 +82,18 @@ def _boil(
         before[a] = liquids.mol[a]
         mol += _STEP * liquids.mol[a]
     for attempt in range(_MOST_ATTEMPTS):
-        price = (1.0 + still.returned) * latent_heat(n, boiling, partial, chem, liquids)
+        price = (1.0 + still.returned) * latent_heat(n, boiling, partial, chem, block)
         mol = min(mol, left / price)
         if still.trays > 0:
-            overhead(n, still.trays, still.returned, begun, chem, liquids, still.ladder, partial)
-        evaporate(n, 0.5 * mol, partial, before, before, liquids)
+            overhead(n, still.trays, still.returned, begun, chem, block, still.ladder, partial)
+        evaporate(n, 0.5 * mol, partial, before, before, block)
         for a in range(n):
             halfway[a] = liquids.mol[a]
-        warmer = bubble_point(n, ambient, boiling, chem, liquids, partial)
+        warmer = bubble_point(n, ambient, boiling, chem, block, partial)
         if still.trays > 0:
             begun = attempt >= 0  # True; numba would compile the function again for a constant
-            overhead(n, still.trays, still.returned, begun, chem, liquids, still.ladder, partial)
-        evaporate(n, mol, partial, before, halfway, liquids)
+            overhead(n, still.trays, still.returned, begun, chem, block, still.ladder, partial)
+        evaporate(n, mol, partial, before, halfway, block)
         # The pot follows its boiling point up to the temperature of the heat source.
         rise = max(min(2.0 * (warmer - boiling), still.hottest - boiling), 0.0)
         spent, warming = 0.0, rise * heat_capacity(row, chem)
@@ -106,7 +108,7 @@ def _boil(
         mol *= _SHORT * left / (spent + warming)
         for a in range(n):
             liquids.mol[a] = before[a]
-        bubble_point(n, ambient, boiling, chem, liquids, partial)
+        bubble_point(n, ambient, boiling, chem, block, partial)
     taken = spent
     for a in range(n):
         capacity = chemistry.heat_capacity[int(liquids.who[a])]
@@ -149,11 +151,12 @@ def _collect(
     n: int,
     distilled: FloatArray,
     chem: Handle,
-    liquids: Liquids,
+    block: FloatArray,
     waste: FloatArray,
     events: FloatArray,
 ) -> float:
     """Move the distillate into the receiver; return J of the heat of fusion of what is solid at room temperature."""
+    liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     solidified = 0.0
     for a in range(n):
@@ -187,10 +190,11 @@ def heat(
         return _change_warmth(row, joules, coolest, math.inf, chem), 0.0
     trays = int(min(max(limits[2] - 1.0, 0.0), MOST_STAGES))
     partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
-    distilled, liquids = scratch(MOST_FLUIDS), clear_liquids()
+    distilled, block = scratch(MOST_FLUIDS), clear_liquids()
+    liquids = liquids_in(block)
     returned = limits[3] if trays > 0 else 0.0
     still = _Still(trays, returned, hottest, scratch(LADDER), partial, before, halfway)
-    n = gather(row, chem, liquids)
+    n = gather(row, chem, block)
     for a in range(n):
         distilled[a] = 0.0
     left, condenser, boiled, dry = joules, 0.0, False, n == 0
@@ -201,7 +205,7 @@ def heat(
         dry = everything <= 10.0 * n * TRACE_MOL
         boiling = math.inf
         if not dry:
-            boiling = bubble_point(n, chemistry.ambient_pressure, row[TEMPERATURE], chem, liquids, partial)
+            boiling = bubble_point(n, chemistry.ambient_pressure, row[TEMPERATURE], chem, block, partial)
         melting = melting_point(row, chem)
         if melting <= min(boiling, hottest):
             needed = heat_capacity(row, chem) * (melting - row[TEMPERATURE])
@@ -209,8 +213,8 @@ def heat(
                 break
             row[TEMPERATURE] = melting
             left -= needed + melt(row, melting, left - needed, chem)
-            condenser += _collect(receiver, n, distilled, chem, liquids, waste, events)
-            n = gather(row, chem, liquids)
+            condenser += _collect(receiver, n, distilled, chem, block, waste, events)
+            n = gather(row, chem, block)
             continue
         if not dry and liquids.ions[1] > TRACE_MOL and row[TEMPERATURE] < min(boiling, hottest):
             # Salts dissolve while it warms.
@@ -218,7 +222,7 @@ def heat(
             left = _warm_salty(row, min(boiling, hottest), left, chem)
             if left <= 0.0:
                 break
-            count_ions(row, chem, liquids)
+            count_ions(row, chem, block)
             if abs(liquids.ions[0] - ions) > _SAME_IONS * ions:
                 continue
         if dry or boiling > hottest:
@@ -233,7 +237,7 @@ def heat(
         if left <= _TRIFLE * joules:
             hottest = boiling
             break
-        spent, rise = _boil(row, n, boiling, left, boiled, still, chem, liquids)
+        spent, rise = _boil(row, n, boiling, left, boiled, still, chem, block)
         for a in range(n):
             gone = before[a] - liquids.mol[a]
             distilled[a] += gone
@@ -243,7 +247,7 @@ def heat(
         condenser += spent
         left -= spent
         boiled = True
-        write_back(row, n, chem, liquids)
+        write_back(row, n, chem, block)
         capacity, was = heat_capacity(row, chem), row[TEMPERATURE]
         add_heat(row, min(rise * capacity, left), chem)
         left -= capacity * (row[TEMPERATURE] - was)
@@ -251,8 +255,8 @@ def heat(
             dry = True
             break
         if let_salts_fall_out(row, chem):
-            count_ions(row, chem, liquids)
-    condenser += _collect(receiver, n, distilled, chem, liquids, waste, events)
+            count_ions(row, chem, block)
+    condenser += _collect(receiver, n, distilled, chem, block, waste, events)
     if dry:
         events[BOILED_DRY if boiled else DRY_HEATING] += 1.0
     if left > 0.0:

@@ -13,7 +13,7 @@ import math
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened, scratch
 from ...constants import GAS_CONSTANT
-from .liquids import Liquids, clear_liquids, dimer_root, nrtl, on_curve, prepare
+from .liquids import clear_liquids, dimer_root, liquids_in, nrtl, on_curve, prepare
 from .real_chemistry import MOST_FLUIDS, ORGANIC, RealChemistry
 
 MOST_STAGES = 16
@@ -27,16 +27,17 @@ _STEEPEST = 40.0
 
 
 @helper
-def _ratios(n: int, chem: Handle, tray: Liquids, guess: float, out: FloatArray, at: int) -> float:
+def _ratios(n: int, chem: Handle, block: FloatArray, guess: float, out: FloatArray, at: int) -> float:
     """Compute ln (y / x) of every molecule at the bubble point of a liquid with the mole fractions of ``tray``.
 
     The result is in ``out[at : at + n]``; the temperature in K is returned.
     """
+    tray = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     temperature, pressure = guess, chemistry.ambient_pressure
     # Activity coefficients at the guessed temperature, which is the result of the previous iteration.
-    prepare(n, temperature, chem, tray)
-    nrtl(n, ORGANIC, tray)
+    prepare(n, temperature, chem, block)
+    nrtl(n, ORGANIC, block)
     mol = 1.0
     for _round in range(20):
         total, slope, bound, mol = 0.0, 0.0, 0.0, 0.0
@@ -73,7 +74,7 @@ def overhead(
     reflux: float,
     warm: bool,
     chem: Handle,
-    liquids: Liquids,
+    block: FloatArray,
     ladder: FloatArray,
     partial: FloatArray,
 ) -> None:
@@ -88,7 +89,9 @@ def overhead(
         ladder: [trays * n] ln K, stage after stage.
         partial: [n] in: composition of the pot's vapour; out: of the distillate (any scale).
     """
-    tray = clear_liquids()
+    liquids = liquids_in(block)
+    stage = clear_liquids()
+    tray = liquids_in(stage)
     fraction, total = scratch(MOST_FLUIDS), 0.0
     weight = scratch(LADDER)
     fresh = scratch(LADDER)
@@ -105,10 +108,10 @@ def overhead(
         for a in range(n):
             tray.x[n + a] = fraction[a]
         for k in range(trays):
-            temperature[k] = _ratios(n, chem, tray, temperature[max(k - 1, 0)], ladder, k * n)
+            temperature[k] = _ratios(n, chem, stage, temperature[max(k - 1, 0)], ladder, k * n)
             for a in range(n):
                 tray.x[n + a] *= math.exp(ladder[k * n + a])
-            _normalize(n, tray)
+            _normalize(n, stage)
     back, taken = reflux / (1.0 + reflux), 1.0 / (1.0 + reflux)
     for _round in range(_MOST_ROUNDS):
         top = (trays - 1) * n
@@ -125,8 +128,8 @@ def overhead(
         for k in range(trays):
             for a in range(n):
                 tray.x[n + a] = max(weight[k * n + a], 1e-300)
-            _normalize(n, tray)
-            temperature[k] = _ratios(n, chem, tray, temperature[k], fresh, k * n)
+            _normalize(n, stage)
+            temperature[k] = _ratios(n, chem, stage, temperature[k], fresh, k * n)
             for a in range(n):
                 gap = fresh[k * n + a] - ladder[k * n + a]
                 worst = max(worst, abs(gap))
@@ -138,7 +141,8 @@ def overhead(
 
 
 @inner
-def _normalize(n: int, tray: Liquids) -> None:
+def _normalize(n: int, block: FloatArray) -> None:
+    tray = liquids_in(block)
     total = 0.0
     for a in range(n):
         total += tray.x[n + a]

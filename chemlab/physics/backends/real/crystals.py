@@ -13,7 +13,7 @@ from ...chemistry import AMOUNTS, TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .heats import crystals, dissolved
 from .kinetics import COLUMN, CRYSTALS, PLACE, SATURATED, SATURATION, SHARE, SHARES
-from .liquids import Liquids, clear_liquids, gather, split
+from .liquids import clear_liquids, gather, liquids_in, split
 from .partition import crystallizes
 from .real_chemistry import MOST_FLUIDS, RealChemistry
 
@@ -25,8 +25,9 @@ _FLAT = 0.1
 
 
 @helper
-def _dilute(n: int, at: int, liquids: Liquids) -> float:
+def _dilute(n: int, at: int, block: FloatArray) -> float:
     """Return mol of molecule ``at`` in a single liquid as dilute as the aqueous phase; 0 without one."""
+    liquids = liquids_in(block)
     others, wet = 0.0, 0.0
     for a in range(n):
         if a != at:
@@ -36,12 +37,13 @@ def _dilute(n: int, at: int, liquids: Liquids) -> float:
 
 
 @inner
-def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liquids: Liquids) -> float:
+def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, block: FloatArray) -> float:
     """Return mol of molecule ``at`` in the vessel's liquids in equilibrium with its crystals; infinity if all
     dissolves.
 
     Solved by a bracketed secant method in the logarithm of the amount.
     """
+    liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     i = int(liquids.who[at])
     total = row[AMOUNTS + i]
@@ -52,7 +54,7 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
         liquids.mol[at] = math.exp(here)
         for a in range(n):
             liquids.share[a] = 0.0  # begun with the liquids of another amount, it may miss one
-        split(n, row[TEMPERATURE], chem, liquids)
+        split(n, row[TEMPERATURE], chem, block)
         phase = n + at if liquids.share[at] > 0.5 else at
         gap = liquids.log_gamma[phase] + math.log(max(liquids.x[phase], 1e-300)) - target
         if gap > 0.0:
@@ -66,7 +68,7 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, liq
         slope = (gap - gap_before) / (here - before) if here != before else 1.0
         there = here - gap / slope if slope > 0.0 else low
         if gap > 0.0 and slope < _FLAT and not tried:
-            tried, there = True, math.log(max(_dilute(n, at, liquids), 1e-300)) - gap
+            tried, there = True, math.log(max(_dilute(n, at, block), 1e-300)) - gap
         if not low < there < high:
             there = 0.5 * (low + high)
         before, gap_before, here = here, gap, there
@@ -87,8 +89,9 @@ def saturate(row: FloatArray, chem: Handle, work: FloatArray) -> None:
         work[SATURATION, k], work[SHARES, k] = math.inf, 1.0
         if row[AMOUNTS + i] <= TRACE_MOL or not crystallizes(row, chem, i):
             continue
-        liquids = clear_liquids()
-        n, at = gather(row, chem, liquids), -1
+        block = clear_liquids()
+        liquids = liquids_in(block)
+        n, at = gather(row, chem, block), -1
         for a in range(n):
             if int(liquids.who[a]) == i:
                 at = a
@@ -104,7 +107,7 @@ def saturate(row: FloatArray, chem: Handle, work: FloatArray) -> None:
             at = n
             liquids.who[at], liquids.share[at] = i, 0.5
             n += 1
-        work[SATURATION, k] = _dissolved_at_saturation(n, at, row, chem, liquids)
+        work[SATURATION, k] = _dissolved_at_saturation(n, at, row, chem, block)
         work[SHARES, k] = liquids.share[at]
 
 

@@ -7,7 +7,7 @@ from ....kernels.jit import helper, scratch
 from ...chemistry import TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .boiling import evaporate
-from .liquids import clear_liquids, count_ions, gather, partial_pressures, split, vapor_mol
+from .liquids import clear_liquids, count_ions, gather, liquids_in, partial_pressures, split, vapor_mol
 from .real_chemistry import MOST_FLUIDS
 from .salts import settle_salts
 from .vapor import write_back
@@ -23,9 +23,10 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
 
     Air is measured by its vapour uptake, which is exact at constant pressure.
     """
-    liquids = clear_liquids()
+    block = clear_liquids()
+    liquids = liquids_in(block)
     partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
-    n = gather(row, chem, liquids)
+    n = gather(row, chem, block)
     temperature, left = row[TEMPERATURE], litres
     for _step in range(_MOST_STEPS):
         everything = 0.0
@@ -33,34 +34,34 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
             everything += liquids.mol[a]
         if everything <= 10.0 * n * TRACE_MOL or left <= 1e-9 * litres:
             break
-        split(n, temperature, chem, liquids)
-        partial_pressures(n, temperature, chem, liquids, partial)
+        split(n, temperature, chem, block)
+        partial_pressures(n, temperature, chem, block, partial)
         rate = vapor_mol(n, partial) / (GAS_CONSTANT * temperature)  # mol/L
         mol = min(_STEP * everything, rate * left)
         for a in range(n):
             before[a] = liquids.mol[a]
-        evaporate(n, 0.5 * mol, partial, before, before, liquids)
+        evaporate(n, 0.5 * mol, partial, before, before, block)
         for a in range(n):
             halfway[a] = liquids.mol[a]
-        split(n, temperature, chem, liquids)
-        partial_pressures(n, temperature, chem, liquids, partial)
+        split(n, temperature, chem, block)
+        partial_pressures(n, temperature, chem, block, partial)
         rate = vapor_mol(n, partial) / (GAS_CONSTANT * temperature)
         if rate <= 0.0:
             break
-        evaporate(n, min(mol, rate * left), partial, before, halfway, liquids)
+        evaporate(n, min(mol, rate * left), partial, before, halfway, block)
         gone = 0.0
         for a in range(n):
             waste[int(liquids.who[a])] += before[a] - liquids.mol[a]
             gone += before[a] - liquids.mol[a]
         left -= gone / rate
         if liquids.ions[0] > 0.0:
-            write_back(row, n, chem, liquids)
+            write_back(row, n, chem, block)
             settle_salts(row, chem)  # at constant temperature, because air and room supply the required heat
-            count_ions(row, chem, liquids)
+            count_ions(row, chem, block)
     for a in range(n):
         if liquids.mol[a] <= TRACE_MOL:  # the remainder of this liquid
             waste[int(liquids.who[a])] += liquids.mol[a]
             liquids.mol[a] = 0.0
     if n > 0:
-        write_back(row, n, chem, liquids)
+        write_back(row, n, chem, block)
         settle_salts(row, chem)  # at constant temperature, because air and room supply the required heat

@@ -766,7 +766,7 @@ def _integrate(chem: Handle, vessel: _Vessel, first: float, dt: float) -> tuple[
 
 
 @inner
-def _dissolve(row: FloatArray, chem: Handle, k: int, mol: float, share: float) -> None:
+def dissolve(row: FloatArray, chem: Handle, k: int, mol: float, share: float) -> None:
     """Dissolve (or, for negative ``mol``, crystallize) mol of fluid ``k``.
 
     It is distributed like the dissolved amount, or by ``share``.
@@ -791,7 +791,7 @@ def _finish(row: FloatArray, chem: Handle, vessel: _Vessel) -> None:
     for growing in range(2):  # dissolved material may be consumed, and products may crystallize
         for q in range(vessel.ways.crystals):
             if (extent[n + q] < 0.0) == (growing == 1):
-                _dissolve(row, chem, int(work[PLACE, q]), litres * extent[n + q], work[SHARE, q])
+                dissolve(row, chem, int(work[PLACE, q]), litres * extent[n + q], work[SHARE, q])
         if growing == 1:
             break
         for j in range(chemistry.species.shape[0]):

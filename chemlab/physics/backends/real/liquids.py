@@ -11,13 +11,15 @@ from typing import NamedTuple
 
 from ....config.pairs import REFERENCE_K, STRONGEST
 from ....kernels.arrays import FloatArray, Handle
-from ....kernels.jit import helper, inner, opened, scratch
+from ....kernels.jit import helper, inner, opened, part, scratch
 from ...chemistry import AMOUNTS
 from ...constants import GAS_CONSTANT, TRACE_MOL
 from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 
 _ROOM = MOST_FLUIDS * MOST_FLUIDS
 _BOTH = 2 * MOST_FLUIDS
+_ALL = 10 * MOST_FLUIDS + 2 * _ROOM + 2
+"""Size of the scratch of the liquids of a vessel."""
 _SETSCHENOW = 0.2
 """Setschenow constant in L/mol (base 10) of dissolved salt: benzene in NaCl 0.195, typical of neutral organics.
 
@@ -48,45 +50,56 @@ class Liquids(NamedTuple):
     """[n] mol in both phases"""
     share: FloatArray
     """[n] share of its mol in the organic phase"""
-    tau: FloatArray
-    """[n * n] NRTL parameters at the temperature; in ``g``, exp(-alpha tau)"""
-    g: FloatArray
+    parting: FloatArray
+    """[n] J/mol, excess of a molecule's heat of vaporization in the mixture over that in its own vapour, which has more
+    dimers
+    """
     log_gamma: FloatArray
     """[2 * n] ln of the activity coefficients, phase after phase"""
     x: FloatArray
     """[2 * n] mole fractions among the molecules of each phase"""
     work: FloatArray
     """[2 * n]"""
-    parting: FloatArray
-    """[n] J/mol, excess of a molecule's heat of vaporization in the mixture over that in its own vapour, which has more
-    dimers
-    """
+    tau: FloatArray
+    """[n * n] NRTL parameters at the temperature; in ``g``, exp(-alpha tau)"""
+    g: FloatArray
     ions: FloatArray
     """[2] mol of ions; mol of undissolved salts"""
 
 
 @inner
-def clear_liquids() -> Liquids:
-    """Allocate scratch for the liquids of a vessel in the calling kernel."""
+def clear_liquids() -> FloatArray:
+    """Allocate scratch for the liquids of a vessel in the calling kernel, for :func:`liquids_in`.
+
+    Kernels pass it on as a whole: numba passes an array as seven arguments, and :class:`Liquids` as seventy.
+    """
+    block: FloatArray = scratch(_ALL)
+    return block
+
+
+@inner
+def liquids_in(block: FloatArray) -> Liquids:
+    """Return the fields of such scratch."""
     return Liquids(
-        scratch(MOST_FLUIDS),
-        scratch(MOST_FLUIDS),
-        scratch(MOST_FLUIDS),
-        scratch(_ROOM),
-        scratch(_ROOM),
-        scratch(_BOTH),
-        scratch(_BOTH),
-        scratch(_BOTH),
-        scratch(MOST_FLUIDS),
-        scratch(2),
+        part(block, 0, MOST_FLUIDS),
+        part(block, MOST_FLUIDS, MOST_FLUIDS),
+        part(block, 2 * MOST_FLUIDS, MOST_FLUIDS),
+        part(block, 3 * MOST_FLUIDS, MOST_FLUIDS),
+        part(block, 4 * MOST_FLUIDS, _BOTH),
+        part(block, 6 * MOST_FLUIDS, _BOTH),
+        part(block, 8 * MOST_FLUIDS, _BOTH),
+        part(block, 10 * MOST_FLUIDS, _ROOM),
+        part(block, 10 * MOST_FLUIDS + _ROOM, _ROOM),
+        part(block, 10 * MOST_FLUIDS + 2 * _ROOM, 2),
     )
 
 
 @helper
-def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
+def gather(row: FloatArray, chem: Handle, block: FloatArray) -> int:
     """Collect the liquid molecules of a vessel above a trace, with their distribution over its phases; return their
     number.
     """
+    liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
     n = 0
@@ -102,13 +115,14 @@ def gather(row: FloatArray, chem: Handle, liquids: Liquids) -> int:
         liquids.mol[n] = mol
         liquids.share[n] = row[at + ORGANIC] / mol
         n += 1
-    count_ions(row, chem, liquids)
+    count_ions(row, chem, block)
     return n
 
 
 @helper
-def count_ions(row: FloatArray, chem: Handle, liquids: Liquids) -> None:
+def count_ions(row: FloatArray, chem: Handle, block: FloatArray) -> None:
     """Update the ions and undissolved salts among the contents of a vessel."""
+    liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
     liquids.ions[0] = 0.0
@@ -131,8 +145,9 @@ def undissolved_salts(row: FloatArray, chem: Handle) -> float:
 
 
 @helper
-def prepare(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
+def prepare(n: int, temperature: float, chem: Handle, block: FloatArray) -> None:
     """Compute the NRTL parameters at a temperature in K."""
+    liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     inverse, rest = 1.0 / temperature, math.log(temperature / REFERENCE_K)
     for a in range(n):
@@ -146,8 +161,9 @@ def prepare(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
 
 
 @helper
-def nrtl(n: int, phase: int, liquids: Liquids) -> None:
+def nrtl(n: int, phase: int, block: FloatArray) -> None:
     """Compute ln of the activity coefficients of a phase from its mole fractions."""
+    liquids = liquids_in(block)
     x, tau, g, out, work = liquids.x, liquids.tau, liquids.g, liquids.log_gamma, liquids.work
     at = phase * n
     for j in range(n):
@@ -166,10 +182,11 @@ def nrtl(n: int, phase: int, liquids: Liquids) -> None:
 
 
 @helper
-def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
+def activities(n: int, temperature: float, chem: Handle, block: FloatArray) -> None:
     """Compute mole fractions and activity coefficients in both current phases (an absent one has those of the
     other).
     """
+    liquids = liquids_in(block)
     aqueous, organic = 0.0, 0.0
     for a in range(n):
         organic += liquids.mol[a] * liquids.share[a]
@@ -179,22 +196,23 @@ def activities(n: int, temperature: float, chem: Handle, liquids: Liquids) -> No
         o, w = liquids.mol[a] * liquids.share[a], liquids.mol[a] * (1.0 - liquids.share[a])
         liquids.x[a] = w / aqueous if aqueous > trace else o / organic
         liquids.x[n + a] = o / organic if organic > trace else w / aqueous
-    prepare(n, temperature, chem, liquids)
+    prepare(n, temperature, chem, block)
     if aqueous > trace:
-        nrtl(n, AQUEOUS, liquids)
+        nrtl(n, AQUEOUS, block)
     if organic > trace:
-        nrtl(n, ORGANIC, liquids)
+        nrtl(n, ORGANIC, block)
     for a in range(n):
         if aqueous <= trace:
             liquids.log_gamma[a] = liquids.log_gamma[n + a]
         elif organic <= trace:
             liquids.log_gamma[n + a] = liquids.log_gamma[a]
-    _salt(n, aqueous, chem, liquids)
+    _salt(n, aqueous, chem, block)
 
 
 @helper
-def _salt(n: int, aqueous: float, chem: Handle, liquids: Liquids) -> None:
+def _salt(n: int, aqueous: float, chem: Handle, block: FloatArray) -> None:
     """Apply the effect of ions on the activities in water, of ``aqueous`` mol of molecules."""
+    liquids = liquids_in(block)
     if liquids.ions[0] <= 0.0 or aqueous <= 0.0:
         return
     chemistry = opened(RealChemistry, chem)
@@ -210,11 +228,12 @@ def _salt(n: int, aqueous: float, chem: Handle, liquids: Liquids) -> None:
 
 
 @inner
-def _shares(n: int, liquids: Liquids, ratio: FloatArray, total: float) -> float:
+def _shares(n: int, block: FloatArray, ratio: FloatArray, total: float) -> float:
     """Return the share of all molecules in the organic phase at given ratios of mole fractions organic / water.
 
     Rachford and Rice (1952); 0 or 1 if there is only one phase.
     """
+    liquids = liquids_in(block)
     low, high = 0.0, 0.0
     for a in range(n):
         low += liquids.mol[a] * (ratio[a] - 1.0)
@@ -249,11 +268,12 @@ def _shares(n: int, liquids: Liquids, ratio: FloatArray, total: float) -> float:
 
 
 @helper
-def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
+def split(n: int, temperature: float, chem: Handle, block: FloatArray) -> None:
     """Distribute the molecules over water and the organic phase so that each has equal activities in both.
 
     The result is in ``liquids.share``, ``x`` and ``log_gamma``. Successive substitution from the current distribution.
     """
+    liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     total, water, organic = 0.0, 0.0, 0.0
     for a in range(n):
@@ -264,14 +284,14 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
     if water <= TRACE_MOL or total - water <= TRACE_MOL:
         for a in range(n):
             liquids.share[a] = 0.0 if water > TRACE_MOL else 1.0
-        activities(n, temperature, chem, liquids)
+        activities(n, temperature, chem, block)
         return
     two = 1e-6 * total < organic < (1.0 - 1e-6) * total
     if not two:
         for a in range(n):
             liquids.share[a] = 1e-3 if int(liquids.who[a]) == chemistry.water else 1.0 - 1e-6
     ratio, last = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
-    activities(n, temperature, chem, liquids)
+    activities(n, temperature, chem, block)
     for a in range(n):
         gap = liquids.log_gamma[a] - liquids.log_gamma[n + a]
         last[a] = max(min(gap, _STEEPEST), -_STEEPEST)
@@ -280,9 +300,9 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
     for a in range(n):
         moved[a] = 0.0
     for turn in range(_MOST_ROUNDS):
-        beta = _shares(n, liquids, ratio, total)
+        beta = _shares(n, block, ratio, total)
         if beta <= 0.0 or beta >= 1.0:
-            _one_phase(n, water, total, temperature, chem, liquids)
+            _one_phase(n, water, total, temperature, chem, block)
             return
         aqueous = 0.0
         for a in range(n):
@@ -291,9 +311,9 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
             liquids.x[n + a] = fraction * ratio[a]
             liquids.share[a] = beta * ratio[a] / (1.0 + beta * (ratio[a] - 1.0))
             aqueous += (1.0 - beta) * fraction * total
-        nrtl(n, AQUEOUS, liquids)
-        nrtl(n, ORGANIC, liquids)
-        _salt(n, aqueous, chem, liquids)
+        nrtl(n, AQUEOUS, block)
+        nrtl(n, ORGANIC, block)
+        _salt(n, aqueous, chem, block)
         worst, widest, along, across = 0.0, 0.0, 0.0, 0.0
         for a in range(n):
             gap = max(min(liquids.log_gamma[a] - liquids.log_gamma[n + a], _STEEPEST), -_STEEPEST)
@@ -313,20 +333,21 @@ def split(n: int, temperature: float, chem: Handle, liquids: Liquids) -> None:
         for a in range(n):
             ratio[a] = math.exp(last[a])
         if widest < _SAME:
-            _one_phase(n, water, total, temperature, chem, liquids)
+            _one_phase(n, water, total, temperature, chem, block)
             return
         if worst < _CLOSE:
             return
 
 
 @helper
-def _one_phase(n: int, water: float, total: float, temperature: float, chem: Handle, liquids: Liquids) -> None:
+def _one_phase(n: int, water: float, total: float, temperature: float, chem: Handle, block: FloatArray) -> None:
     """Put everything into one phase: water if most molecules are water, or for ions, or salts that may dissolve."""
+    liquids = liquids_in(block)
     salty = liquids.ions[1] > TRACE_MOL and water > _WET * total
     wet = water > 0.5 * total or liquids.ions[0] > TRACE_MOL or salty
     for a in range(n):
         liquids.share[a] = 0.0 if wet else 1.0
-    activities(n, temperature, chem, liquids)
+    activities(n, temperature, chem, block)
 
 
 @helper
@@ -353,7 +374,7 @@ def dimer_root(material: int, temperature: float, chem: Handle) -> float:
 
 
 @helper
-def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids, out: FloatArray) -> float:
+def partial_pressures(n: int, temperature: float, chem: Handle, block: FloatArray, out: FloatArray) -> float:
     """Compute the vapour over the liquids; each molecule has its activity in the phase that holds most of it.
 
     The pressures of immiscible layers add up (steam distillation).
@@ -371,6 +392,7 @@ def partial_pressures(n: int, temperature: float, chem: Handle, liquids: Liquids
     Returns:
         Pressure of the vapour in kPa; a dimer counts as one molecule.
     """
+    liquids = liquids_in(block)
     vapor = opened(RealChemistry, chem).vapor
     total, bound = 0.0, 0.0
     for a in range(n):

@@ -12,7 +12,7 @@ from ...shelf import CLOCK_SETTLED, T_MIX
 from ...transfer import heat_capacity, within_range
 from .acids import settle_acids
 from .heats import crystals
-from .liquids import clear_liquids, gather, split, undissolved_salts
+from .liquids import clear_liquids, gather, liquids_in, split, undissolved_salts
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 from .salts import let_salts_fall_out
 
@@ -181,11 +181,12 @@ def _share_out(row: FloatArray, way: float, fresh: float, push: float, chem: Han
     ``fresh`` mol count as stirred. Returns the acids' mol moved into the organic phase as a share of all molecules.
     """
     chemistry = opened(RealChemistry, chem)
-    liquids = clear_liquids()
-    n = gather(row, chem, liquids)
+    block = clear_liquids()
+    liquids = liquids_in(block)
+    n = gather(row, chem, block)
     if n == 0:
         return 0.0
-    split(n, row[TEMPERATURE], chem, liquids)
+    split(n, row[TEMPERATURE], chem, block)
     total, moved = 0.0, 0.0
     for a in range(n):
         total += liquids.mol[a]

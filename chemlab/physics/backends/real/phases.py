@@ -69,10 +69,18 @@ def _let_out(row: FloatArray, chem: Handle, waste: FloatArray) -> None:
 
 @helper
 def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> None:
+    """Apply equilibria that hold at any time to a vessel, which is sealed if it holds air: see :func:`settle`."""
+    settle(row, chem, row[AIR] > 0.0, waste, events, work)
+
+
+@helper
+def settle(
+    row: FloatArray, chem: Handle, sealed: bool, waste: FloatArray, events: FloatArray, work: FloatArray
+) -> None:
     """Apply equilibria that hold at any time: violent reactions, acids and bases, salts.
 
-    The enthalpy is conserved, so the temperature follows. Gas leaves an open vessel, as does liquid above its boiling
-    point.
+    The enthalpy is conserved, so the temperature follows. Gas leaves a vessel that is not sealed, as does liquid above
+    its boiling point.
     """
     chemistry = opened(RealChemistry, chem)
     place_new(row, chem)
@@ -85,8 +93,8 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
         set_enthalpy(row, before, chem)
     if settle_with_heat(row, before, chem):
         changed = True
-    if row[AIR] > 0.0:
-        return  # sealed
+    if sealed:
+        return
     _let_out(row, chem, waste)
     if changed:
         events[RELIEF] += flash_off(row, chemistry.ambient_pressure, 0.0, 0.0, chem, waste)
@@ -110,7 +118,8 @@ def elapse(
         return False
     transfer = chemistry.room_transfer * max(volume(row, chem), 1e-3)
     around = Surroundings(chemistry.ambient_temperature, transfer, 0.0, _RTOL, _ATOL)
-    changed = react(row, seconds, around, chem, waste, events, work) != 0
+    lost = events[RELIEF]
+    changed = react(row, seconds, around, chem, waste, events, work) != 0 or events[RELIEF] > lost
     if changed:
         _let_out(row, chem, waste)
         spill(row, chem, waste, events)

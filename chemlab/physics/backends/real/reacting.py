@@ -22,7 +22,7 @@ from .. import vapor_pressure
 from .heats import add_heat, enthalpy
 from .kinetics import KEPT, integrate
 from .partition import melt, melting_heat, melting_point
-from .phases import settle_phases
+from .phases import settle
 from .real_chemistry import RealChemistry
 from .spans import drifted, lengthened, prepare, settle_shifts
 from .vapor import boiling_point, flash_off
@@ -93,7 +93,7 @@ def react(
     What has been added is in its phase before anything reacts. Vapour returns from the condenser; excess vapour is lost
     and is a safety event.
     """
-    settle_phases(row, chem, waste, events, work)
+    settle(row, chem, around.condenser < 0.0, waste, events, work)
     pressure = opened(RealChemistry, chem).ambient_pressure
     kept = work[KEPT]
     free = 0.0 <= around.transfer < math.inf
@@ -124,11 +124,11 @@ def react(
         at, content = row[TEMPERATURE], 0.0
         # bool: of a literal, numba would compile a second version.
         steady = held or not free
+        if held:
+            content = enthalpy(row, chem)
         ways = prepare(row, chem, bool(fresh), steady, around.condenser >= 0.0, work)
         litres = liquid_volume(row, chem)
         _copy(row, kept)
-        if held:
-            content = enthalpy(row, chem)
         if melts:
             row[TEMPERATURE] = at = melting
         jacket, transfer = (at, -1.0) if held else (around.jacket, around.transfer)
@@ -153,6 +153,7 @@ def react(
             left -= part
             heat = content - enthalpy(row, chem) + around.transfer * (around.jacket - at) * part
             used = melt(row, at, max(heat, 0.0), chem)
+            total += used > 0.0
             add_heat(row, heat - used, chem)
             freezes, fresh, span = heat <= 0.0, False, left
             following = part * melting_heat(row, at, chem) / heat if heat > 0.0 else part

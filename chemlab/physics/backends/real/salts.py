@@ -131,6 +131,8 @@ def settle_with_heat(row: FloatArray, content: float, chem: Handle) -> bool:
             here = 0.5 * (cold + hot) if hot - cold < math.inf else there
         row[TEMPERATURE] = here
         settle_salts(row, chem)
+    else:
+        set_enthalpy(row, content, chem)  # several salts need not converge; the heat stays in the vessel all the same
     return True
 
 

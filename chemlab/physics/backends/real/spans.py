@@ -18,8 +18,8 @@ from ...transfer import liquid_volume
 from .acids import ionizes, settle_acids
 from .crystals import find_crystals, limit, saturate
 from .heats import crystals, dissolved
-from .kinetics import COLUMN, PLACE, PREDICTED, PROBE, SATURATION, Ways, add_species, available, extra
-from .real_chemistry import AQUEOUS, RealChemistry
+from .kinetics import COLUMN, PLACE, PREDICTED, PROBE, SATURATION, SHARE, Ways, add_species, available, dissolve, extra
+from .real_chemistry import RealChemistry
 from .salts import let_salts_fall_out, settle_salts
 
 _VOLUME, _SATURATION, _CONCENTRATION, _KELVIN = 0.02, 0.01, 0.02, 0.5
@@ -103,7 +103,7 @@ def _probe(
 ) -> None:
     """Set ``probe`` to the vessel after ``mol`` more of unknown ``u`` have settled."""
     chemistry = opened(RealChemistry, chem)
-    n, m = chemistry.independent.shape[0], chemistry.role.shape[0]
+    n = chemistry.independent.shape[0]
     for x in range(row.shape[0]):
         probe[x] = row[x]
     if u < n:
@@ -114,8 +114,9 @@ def _probe(
                 shifts = u < n
                 add_species(probe, chem, j, chemistry.stoichiometry[chemistry.independent[u], j] * mol, shifts)
     else:
-        probe[AMOUNTS + m + 2 * int(work[PLACE, u - n]) + AQUEOUS] += mol
-        probe[AMOUNTS + chemistry.dissolved[int(work[PLACE, u - n])]] += mol
+        k = int(work[PLACE, u - n])
+        probe[AMOUNTS + chemistry.dissolved[k]] += mol
+        dissolve(probe, chem, k, mol, work[SHARE, u - n])
     settle_shifts(probe, chem, steady, work)
 
 

@@ -11,7 +11,7 @@ from ...constants import GAS_CONSTANT, LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
 from ...transfer import heat_capacity, volume, within_range
 from .heats import add_heat
-from .liquids import Liquids, activities, clear_liquids, gather, on_curve, partial_pressures, split, vapor_mol
+from .liquids import activities, clear_liquids, gather, liquids_in, on_curve, partial_pressures, split, vapor_mol
 from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 from .salts import let_salts_fall_out
 
@@ -27,6 +27,8 @@ _AT_ONCE = 0.05
 """Maximum share of the liquids that boils off at one vapour composition."""
 _MOST_FLASHES = 200
 _LONGEST_K = 30.0
+_LEAST_AIR = 1e-12
+"""mol of air that always remain in a sealed vessel, which is known by them"""
 _COLDEST_K, _HOTTEST_K = 160.0, 890.0
 
 
@@ -44,17 +46,18 @@ def headspace_gas(row: FloatArray, chem: Handle) -> float:
 @helper
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Return the sum of x gamma p_i(T) over the liquids in kPa; immiscible layers add up."""
-    liquids = clear_liquids()
-    n = gather(row, chem, liquids)
+    block = clear_liquids()
+    n = gather(row, chem, block)
     if n == 0:
         return 0.0
-    activities(n, row[TEMPERATURE], chem, liquids)
-    return partial_pressures(n, row[TEMPERATURE], chem, liquids, scratch(MOST_FLUIDS))
+    activities(n, row[TEMPERATURE], chem, block)
+    return partial_pressures(n, row[TEMPERATURE], chem, block, scratch(MOST_FLUIDS))
 
 
 @helper
-def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
+def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, block: FloatArray) -> float:
     """Return the latent heat of a vapour with the composition ``partial`` in J/mol."""
+    liquids = liquids_in(block)
     vaporizing = opened(RealChemistry, chem).vaporizing
     total, latent = 0.0, 0.0
     for a in range(n):
@@ -64,40 +67,40 @@ def latent_heat(n: int, temperature: float, partial: FloatArray, chem: Handle, l
 
 
 @inner
-def _boils_at(n: int, pressure: float, at: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
+def _boils_at(n: int, pressure: float, at: float, chem: Handle, block: FloatArray, partial: FloatArray) -> float:
     """Extrapolate from a temperature ``at`` (K) to the temperature with vapour ``pressure``.
 
     By Clausius and Clapeyron, ln of a vapour pressure falls linearly with 1 / T.
     """
-    total = max(partial_pressures(n, at, chem, liquids, partial), 1e-300)
+    total = max(partial_pressures(n, at, chem, block, partial), 1e-300)
     # Per mol of vapour: with dimers, more than one mol of molecules.
-    latent = max(latent_heat(n, at, partial, chem, liquids) * (vapor_mol(n, partial) / total), 1.0)
+    latent = max(latent_heat(n, at, partial, chem, block) * (vapor_mol(n, partial) / total), 1.0)
     inverse = 1.0 / at + GAS_CONSTANT * math.log(total / pressure) / latent
     there = 1.0 / inverse if inverse > 0.0 else _HOTTEST_K
     return max(min(there, at + _LONGEST_K, _HOTTEST_K), at - _LONGEST_K, _COLDEST_K)
 
 
 @helper
-def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: Liquids, partial: FloatArray) -> float:
+def bubble_point(n: int, pressure: float, guess: float, chem: Handle, block: FloatArray, partial: FloatArray) -> float:
     """Return the bubble point in K at ``pressure`` (kPa); 10,000 if nothing boils.
 
     ``partial`` [n] receives the vapour's composition, and ``liquids`` their distribution over the phases there.
     """
     temperature, known, shared = guess, guess, guess
-    split(n, temperature, chem, liquids)
+    split(n, temperature, chem, block)
     for _round in range(_MOST_ROUNDS):
         before = temperature
-        temperature = _boils_at(n, pressure, temperature, chem, liquids, partial)
+        temperature = _boils_at(n, pressure, temperature, chem, block, partial)
         if before >= _HOTTEST_K and temperature >= _HOTTEST_K:
             return _NO_BOILING
         if abs(temperature - before) < _CLOSE_K:
             break
         # Activities at a nearby temperature are accurate enough.
         if abs(temperature - shared) > _LONGEST_K:
-            split(n, temperature, chem, liquids)
+            split(n, temperature, chem, block)
             known, shared = temperature, temperature
         elif abs(temperature - known) > _SAME_K:
-            activities(n, temperature, chem, liquids)
+            activities(n, temperature, chem, block)
             known = temperature
     return temperature
 
@@ -105,17 +108,18 @@ def bubble_point(n: int, pressure: float, guess: float, chem: Handle, liquids: L
 @helper
 def boiling_point(row: FloatArray, chem: Handle) -> float:
     """Return the boiling point in K of the contents of an open vessel; 10,000 if nothing boils."""
-    liquids = clear_liquids()
-    n = gather(row, chem, liquids)
+    block = clear_liquids()
+    n = gather(row, chem, block)
     if n == 0:
         return _NO_BOILING
     pressure = opened(RealChemistry, chem).ambient_pressure
-    return bubble_point(n, pressure, row[TEMPERATURE], chem, liquids, scratch(MOST_FLUIDS))
+    return bubble_point(n, pressure, row[TEMPERATURE], chem, block, scratch(MOST_FLUIDS))
 
 
 @helper
-def write_back(row: FloatArray, n: int, chem: Handle, liquids: Liquids) -> None:
+def write_back(row: FloatArray, n: int, chem: Handle, block: FloatArray) -> None:
     """Write the amounts and phases of the liquids to a row; crystals are unchanged."""
+    liquids = liquids_in(block)
     chemistry = opened(RealChemistry, chem)
     m = chemistry.role.shape[0]
     for a in range(n):
@@ -127,12 +131,13 @@ def write_back(row: FloatArray, n: int, chem: Handle, liquids: Liquids) -> None:
 
 
 @inner
-def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handle, liquids: Liquids) -> float:
+def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handle, block: FloatArray) -> float:
     """Remove ``mol`` of vapour with the composition ``partial`` from the contents, or all of them.
 
     The remainder is in ``liquids.work``. Returns the required heat in J besides that of the liquids at the vessel's
     temperature.
     """
+    liquids = liquids_in(block)
     vaporizing = opened(RealChemistry, chem).vaporizing
     total, everything, taken = 0.0, 0.0, 0.0
     for a in range(n):
@@ -144,7 +149,7 @@ def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handl
         taken += gone * (on_curve(vaporizing, int(liquids.who[a]), row[TEMPERATURE], chem) + liquids.parting[a])
         liquids.work[a] = gone
         liquids.mol[a] -= gone
-    write_back(row, n, chem, liquids)
+    write_back(row, n, chem, block)
     return taken
 
 
@@ -157,21 +162,22 @@ def flash_off(
     A condenser removes up to ``condenser`` joules and returns its condensate; other vapour goes to ``waste`` [M].
     Returns the lost mol.
     """
-    liquids, partial = clear_liquids(), scratch(MOST_FLUIDS)
-    n, capacity = gather(row, chem, liquids), heat_capacity(row, chem)
+    block, partial = clear_liquids(), scratch(MOST_FLUIDS)
+    liquids = liquids_in(block)
+    n, capacity = gather(row, chem, block), heat_capacity(row, chem)
     if capacity <= LEAST_CAPACITY and heat == 0.0:
         return 0.0  # at the temperature of the surroundings
     warm = within_range(row[TEMPERATURE] + heat / max(capacity, LEAST_CAPACITY))
     # Usually nothing boils, which one pressure evaluation shows.
     if n > 0:
-        activities(n, warm, chem, liquids)
-    if n == 0 or partial_pressures(n, warm, chem, liquids, partial) <= pressure:
+        activities(n, warm, chem, block)
+    if n == 0 or partial_pressures(n, warm, chem, block, partial) <= pressure:
         add_heat(row, heat, chem)
         return 0.0
     lost, mol, left, boiling = 0.0, 0.0, heat, row[TEMPERATURE]
     for flashed in range(_MOST_FLASHES):
         before = boiling
-        boiling = bubble_point(n, pressure, boiling, chem, liquids, partial)
+        boiling = bubble_point(n, pressure, boiling, chem, block, partial)
         capacity = heat_capacity(row, chem)
         if capacity <= LEAST_CAPACITY:
             break
@@ -189,8 +195,8 @@ def flash_off(
             everything += liquids.mol[a]
         # The boiling point rises as vapour leaves, which retains some of the heat.
         rise = max((boiling - before) / mol, 0.0) if mol > 0.0 else 0.0
-        mol = min(excess / (latent_heat(n, boiling, partial, chem, liquids) + rise * capacity), _AT_ONCE * everything)
-        taken = _flash(row, n, everything if everything <= 1e3 * TRACE_MOL else mol, partial, chem, liquids)
+        mol = min(excess / (latent_heat(n, boiling, partial, chem, block) + rise * capacity), _AT_ONCE * everything)
+        taken = _flash(row, n, everything if everything <= 1e3 * TRACE_MOL else mol, partial, chem, block)
         for a in range(n):
             waste[int(liquids.who[a])] += liquids.work[a]
             lost += liquids.work[a]
@@ -199,7 +205,7 @@ def flash_off(
         add_heat(row, spent - taken, chem)
         # During evaporation, not after it: precipitating salts absorb heat that then boils off no more liquid.
         let_salts_fall_out(row, chem)
-        n = gather(row, chem, liquids)
+        n = gather(row, chem, block)
         if n == 0:
             break
     add_heat(row, left, chem)
@@ -222,7 +228,7 @@ def vent(row: FloatArray, rated: float, chem: Handle, waste: FloatArray, events:
         return
     keep = max(rated - vapor, 0.0) / own if own > 0.0 else 0.0
     if keep < 1.0:
-        row[AIR] *= keep
+        row[AIR] = max(keep * row[AIR], _LEAST_AIR)
         for i in range(chemistry.role.shape[0]):
             if chemistry.role[i] == ROLE_GAS:
                 gone = row[AMOUNTS + i] * (1.0 - keep)
