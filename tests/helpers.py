@@ -432,16 +432,14 @@ def record_episode(
         options: of ``reset``.
         named: True puts the policy's name into the record.
     """
-    from chemlab.agents.episodes import play_episode
+    from chemlab.agents import episodes
     from chemlab.agents.policies import make_policies
-    from chemlab.record import Recorder
 
     env = raw_env(scenario, **more)
     labs = env.laboratories
     careless: Any = {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
     policies = careless if policy == "careless" else make_policies(policy, labs, seed)
-    with Recorder(path, labs, policies=dict.fromkeys(labs.agents, policy) if named else None, force=True) as recorder:
-        play_episode(env, policies, seed, policy, options=options, recorder=recorder)
+    episodes.record_episode(path, env, policies, seed, policy if named else "", options, force=True)
     return path
 
 
