@@ -27,7 +27,7 @@ from chemlab.config.loading import dump_scenario, load_scenario
 from chemlab.config.materials import Material
 from chemlab.config.scenario import SAFETY_EVENTS, Scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.players import Memory
+from chemlab.envs.players import Memory, Watching
 from chemlab.kernels.arrays import declared
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories
@@ -119,20 +119,18 @@ def random_actions(space: gymnasium.Space[Any], steps: int, members: int, seed: 
     return rng.random((steps, members, *(space.shape or ())), dtype=np.float32)
 
 
-class Watched:
+class Watched(Watching):
     """Another manager's policy that keeps what each member plays, and whether that was legal."""
 
     def __init__(self, policy: Any, laboratories: Laboratories) -> None:
-        self.policy = policy
+        super().__init__(policy, self._note)
         self.actions: list[list[int]] = [[] for _ in laboratories.members]
         self.legal: list[list[bool]] = [[] for _ in laboratories.members]
 
-    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
-        actions = self.policy.act(observation, mask, step, members)
+    def _note(self, observation: Any, mask: Any, step: Any, members: Any, actions: Any) -> None:
         for i, member in enumerate(members):
             self.actions[member].append(int(actions[i]))
             self.legal[member].append(bool(mask[i, actions[i]]))
-        return actions
 
 
 def weights(model: Any) -> npt.NDArray[Any]:
