@@ -27,7 +27,7 @@ from ..physics.transfer import liquid_volume
 from ..record import Play, Record, RecordError, Replay, verify_record
 from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_ITEMS
-from .scene import Camera, Scene, laboratory_scene
+from .scene import Camera, Scene, event_words, laboratory_scene
 
 _DIGITS = 4
 _LONG = 30
@@ -38,13 +38,6 @@ _INLINE = 3
 """Longest tuple that is not an entry of the pool."""
 MOST_TURNS = 20_000
 """Maximum number of turns of a page; browsers cannot show longer ones."""
-_EVENT_WORDS = {
-    "spill_l": "{:.3g} L spilled",
-    "relief_valve_mol": "{:.3g} mol lost through the relief valve",
-    "boiled_dry": "boiled dry",
-    "dry_heating": "heated without liquid",
-    "metal_in_water_mol": "{:.3g} mol of metal met water",
-}
 
 
 @functools.lru_cache(maxsize=4096)
@@ -124,7 +117,7 @@ def _outcome(labs: Laboratories, turn: dict[str, Any], plays: Sequence[Play]) ->
     """Describe the outcome of a turn in words."""
     words = ["invalid action: it had no effect"] if turn.get("lost") else []
     for agent, events in turn.get("events", {}).items():
-        words += [f"safety, {agent}: {_EVENT_WORDS.get(kind, kind).format(x)}" for kind, x in events.items()]
+        words += [f"safety, {agent}: {' '.join(event_words(kind, x))}" for kind, x in events.items()]
     for agent, score in turn.get("scores", {}).items():
         meaning = labs.roles[labs.agents.index(agent)].workplace.score_meaning
         words.append(f"experiment of {agent} over: {score:+.3f} {meaning}")
