@@ -35,9 +35,8 @@ from ..config.loading import load_scenario
 from ..config.scenario import MANAGER_AGENT, Scenario
 from ..envs.players import as_policy
 from ..envs.role_env import RoleVectorEnv
-from ..kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from ..kernels.arrays import IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
-from ..physics.chemistry import AMOUNTS
 from ..roles.bench import channel_slices
 from ..roles.manager_actions import WAIT
 from ..roles.reaction_bench import ReactionBench, ReactionOptions
@@ -143,10 +142,10 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     assert isinstance(env.bench, ReactionBench)
     policy = _Constant(env.bench, recipes, wanted)
     observation, _ = env.reset(seed=0, options={"goal": goal})
-    before = _totals(env)
+    before = env.batch.shelf.total()
     for step in range(env.bench.step_limit):
         observation, *_ = env.step(policy.act(observation, step).astype(np.float32))
-    change = _totals(env) - before
+    change = env.batch.shelf.total() - before
     column = {name: i for i, name in enumerate(env.bench.layout.materials)}
     made = change[:, column[goal]]
     used = np.stack([-change[:, column[name]] / mol for name, mol in needed.items()]).max(axis=0)
@@ -154,14 +153,6 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     kelvin, slow = recipes[best]
     most = scenario.theoretical_maximum_mol.get(goal, 1.0)
     return Conditions(round(kelvin, 1), slow, float(made[best] / most), float(made[best] / max(used[best], _TRACE_MOL)))
-
-
-def _totals(env: RoleVectorEnv) -> FloatArray:
-    """Return [N, M] mol of each material in bottles, vessels and waste."""
-    shelf = env.batch.shelf
-    inside = shelf.vessels[:, :, AMOUNTS : AMOUNTS + shelf.stock.shape[1]]
-    total: FloatArray = shelf.stock + shelf.waste + inside.sum(axis=1)
-    return total
 
 
 def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:
