@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.config.materials import litres_of
 from chemlab.envs.players import Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
@@ -142,7 +143,6 @@ def _wash_volumes(bench: ExtractionBench, wash: str) -> tuple[int, FloatArray]:
     column = channel_slices(bench.channels)["told"].start + world.numbers(bench.told[: bench.told.index(name)])
     draw = world.draws[name]
     own = next(name for name in bench.spec.start.contents if materials[name].role == "solvent")
-    litres = bench.spec.start.contents[own] * materials[own].molar_mass_g_mol / materials[own].density_kg_l / 1000.0
     polarity = quantiles(draw, np.linspace(0.0, 1.0, 101))
     there, here = (np.abs(polarity - float(materials[name].polarity or 0.0)) for name in (wash, own))
-    return column, litres * there / here
+    return column, litres_of({own: bench.spec.start.contents[own]}, materials) * there / here

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from chemlab.config.materials import litres_of
 from chemlab.config.pairs import log_activity_coefficients, pair_table
 from chemlab.config.reactions import HYDROXIDE, PROTON, WATER
 from chemlab.config.scenario import Scenario
@@ -73,9 +74,7 @@ class ScriptedWorkup(ScriptedRealExtraction):
         if base and acid:
             most = max(scenario.theoretical_maximum_mol.get(goal, 0.0) for goal in bench.goals.names)
             for name, excess, into in ((base, _EXCESS, self._before), (acid, _EXCESS**2, self._after)):
-                material = scenario.materials[name]
-                litres = excess * most * material.molar_mass_g_mol / material.density_kg_l / 1000.0
-                into.append(choose(added[name], litres))
+                into.append(choose(added[name], litres_of({name: excess * most}, scenario.materials)))
             back = [choose(poured[pour], 1.0) for pour in (("EV", "B2"), ("B1", "EV"))]
             self._before = [self._mix, *[self._settle] * _DISSOLVING, *self._before]
             self._after = [*back, *self._after, self._mix, self._settle]
