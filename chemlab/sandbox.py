@@ -794,7 +794,7 @@ class Flask:
         if channel.size == 1 and readings[0, 0, 0] >= 1.0 and re.search(r"\d", words):
             words += " or more, the end of its range"
         return Measurement(
-            channel.low + readings[0, 0] * (channel.high - channel.low),
+            channel.unscaled(readings[0, 0]),
             channel.unit,
             (*table.analytes[0], instrument.rest) if instrument.picture == "bars" else (),
             words,

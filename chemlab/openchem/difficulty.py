@@ -95,11 +95,11 @@ class _Constant:
     """
 
     def __init__(self, bench: ReactionBench, recipes: list[tuple[float, tuple[str, ...]]], wanted: set[str]) -> None:
-        slices = channel_slices(bench.channels)
+        slices, channels = channel_slices(bench.channels), {channel.name: channel for channel in bench.channels}
         # With a jacket, the jacket's temperature is set.
-        self._gauge = slices["jacket" if "jacket" in slices else "temperature"].start
-        self._pressure = slices["pressure"].start
-        self._span = bench.options.temperature_k
+        self._channel = channels.get("jacket", channels["temperature"])
+        self._gauge, self._pressure = slices[self._channel.name].start, slices["pressure"].start
+        self._step_k = bench.options.temperature_k.step
         self._steps = max(round(_SLOWLY * bench.step_limit), 1)
         names = bench.reagent_names
         self._kelvin = np.array([kelvin for kelvin, _ in recipes])
@@ -108,9 +108,8 @@ class _Constant:
 
     def act(self, observation: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
         """Return the actions [B, n]."""
-        low, high, most = self._span.low, self._span.high, self._span.step
-        now = low + observation[:, self._gauge] * (high - low)
-        turn = np.clip(0.5 + (self._kelvin - now) / (2.0 * most), 0.0, 1.0)
+        now = self._channel.unscaled(observation[:, self._gauge])
+        turn = np.clip(0.5 + (self._kelvin - now) / (2.0 * self._step_k), 0.0, 1.0)
         close = observation[:, self._pressure] > _SAFE_PRESSURE
         turn = np.where(close, np.minimum(turn, 0.5), turn)
         # The share of the remainder that gives equal portions.
