@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -301,3 +302,21 @@ def play_episode(
         {kind: value for kind, value in totals if value > 0.0},
         STATUS_WORDS[state.status[0]],
     )
+
+
+def record_episode(
+    path: str | Path,
+    env: raw_env,
+    policies: Mapping[str, Policy],
+    seed: int,
+    policy_name: str = "",
+    options: dict[str, Any] | None = None,
+    force: bool = False,
+) -> EpisodeResult:
+    """Play one episode as :func:`play_episode` does, and write its record to ``path``, over one there if ``force``.
+
+    The record names ``policy_name`` as every agent's policy, if given.
+    """
+    names = dict.fromkeys(env.possible_agents, policy_name) if policy_name else None
+    with Recorder(path, env.laboratories, policies=names, force=force) as recorder:
+        return play_episode(env, policies, seed, policy_name, options=options, recorder=recorder)

@@ -29,7 +29,7 @@ from .open_loop import plan_for
 from .pretrained import PretrainedPolicy, load_pretrained, pretrained_for, pretrained_names
 from .random_policy import RandomPolicy
 from .roles import role_of
-from .saved import find_saved, is_saved, saved_files
+from .saved import Saved, find_saved, is_saved, saved_files
 from .scripted.crystallization import ScriptedCrystallization
 from .scripted.distillation import ScriptedDistillation
 from .scripted.exploration import CampaignManager, has_unknown_rate
@@ -193,6 +193,21 @@ def _probability(name: str, text: str) -> float:
     return share
 
 
+def _saved(name: str, others: Sequence[str]) -> Saved:
+    """Find a bundled or saved policy.
+
+    Raises:
+        ValueError: there is none; the message has the ``others``, names that may also be given.
+    """
+    if not is_saved(name):
+        near = difflib.get_close_matches(name, [*others, *pretrained_names()], 1)
+        raise ValueError(
+            f"policy: must be one of {', '.join(others)}, a bundled policy, or an existing path; "
+            f"given {name!r:.200}{f'; did you mean {near[0]}?' if near else ''}"
+        )
+    return find_saved(name)
+
+
 def agent_policy(
     name: str, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None = None, deep: int = 0
 ) -> Policy:
@@ -223,13 +238,7 @@ def agent_policy(
         own = "scripted"
     own, way = _way(own)
     if own not in policy_names():
-        if not is_saved(own):
-            near = difflib.get_close_matches(own, [*policy_names(), *pretrained_names()], 1)
-            raise ValueError(
-                f"policy: must be one of {', '.join(policy_names())}, a bundled policy, or an existing path; "
-                f"given {own!r:.200}{f'; did you mean {near[0]}?' if near else ''}"
-            )
-        saved = find_saved(own)
+        saved = _saved(own, policy_names())
         if role_of(agent) in saved.load:
             return as_trained(saved.load[role_of(agent)](role, seed), laboratories, number, seed, deep)
         if own != name.partition(",")[0]:
@@ -411,11 +420,7 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
         return RandomPolicy(_size(bench.action_space), seed)
     if name == "pretrained":
         return pretrained_for(bench).as_played(way, seed)
-    if not is_saved(name):
-        raise ValueError(
-            f"policy: must be scripted, random, pretrained, a bundled policy, or an existing path; given {name!r}"
-        )
-    saved = find_saved(name).load
+    saved = _saved(name, ("scripted", "random", "pretrained")).load
     # A run of one role may be tried on any bench that it fits; with several roles, the choice must be unambiguous.
     role = next(iter(saved)) if len(saved) == 1 else bench.key
     if role not in saved:

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
-
-import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.players import Policy
-from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
+from chemlab.envs.players import Watching
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import SUBMIT, Start
 
@@ -21,34 +17,22 @@ _EXPLORE = 0.1
 _LEAST_MOL = 1e-6
 
 
-class _Recording:
-    """A manager policy that stores every vessel when an experiment starts on it or it is submitted."""
-
-    def __init__(self, policy: Policy, labs: Laboratories, found: dict[str, list[Start]]) -> None:
-        self._policy, self._labs, self._found = policy, labs, found
-
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
-        actions = self._policy.act(observation, mask, step, members)
-        kind, *arguments = self._labs.actions.decode(int(actions[0]))
-        if kind == "start":
-            experiments = self._labs.bench_agents.index(str(arguments[0]))
-            self._keep(self._labs.benches[experiments].key, int(arguments[1]), str(arguments[2]))
-        elif kind == "submit":
-            order = int(arguments[1]) if len(arguments) > 1 else 0
-            goal = self._labs.scenario.goals[self._labs.state.goal[0, order]]
-            self._keep(SUBMIT, int(arguments[0]), goal)
-        return actions
-
-    def _keep(self, stage: str, slot: int, goal: str) -> None:
-        labs = self._labs
-        vessel, last = labs.shelf.vessel(0, slot), int(labs.state.last_bench[0, slot])
-        contents = {n: mol for n, mol in vessel.amounts(_LEAST_MOL).items() if n in labs.shelf.layout.materials}
-        bench = list(labs.scenario.benches)[last - 1] if last else None
-        start = Start(goal, 1.0, vessel.capacity_l, contents, bench, int(labs.state.last_position[0, slot]))
-        self._found[stage].append(start)
+def _note(labs: Laboratories, action: int, found: dict[str, list[Start]]) -> None:
+    """Store the vessel that a manager's action starts an experiment on, or submits."""
+    kind, *arguments = labs.actions.decode(action)
+    if kind == "start":
+        stage = labs.benches[labs.bench_agents.index(str(arguments[0]))].key
+        slot, goal = int(arguments[1]), str(arguments[2])
+    elif kind == "submit":
+        stage, slot = SUBMIT, int(arguments[0])
+        goal = labs.scenario.goals[labs.state.goal[0, int(arguments[1]) if len(arguments) > 1 else 0]]
+    else:
+        return
+    vessel, last = labs.shelf.vessel(0, slot), int(labs.state.last_bench[0, slot])
+    contents = {n: mol for n, mol in vessel.amounts(_LEAST_MOL).items() if n in labs.shelf.layout.materials}
+    bench = list(labs.scenario.benches)[last - 1] if last else None
+    start = Start(goal, 1.0, vessel.capacity_l, contents, bench, int(labs.state.last_position[0, slot]))
+    found[stage].append(start)
 
 
 def record_starts(
@@ -87,7 +71,7 @@ def record_starts(
         for episode in range(episodes):
             number = seed + g * episodes + episode
             policies = make_policies(f"scripted{lapses}", labs)
-            policies[manager] = _Recording(ways[episode % len(ways)], labs, found)
+            policies[manager] = Watching(ways[episode % len(ways)], lambda *call: _note(labs, int(call[-1][0]), found))
             play_episode(env, policies, number, options={"goal": goal})
             if progress is not None:
                 progress()

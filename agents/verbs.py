@@ -242,17 +242,12 @@ def _renamed(bench: Bench, words: str, name: Callable[[str], str]) -> str:
 def _operation_verbs(bench: OperationBench, name: Callable[[str], str]) -> list[Verb]:
     rows: dict[str, dict[tuple[Any, ...], int]] = {}
     units: dict[str, str] = {}
-    at = 0
-    for process in bench.options.process:
+    actions = [(process, magnitude) for process in bench.options.process for magnitude in process.magnitudes]
+    for at, ((process, magnitude), words) in enumerate(zip(actions, bench.action_meanings, strict=False)):
         kind = process.kind.rpartition(":")[2].lower()
-        own = rows.setdefault(kind, {})
         material = process.material and name(process.material)
-        for magnitude in process.magnitudes:
-            own[process.vessel, process.target, material, f"{magnitude:g}"] = at
-            units[kind] = (
-                bench.action_meanings[at].rpartition(" ")[2] if kind not in OPERATIONS else OPERATIONS[kind].unit
-            )
-            at += 1
+        rows.setdefault(kind, {})[process.vessel, process.target, material, f"{magnitude:g}"] = at
+        units[kind] = OPERATIONS[kind].unit if kind in OPERATIONS else words.rpartition(" ")[2]
     verbs = [_operation_verb(kind, own, units[kind]) for kind, own in rows.items()]
     return [*verbs, Verb("end", "End the experiment.", (), lambda given: bench.end_action)]
 

@@ -23,6 +23,7 @@ import gymnasium
 import numpy as np
 
 from .config.loading import load_scenario, reachable_materials
+from .config.materials import atoms_of
 from .config.scenario import Scenario
 from .envs.aec import raw_env
 from .envs.batch import BatchedLaboratory
@@ -102,10 +103,7 @@ def doubts(scenario: Scenario) -> list[str]:
 def _most_of(goal: str, at_hand: Mapping[str, float], scenario: Scenario) -> float:
     """Return mol of a goal that the atoms of all materials at hand suffice for."""
     materials = scenario.materials
-    atoms: dict[str, float] = {}
-    for name, mol in at_hand.items():
-        for element, number in materials[name].composition.items():
-            atoms[element] = atoms.get(element, 0.0) + mol * number
+    atoms = atoms_of(at_hand, materials)
     return min(atoms.get(element, 0.0) / number for element, number in materials[goal].composition.items())
 
 

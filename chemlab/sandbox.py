@@ -48,7 +48,7 @@ from .config.catalogue import (
 )
 from .config.datafile import DataError, read_text, read_toml
 from .config.loading import load_scenario
-from .config.materials import COLDEST_K, HOTTEST_K, Material, load_materials, shipped_materials
+from .config.materials import COLDEST_K, HOTTEST_K, Material, litres_of, load_materials, shipped_materials
 from .config.pairs import Pair, log_activity_coefficients, pair_table
 from .config.reactions import PROTON
 from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario
@@ -426,16 +426,13 @@ class Flask:
         self._setting = setting
         capacity_l = _number("capacity_l", capacity_l, 1e-6, 100.0)
         contents = self._sorted_out(contents)
-        litres, charge, ions = 0.0, 0.0, 0.0
-        for name, mol in contents.items():
-            material = self._material(name)
-            litres += mol * material.molar_mass_g_mol / material.density_kg_l / 1000.0
-            charge += mol * material.charge
-            ions += mol * abs(material.charge)
-        if litres > capacity_l:
-            raise ValueError(f"contents: {litres:.4g} L do not fit in capacity_l = {capacity_l:g}")
-        if abs(charge) > _NEUTRAL * ions:
-            raise ValueError(f"contents: have a charge of {charge:+.4g} mol; give the ions that balance it")
+        materials = {name: self._material(name) for name in contents}
+        filled = litres_of(contents, materials)
+        if filled > capacity_l:
+            raise ValueError(f"contents: {filled:.4g} L do not fit in capacity_l = {capacity_l:g}")
+        charges = [mol * materials[name].charge for name, mol in contents.items()]
+        if abs(sum(charges)) > _NEUTRAL * sum(map(abs, charges)):
+            raise ValueError(f"contents: have a charge of {sum(charges):+.4g} mol; give the ions that balance it")
         self._seconds, self._joules = 0.0, 0.0
         self._head: tuple[float | None, dict[str, float]] = (None, {})
         self._history: collections.deque[Moment] = collections.deque(maxlen=_REMEMBERED)
@@ -797,7 +794,7 @@ class Flask:
         if channel.size == 1 and readings[0, 0, 0] >= 1.0 and re.search(r"\d", words):
             words += " or more, the end of its range"
         return Measurement(
-            channel.low + readings[0, 0] * (channel.high - channel.low),
+            channel.unscaled(readings[0, 0]),
             channel.unit,
             (*table.analytes[0], instrument.rest) if instrument.picture == "bars" else (),
             words,

@@ -18,12 +18,12 @@ from PIL import Image
 from playwright.sync_api import sync_playwright
 
 from chemlab import load_scenario, raw_env
-from chemlab.agents.episodes import play_episode
+from chemlab.agents.episodes import record_episode
 from chemlab.agents.live import Live, live_app, live_server
 from chemlab.agents.policies import make_policies
 from chemlab.config.files import write_bytes, write_text
 from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
-from chemlab.record import Recorder, read_record
+from chemlab.record import read_record
 from chemlab.render.animation import animation
 from chemlab.render.replay_page import replay_page
 
@@ -37,11 +37,7 @@ def episode(name: str) -> None:
     laboratory = raw_env(name)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"{name}.jsonl"
-        policies = make_policies("scripted", laboratory.laboratories, 0)
-        with Recorder(
-            path, laboratory.laboratories, policies=dict.fromkeys(laboratory.possible_agents, "scripted")
-        ) as recorder:
-            play_episode(laboratory, policies, 0, "scripted", recorder=recorder)
+        record_episode(path, laboratory, make_policies("scripted", laboratory.laboratories, 0), 0, "scripted")
         record = read_record(path)
     write_bytes(GALLERY / f"{name}.webp", animation(record, "webp", frames=FRAMES, size=SIZE))
     write_text(REPLAYS / f"{name}.html", replay_page(record))

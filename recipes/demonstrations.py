@@ -27,14 +27,13 @@ from scipy.signal import lfilter
 from chemlab import raw_env
 from chemlab.agents.background import role_vector_env
 from chemlab.agents.demonstrations import write_datasets
-from chemlab.agents.episodes import play_episode, play_laboratory
+from chemlab.agents.episodes import play_laboratory, record_episode
 from chemlab.agents.policies import make_policies
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.train.imitate import fit
 from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import as_policy
 from chemlab.lab.engine import Laboratories
-from chemlab.record import Recorder
 
 SCENARIO, GOAL = "wurtz_dodecane", "dodecane"
 DEMONSTRATED = 20
@@ -47,8 +46,7 @@ def dataset(folder: Path, episodes: int, seed: int) -> Any:
     labs = env.laboratories
     records = [folder / f"{seed + i}.jsonl" for i in range(episodes)]
     for i, path in enumerate(records):
-        with Recorder(path, labs, policies=dict.fromkeys(labs.agents, "scripted")) as recorder:
-            play_episode(env, make_policies("scripted", labs), seed + i, recorder=recorder)
+        record_episode(path, env, make_policies("scripted", labs), seed + i, "scripted")
     os.environ["MINARI_DATASETS_PATH"] = str(folder)
     (written,) = write_datasets(records, "recipe/scripted", [MANAGER_AGENT])
     return minari.load_dataset(written.id)

@@ -27,7 +27,7 @@ from chemlab.config.loading import dump_scenario, load_scenario
 from chemlab.config.materials import Material
 from chemlab.config.scenario import SAFETY_EVENTS, Scenario
 from chemlab.envs.aec import raw_env
-from chemlab.envs.players import Memory
+from chemlab.envs.players import Memory, Watching
 from chemlab.kernels.arrays import declared
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories
@@ -119,20 +119,18 @@ def random_actions(space: gymnasium.Space[Any], steps: int, members: int, seed: 
     return rng.random((steps, members, *(space.shape or ())), dtype=np.float32)
 
 
-class Watched:
+class Watched(Watching):
     """Another manager's policy that keeps what each member plays, and whether that was legal."""
 
     def __init__(self, policy: Any, laboratories: Laboratories) -> None:
-        self.policy = policy
+        super().__init__(policy, self._note)
         self.actions: list[list[int]] = [[] for _ in laboratories.members]
         self.legal: list[list[bool]] = [[] for _ in laboratories.members]
 
-    def act(self, observation: Any, mask: Any, step: Any, members: Any) -> Any:
-        actions = self.policy.act(observation, mask, step, members)
+    def _note(self, observation: Any, mask: Any, step: Any, members: Any, actions: Any) -> None:
         for i, member in enumerate(members):
             self.actions[member].append(int(actions[i]))
             self.legal[member].append(bool(mask[i, actions[i]]))
-        return actions
 
 
 def weights(model: Any) -> npt.NDArray[Any]:
@@ -432,16 +430,14 @@ def record_episode(
         options: of ``reset``.
         named: True puts the policy's name into the record.
     """
-    from chemlab.agents.episodes import play_episode
+    from chemlab.agents import episodes
     from chemlab.agents.policies import make_policies
-    from chemlab.record import Recorder
 
     env = raw_env(scenario, **more)
     labs = env.laboratories
     careless: Any = {agent: Careless(labs, i, seed) for i, agent in enumerate(labs.agents)}
     policies = careless if policy == "careless" else make_policies(policy, labs, seed)
-    with Recorder(path, labs, policies=dict.fromkeys(labs.agents, policy) if named else None, force=True) as recorder:
-        play_episode(env, policies, seed, policy, options=options, recorder=recorder)
+    episodes.record_episode(path, env, policies, seed, policy if named else "", options, force=True)
     return path
 
 

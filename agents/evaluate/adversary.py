@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Policy, Watching
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 
@@ -104,23 +104,18 @@ def _score(team: PPOTeam, spec: Scenario, episodes: int, seed: int, split: str, 
     return scores
 
 
-class _Recorded:
+class _Recorded(Watching):
     """Plays as another policy does, and keeps observations, masks, actions and environment indices."""
 
     def __init__(self, policy: Policy) -> None:
-        self._policy = policy
+        super().__init__(policy, self._note)
         self.turns: list[dict[str, npt.NDArray[Any] | None]] = []
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
-        actions = self._policy.act(observation, mask, step, members)
+    def _note(self, observation: ObservationArray, mask: Any, step: Any, members: IntArray, actions: Any) -> None:
         kind = np.float32 if mask is None else np.int64
         allowed = None if mask is None else mask != 0
         turn = {"observed": observation.copy(), "mask": allowed, "action": actions.astype(kind), "members": members}
         self.turns.append(turn)
-        return actions
 
 
 def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan], least_std: float) -> None:

@@ -54,9 +54,9 @@ from chemlab.config.parts import trust
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.kernels.arrays import FloatArray
-from chemlab.record import Record, Recorder, read_record, recorded_scenario, scenario_hash, verify_record
+from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 
-from ..episodes import play_episode
+from ..episodes import record_episode
 from ..former_names import current_name, split_way
 from ..ledger import ended_episodes
 from ..open_loop import ConstantPlan
@@ -641,8 +641,7 @@ def _recorded(
                 if row.name == "plan":
                     plans = {tuple(c): tuple(p) for c, p in found["scenarios"][spec.name]["plans"]}
                     policies[MANAGER_AGENT] = ConstantPlan(spec, labs.channels, labs.actions, plans)
-                with Recorder(path, labs, force=True) as recorder:
-                    score = play_episode(env, policies, seed, row.name, recorder=recorder).score
+                score = record_episode(path, env, policies, seed, force=True).score
                 own.append({"file": path.relative_to(folder).as_posix(), "seed": seed, "score": score})
     return written
 

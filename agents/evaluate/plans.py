@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
-from chemlab.envs.players import Players, Policy
+from chemlab.envs.players import Players, Policy, Watching
 from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
@@ -241,7 +241,7 @@ def drawn_contexts(labs: Laboratories, seed: int) -> dict[Context, list[int]]:
 # -- replaying --------------------------------------------------------------------------------------------------------
 
 
-class TapeRecorder:
+class TapeRecorder(Watching):
     """Plays as another policy does, and keeps its actions.
 
     Args:
@@ -252,20 +252,15 @@ class TapeRecorder:
         tapes: by member, of each of its experiments (the manager: of its episode), the actions.
     """
 
-    def __init__(self, policy: Any, members: IntArray) -> None:
-        self._policy = policy
+    def __init__(self, policy: Policy, members: IntArray) -> None:
+        super().__init__(policy, self._note)
         self.tapes: list[list[list[Any]]] = [[] for _ in members]
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
-        actions: npt.NDArray[Any] = self._policy.act(observation, mask, step, members)
+    def _note(self, observation: Any, mask: Any, step: IntArray, members: IntArray, actions: Any) -> None:
         for member, turn, action in zip(members.tolist(), step.tolist(), actions.tolist(), strict=True):
             if turn == 0:
                 self.tapes[member].append([])
             self.tapes[member][-1].append(action)
-        return actions
 
 
 class _Taped:

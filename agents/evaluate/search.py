@@ -38,8 +38,6 @@ from .plans import (
     tape_of,
 )
 
-PLAN_BUDGETS = {"small": 10_000, "full": 100_000}
-"""Plans tried in all."""
 NOISE = 0.02
 """Standard deviation of good plans' scores over seeds below which one seed selects promising plans."""
 
@@ -348,24 +346,10 @@ def _translated(scenario: Scenario, team: TeamPlan, source: Context, target: Con
     return TeamPlan(tuple(translated), team.benches)
 
 
-def plan_budget(budget: int | str) -> int:
-    """A budget as a number of plans.
-
-    Args:
-        budget: a number, or one of :data:`PLAN_BUDGETS`.
-
-    Raises:
-        ValueError: it is neither.
-    """
-    if isinstance(budget, str) and budget not in PLAN_BUDGETS and not budget.isdecimal():
-        raise ValueError(f"budget: a number of plans, or one of {', '.join(PLAN_BUDGETS)}; given {budget!r}")
-    return PLAN_BUDGETS[budget] if isinstance(budget, str) and budget in PLAN_BUDGETS else int(budget)
-
-
 def search_plan(
     scenario: str | Scenario,
     benches: str = "scripted",
-    budget: int | str = "small",
+    budget: int = 10_000,
     seed: int = 0,
     contexts: Sequence[Context] | None = None,
     watch: Callable[[int], None] | None = None,
@@ -382,8 +366,8 @@ def search_plan(
     Args:
         scenario: where.
         benches: who operates them, see :func:`~chemlab.agents.policies.make_policies`.
-        budget: most plans tried, or one of :data:`PLAN_BUDGETS`; the first context gets half of it. A search ends
-            sooner when new beginnings from random plans have found nothing better.
+        budget: most plans tried; the first context gets half of it. A search ends sooner when new beginnings from
+            random plans have found nothing better.
         seed: of the search.
         contexts: default: all that the scenario may draw.
         watch: called with the number of plans just tried.
@@ -395,7 +379,6 @@ def search_plan(
         ValueError: unknown benches, budget or context.
     """
     spec, benches = load_scenario(scenario), current_name(benches)
-    most = plan_budget(budget)
     known = all_contexts(spec)
     chosen = known if contexts is None else list(dict.fromkeys(contexts))
     strange = [context for context in chosen if context not in known]
@@ -404,10 +387,10 @@ def search_plan(
         raise ValueError(
             f"context: {spec.name} has {spec.orders} orders for {', '.join(spec.lab_goals)}; given {given}"
         )
-    if most < len(chosen):
-        raise ValueError(f"budget: at least one plan for each of {len(chosen)} contexts, given {most}")
+    if budget < len(chosen):
+        raise ValueError(f"budget: at least one plan for each of {len(chosen)} contexts, given {budget}")
     found: list[FoundPlan] = []
-    left = most
+    left = budget
     for i, context in enumerate(chosen):
         # The others begin with what has been found for the first.
         share = left // 2 if i == 0 and len(chosen) > 1 else left // (len(chosen) - i)
@@ -415,7 +398,7 @@ def search_plan(
         search = Search(spec, benches, context, max(share, 1), own, watch or (lambda _: None), without, free=free)
         found.append(search.run([_translated(spec, one.team, one.context, context) for one in found]))
         left -= search.tried
-    return PlanSearch(spec, benches, found, most - left)
+    return PlanSearch(spec, benches, found, budget - left)
 
 
 def best_in_episode(

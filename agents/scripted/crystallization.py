@@ -17,6 +17,8 @@ from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.separation_benches import CrystallizationBench
 
+from .script import choices
+
 _PATIENCE = 30
 _FULLEST = 0.85
 """Maximum fill level as a share of the vessel."""
@@ -48,6 +50,8 @@ _SEED_G = 0.05
 _KJ_PER_L_K = 4.2
 
 ADD, DISSOLVE, STRAIN, ASIDE, BACK, COOL, COLLECT, WASH, DRAIN, DRY = range(10)
+_CLEARING = {ASIDE: ("filter", "CV", "F"), BACK: ("pour", "CV", "W"), COOL: ("pour", "F", "CV")}
+"""Process, vessel and target of the steps of a hot filtration, by the phase that each leads to."""
 
 
 def solubility(scenario: Scenario, solute: str, solvent: str, temperature_k: float) -> float:
@@ -112,13 +116,7 @@ class ScriptedCrystallization(Remembering):
         self._gauges = {channel.name: channel for channel in bench.channels}
         self._hot_k = bench.options.hottest_k - _HOT_K
         self._cold_k = max(_COLD_K, bench.options.coolest_k + _HOT_K)
-        processes = bench.options.process
-        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
-        self._actions: dict[tuple[str | None, ...], list[tuple[float, int]]] = {}
-        for process, start in zip(processes, starts.tolist(), strict=False):
-            key = (process.kind, process.target if process.kind in ("filter", "pour") else None, process.material)
-            self._actions[key] = sorted((m, start + i) for i, m in enumerate(process.magnitudes))
-        self._wait = self._most(("settle", None, None), math.inf)
+        self._wait = self._most(math.inf, "settle")
         self._memory: dict[int, _Batch] = {}
 
     def _solvent_for(self, goal: str, mol: float, room_l: float) -> tuple[str, float, float]:
@@ -158,7 +156,7 @@ class ScriptedCrystallization(Remembering):
 
     def _read(self, observation: ObservationArray, name: str) -> float:
         gauge = self._gauges[name]
-        return gauge.low + float(observation[self._slices[name]][0]) * (gauge.high - gauge.low)
+        return float(gauge.unscaled(float(observation[self._slices[name]][0])))
 
     def _wet(self, litres: float, solids: float, goal: int) -> _Batch:
         """Choose the procedure for the vessel's contents.
@@ -171,10 +169,11 @@ class ScriptedCrystallization(Remembering):
         if solids > _LEAST_SOLIDS:
             return _Batch(phase=COOL, seeded=True)
         name, scenario = self._bench.goals.names[goal], self._bench.scenario
-        liquids = [key[2] for key in self._actions if key[0] == "add" and key[2] not in (None, name)]
-        worst = min(liquids, key=lambda liquid: solubility(scenario, name, str(liquid), self._cold_k))
+        added = [str(process.material) for process in self._bench.options.process if process.kind == "add"]
+        liquids = [liquid for liquid in added if liquid != name]
+        worst = min(liquids, key=lambda liquid: solubility(scenario, name, liquid, self._cold_k))
         room = max(_FULLEST * self._bench.spec.start.capacity_l - litres, 0.0)
-        return _Batch(solvent_l=min(_THINNED * litres, room), solvent=str(worst), hot_k=0.0, seed_k=math.inf)
+        return _Batch(solvent_l=min(_THINNED * litres, room), solvent=worst, hot_k=0.0, seed_k=math.inf)
 
     def _begin(self, crude_l: float, goal: int) -> _Batch:
         """Return the solvent volume and the seeding point for a volume of crude product."""
@@ -190,16 +189,16 @@ class ScriptedCrystallization(Remembering):
             low, high = (middle, high) if solubility(scenario, name, liquid, middle) < wanted else (low, middle)
         return _Batch(solvent_l=solvent, seed_k=low, solvent=liquid, hot_k=hot_k)
 
-    def _most(self, key: tuple[str | None, ...], wanted: float) -> int:
+    def _most(self, wanted: float, kind: str, **which: str) -> int:
         """Return the largest magnitude of at most ``wanted``, or else the smallest."""
-        found = self._actions[key]
-        return next((action for magnitude, action in reversed(found) if magnitude <= wanted), found[0][1])
+        found = choices(self._bench, kind, **which)
+        return found[max((size for size in found if size <= wanted), default=min(found))]
 
     def _warm(self, kelvin: float, litres: float, wanted_k: float) -> int:
         """Heat or cool towards a temperature; wait if it is close."""
         joules = _KJ_PER_L_K * litres * (wanted_k - kelvin)
-        heats = self._actions["heat", None, None]
-        fitting = [(abs(q), a) for q, a in heats if q * joules > 0.0 and abs(q) <= abs(joules)]
+        heats = choices(self._bench, "heat")
+        fitting = [(abs(q), a) for q, a in heats.items() if q * joules > 0.0 and abs(q) <= abs(joules)]
         return max(fitting)[1] if fitting else self._wait
 
     def _still(self, batch: _Batch, solids_l: float) -> bool:
@@ -208,13 +207,12 @@ class ScriptedCrystallization(Remembering):
         return abs(solids_l - before) <= _STILL * max(solids_l, 1e-9)
 
     def _decide(self, batch: _Batch, kelvin: float, litres: float, solids: float, mask: MaskArray) -> int:
-        add = ("add", None, batch.solvent)
-        least = self._actions[add][0][0]
         if batch.phase == ADD:
-            if batch.solvent_l > least:
-                action = self._most(add, batch.solvent_l)
-                batch.solvent_l -= next(m for m, a in self._actions[add] if a == action)
-                return action
+            adds = choices(self._bench, "add", material=batch.solvent)
+            if batch.solvent_l > min(adds):
+                size = max(size for size in adds if size <= batch.solvent_l)
+                batch.solvent_l -= size
+                return adds[size]
             batch.phase = DISSOLVE
         if batch.phase == DISSOLVE:
             still = self._still(batch, solids * litres)
@@ -226,12 +224,12 @@ class ScriptedCrystallization(Remembering):
             batch.phase = STRAIN if self._careful and solids > _LEAST_SOLIDS else COOL
         if batch.phase in (STRAIN, ASIDE, BACK):
             batch.phase += 1
-            kind, target = {ASIDE: ("filter", "F"), BACK: ("pour", "W"), COOL: ("pour", "CV")}[batch.phase]
-            return self._pour_back() if target == "CV" else self._most((kind, target, None), 1.0)
+            kind, vessel, target = _CLEARING[batch.phase]
+            return self._most(1.0, kind, vessel=vessel, target=target)
         if batch.phase == COOL:
             if self._careful and not batch.seeded and kelvin <= batch.seed_k:
                 batch.seeded = True
-                return self._most(("seed", None, None), _SEED_G)
+                return self._most(_SEED_G, "seed")
             still = self._still(batch, solids * litres)
             if kelvin > self._cold_k + 1.0 or not still:
                 unseeded = self._careful and not batch.seeded
@@ -241,20 +239,13 @@ class ScriptedCrystallization(Remembering):
             batch.phase = COLLECT
         if batch.phase == COLLECT:
             batch.phase = WASH
-            return self._most(("filter", "F", None), 1.0)
+            return self._most(1.0, "filter", target="F")
         if batch.phase == WASH and batch.washes < _WASHES:
             batch.washes, batch.phase = batch.washes + 1, DRAIN
-            return self._most(add, _WASH_L)
+            return self._most(_WASH_L, "add", material=batch.solvent)
         if batch.phase == DRAIN:
             batch.phase = WASH
-            return self._most(("filter", "F", None), 1.0)
+            return self._most(1.0, "filter", target="F")
         batch.phase = DRY
-        dry = self._most(("dry", None, None), math.inf)
+        dry = self._most(math.inf, "dry")
         return dry if solids < _DRY and mask[dry] else self._bench.end_action
-
-    def _pour_back(self) -> int:
-        """Return the action that pours F -> CV."""
-        for action, meaning in enumerate(self._bench.action_meanings):
-            if meaning.startswith("pour F -> CV"):
-                return action
-        raise ValueError(f"benches.{self._bench.key}: its scripted policy needs a process that pours F -> CV")

@@ -19,7 +19,7 @@ from chemlab.kernels.tables import Table
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 from chemlab.roles.separation_benches import DistillationBench
 
-from .script import SAME_SHADE, shows
+from .script import SAME_SHADE, choices, shows
 
 _KJ_PER_L_K = 1.7
 """Rough heat capacity of an organic liquid in kJ/(L K); with the heat of vaporization below it selects heating
@@ -209,11 +209,8 @@ class ScriptedDistillation(Remembering):
         following = [min([t for t in liquids.values() if t > point + 1e-9], default=math.inf) for point in boils_at]
         shade = np.array([materials[goal].shade for goal in bench.goals.names])
         grey = np.array([materials[name].shade for name in liquids])
-        processes = bench.options.process
-        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
-        heat = next(i for i, process in enumerate(processes) if process.kind == "heat")
-        swap = next(i for i, p in enumerate(processes) if p.kind == "pour" and (p.vessel, p.target) == ("B1", "B2"))
-        heats = sorted((m, int(starts[heat]) + i) for i, m in enumerate(processes[heat].magnitudes) if m > 0)
+        heats = sorted((q, action) for q, action in choices(bench, "heat").items() if q > 0)
+        swaps = choices(bench, "pour", vessel="B1", target="B2")
         self._plan = Table(
             _Plan(
                 strip_to=np.array(strip_to),
@@ -223,12 +220,12 @@ class ScriptedDistillation(Remembering):
                 liquids=grey.astype(np.float32),
                 others=np.abs(grey - shade[:, None]) > SAME_SHADE,
                 air=np.array([materials["air"].shade], dtype=np.float32),
-                kilojoules=np.array([m for m, _ in heats]),
+                kilojoules=np.array([q for q, _ in heats]),
                 heats=np.array([action for _, action in heats]),
                 goal_at=slices["goal"].start,
                 gauge_at=np.array([slices[channel.name].start for channel in gauges]),
                 gauge=np.array([(channel.low, channel.high) for channel in gauges]),
-                swap=int(starts[swap]) + int(np.argmax(processes[swap].magnitudes)),
+                swap=swaps[max(swaps)],
                 end=bench.end_action,
                 capacity_l=bench.spec.start.capacity_l,
                 careful=int(careful),

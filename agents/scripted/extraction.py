@@ -7,13 +7,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from chemlab.config.materials import litres_of
 from chemlab.envs.players import Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 from chemlab.roles.separation_benches import ExtractionBench
 
-from .script import count_pixels
+from .script import choices, count_pixels
 
 _WASHES = 4
 _TAKEN = 0.6
@@ -52,32 +53,20 @@ class ScriptedExtraction(Remembering):
         solids = {name: m.shade for name, m in materials.items() if m.role == "solid"}
         self._metals = _greys(*(shade for name, shade in solids.items() if name in violent and careful))
         self._solids = _greys(*solids.values())
-        processes = bench.options.process
-        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
-
-        def find(kind: str, **wanted: str) -> int:
-            for i, process in enumerate(processes):
-                if process.kind == kind and all(getattr(process, key) == value for key, value in wanted.items()):
-                    return i
-            raise ValueError(f"benches.{bench.key}: its scripted policy needs a process {kind!r}")
-
-        drain, add, mix, settle = find("drain", vessel="EV", target="B1"), find("add"), find("mix"), find("settle")
-        self._wash_shade = materials[str(processes[add].material)].shade
+        add, mix, settle = (choices(bench, kind) for kind in ("add", "mix", "settle"))
+        wash = next(str(process.material) for process in bench.options.process if process.kind == "add")
+        self._wash_shade = materials[wash].shade
         self._wash = _greys(self._wash_shade)
         # (magnitude, action), largest first; the first that fits is used
-        self._drains = sorted(
-            ((m, int(starts[drain]) + i) for i, m in enumerate(processes[drain].magnitudes)), reverse=True
-        )
-        sizes, first = np.array(processes[add].magnitudes), int(starts[add])
-        self._add = first + int(np.argmin(np.abs(sizes - self.wash_l)))
+        self._drains = sorted(choices(bench, "drain", vessel="EV", target="B1").items(), reverse=True)
+        self._add = add[min(add, key=lambda litre: abs(litre - self.wash_l))]
         taken = _TAKEN / (1.0 - _TAKEN) * 0.5 ** ((margin_k or 0.0) / _MARGIN_K)
-        self._told, volumes = _wash_volumes(bench, str(processes[add].material))
+        self._told, volumes = _wash_volumes(bench, wash)
         if margin_k is None:
             volumes = volumes[len(volumes) // 2 :][:1]
-        self._adds = [first + int(np.argmin(np.abs(sizes - taken * volume))) for volume in volumes]
+        self._adds = [add[min(add, key=lambda litre: abs(litre - taken * volume))] for volume in volumes]
         self._most = bench.spec.step_limit if self._adds else _WASHES
-        self._mix = int(starts[mix]) + int(np.argmax(processes[mix].magnitudes))
-        self._settle = int(starts[settle]) + int(np.argmax(processes[settle].magnitudes))
+        self._mix, self._settle = mix[max(mix)], settle[max(settle)]
         self._end = bench.end_action
         self._phase: dict[int, int] = {}
         self._washes: dict[int, int] = {}
@@ -142,7 +131,6 @@ def _wash_volumes(bench: ExtractionBench, wash: str) -> tuple[int, FloatArray]:
     column = channel_slices(bench.channels)["told"].start + world.numbers(bench.told[: bench.told.index(name)])
     draw = world.draws[name]
     own = next(name for name in bench.spec.start.contents if materials[name].role == "solvent")
-    litres = bench.spec.start.contents[own] * materials[own].molar_mass_g_mol / materials[own].density_kg_l / 1000.0
     polarity = quantiles(draw, np.linspace(0.0, 1.0, 101))
     there, here = (np.abs(polarity - float(materials[name].polarity or 0.0)) for name in (wash, own))
-    return column, litres * there / here
+    return column, litres_of({own: bench.spec.start.contents[own]}, materials) * there / here

@@ -65,10 +65,8 @@ class ScriptedFraction(ScriptedRealDistillation):
                 bench.scenario.theoretical_maximum_mol.get(goal, 0.0) * materials[goal].molar_mass_g_mol / 1000.0
             )
             self._most_l.append(_MORE * kilograms / materials[goal].density_kg_l)
-        processes = bench.options.process
-        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
-        swap = next((i for i, p in enumerate(processes) if (p.kind, p.vessel, p.target) == ("pour", "B1", "B2")), None)
-        self._swap = None if swap is None else int(starts[swap]) + int(np.argmax(processes[swap].magnitudes))
+        swaps = bench.choices("pour", vessel="B1", target="B2")
+        self._swap = swaps[max(swaps)] if swaps else None
         self._phase: dict[int, int] = {}
         self._full: dict[int, float] = {}
         """Litres in the pot when the receiver was changed, by environment index."""
@@ -79,14 +77,13 @@ class ScriptedFraction(ScriptedRealDistillation):
         """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
         stripping = super().act(observation, mask, step, members)
-        t, v = self._temperature, self._volume
         out = []
         for i, (seen, legal, action) in enumerate(zip(observation, mask, stripping.tolist(), strict=True)):
             member, goal = int(members[i]), int(seen[self._slices["goal"]].argmax())
             if step[i] == 0:
                 self._phase[member] = STRIP
             until = self._until_k[goal]
-            litres = v.low + float(seen[self._slices["volume"]][0]) * (v.high - v.low)
+            litres = self._volume.unscaled(float(seen[self._slices["volume"]][0]))
             if litres < _HEEL_L:
                 out.append(self._end)
                 continue
@@ -98,7 +95,7 @@ class ScriptedFraction(ScriptedRealDistillation):
                 if legal[self._swap]:
                     out.append(self._swap)
                     continue
-            kelvin = t.low + float(seen[self._slices["temperature"]][0]) * (t.high - t.low)
+            kelvin = self._temperature.unscaled(float(seen[self._slices["temperature"]][0]))
             heat = next((a for q, a in reversed(self._heats) if q <= _SMALL_KJ), self._heats[0][1])
             if self._phase[member] == COLLECT and kelvin > until and litres > (1.0 - _SOME) * self._full[member]:
                 self._phase[member] = DILUTE

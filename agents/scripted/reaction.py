@@ -72,8 +72,8 @@ class ScriptedReaction:
         penalized = set(bench.options.penalty)
         self._need = np.zeros((len(bench.goals.names), len(reagents)))
         self._late = np.zeros_like(self._need, dtype=bool)
-        span = bench.options.temperature_k
-        self._span = np.array([span.low, span.high, span.step])
+        self._temperature = next(channel for channel in bench.channels if channel.name == "temperature")
+        self._step_k = bench.options.temperature_k.step
         self._hottest, self._margin_k = _hottest(bench), margin_k
         self._hold_until = round(_HOLD_BACK * bench.spec.step_limit)
         for g, goal in enumerate(bench.goals.names):
@@ -95,11 +95,10 @@ class ScriptedReaction:
         close = pressure > self._safe_pressure
         warm = np.where(close, 0.5, 1.0)
         if self._hottest is not None:
-            low, high, most = self._span
-            now = low + observation[:, self._slices["temperature"]][:, 0] * (high - low)
+            now = self._temperature.unscaled(observation[:, self._slices["temperature"]][:, 0].astype(np.float64))
             column, shares, kelvin = self._hottest
             told = 0.5 if self._margin_k is None else observation[:, self._slices["told"]][:, column]
             wanted = np.interp(told, shares, kelvin) - (self._margin_k or 0.0)
-            warm = np.minimum(warm, np.clip(0.5 + (wanted - now) / (2.0 * most), 0.0, 1.0))
+            warm = np.minimum(warm, np.clip(0.5 + (wanted - now) / (2.0 * self._step_k), 0.0, 1.0))
         piston = np.where(close, 1.0, 0.5)
         return np.column_stack((warm, piston, adding))

@@ -14,6 +14,7 @@ from chemlab.roles.reaction_bench import ReactionBench
 from chemlab.roles.separation_benches import DistillationBench, ExtractionBench
 
 from .extraction import ScriptedExtraction
+from .script import choices
 
 _FEED, _QUENCH = 0.6, 0.88
 """Shares of a reaction: liquid reagents are fed until the first; the quench begins at the second."""
@@ -66,16 +67,14 @@ class ScriptedRealReaction:
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
-        low, span = self._temperature.low, self._temperature.high - self._temperature.low
-        kelvin = low + observation[:, self._slices["temperature"]][:, 0] * span
-        jacket = kelvin
-        if "jacket" in self._slices:
-            jacket = low + observation[:, self._slices["jacket"]][:, 0] * span
+        t = self._temperature  # the jacket's is on the same scale
+        kelvin = t.unscaled(observation[:, self._slices["temperature"]][:, 0])
+        jacket = t.unscaled(observation[:, self._slices["jacket"]][:, 0]) if "jacket" in self._slices else kelvin
         needed = self._needed[goal]
         if not self._careful:
             return np.column_stack((np.ones(len(kelvin)), np.full(len(kelvin), 0.5), needed))
         excess = kelvin - self._wanted_k
-        target = np.clip(self._wanted_k - self._gain * (excess + _BELOW_BOILING_K), low, low + span)
+        target = np.clip(self._wanted_k - self._gain * (excess + _BELOW_BOILING_K), t.low, t.high)
         turn = np.clip(0.5 + (target - jacket) / (2.0 * self._step_k), 0.0, 1.0)
         # The share of the remainder that empties the bottle at the end of feeding.
         share = 1.0 / np.maximum(self._feed_until - step, 1)
@@ -139,10 +138,7 @@ class ScriptedRealDistillation:
         hottest = bench.options.hottest_k
         boiling = [materials[goal].boiling_point_k for goal in bench.goals.names]
         self._stop_k = np.array([min(t, hottest) - _SHORT_OF_K for t in boiling])
-        processes = bench.options.process
-        starts = np.cumsum([0, *(len(process.magnitudes) for process in processes)])
-        heat = next(i for i, process in enumerate(processes) if process.kind == "heat")
-        self._heats = sorted((m, int(starts[heat]) + i) for i, m in enumerate(processes[heat].magnitudes) if m > 0)
+        self._heats = sorted((q, action) for q, action in choices(bench, "heat").items() if q > 0)
         self._end = bench.end_action
         self._careful = careful
 
@@ -150,9 +146,8 @@ class ScriptedRealDistillation:
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
-        t, v = self._temperature, self._volume
-        kelvin = t.low + observation[:, self._slices["temperature"]][:, 0] * (t.high - t.low)
-        litres = v.low + observation[:, self._slices["volume"]][:, 0] * (v.high - v.low)
+        kelvin = self._temperature.unscaled(observation[:, self._slices["temperature"]][:, 0])
+        litres = self._volume.unscaled(observation[:, self._slices["volume"]][:, 0])
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
         return np.array(
             [self._decide(float(k), float(x), int(g)) for k, x, g in zip(kelvin, litres, goal, strict=True)],

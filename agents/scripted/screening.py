@@ -39,7 +39,8 @@ class ScriptedScreening(Remembering):
     def __init__(self, bench: ReactionBench) -> None:
         spec, names = bench.scenario, bench.reagent_names
         self._slices = channel_slices(bench.channels)
-        self._span = bench.options.temperature_k
+        self._temperature = next(channel for channel in bench.channels if channel.name == "temperature")
+        self._step_k = bench.options.temperature_k.step
         self._catalysts = [names.index(name) for name in catalysts(spec) if name in names]
         most = max(spec.theoretical_maximum_mol.values())
         self._shares = np.array([min(_EQUIVALENTS * most / bench.options.reagents[name], 1.0) for name in names])
@@ -51,9 +52,8 @@ class ScriptedScreening(Remembering):
     ) -> npt.NDArray[Any]:
         """See :class:`chemlab.envs.players.Policy`."""
         (tried,) = self._turns.recall(np.ones_like(step), members)
-        low, high, most = self._span.low, self._span.high, self._span.step
-        now = low + observation[:, self._slices["temperature"]][:, 0] * (high - low)
-        warm = np.clip(0.5 + (low + _HEAT * (high - low) - now) / (2.0 * most), 0.0, 1.0)
+        now = self._temperature.unscaled(observation[:, self._slices["temperature"]][:, 0])
+        warm = np.clip(0.5 + (self._temperature.unscaled(_HEAT) - now) / (2.0 * self._step_k), 0.0, 1.0)
         adding = np.where(step[:, None] == 0, self._shares, 0.0)
         which = np.array(self._catalysts)[tried[:, 0].astype(np.int64) % len(self._catalysts)]
         adding[np.arange(len(members)), which] = np.where(step == 0, _CATALYST, 0.0)

@@ -17,12 +17,25 @@ from chemlab.roles.bench import CAMERA_PIXELS, Channel, channel_slices
 from chemlab.roles.instrument_table import InstrumentTable
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_view import order_channels
+from chemlab.roles.operation_bench import OperationBench
 
 M = TypeVar("M")
 
 SAME_SHADE = 1e-3
 """Grey values closer than this belong to the same material."""
 _SAME = np.float32(SAME_SHADE)
+
+
+def choices(bench: OperationBench, kind: str, **which: str) -> dict[float, int]:
+    """Return {magnitude: action} of a process, see :meth:`~chemlab.roles.operation_bench.OperationBench.choices`.
+
+    Raises:
+        ValueError: the bench has no such process.
+    """
+    if found := bench.choices(kind, **which):
+        return found
+    words = "".join(f", {name} {value}" for name, value in which.items())
+    raise ValueError(f"benches.{bench.key}: its scripted policy needs a process {kind!r}{words}")
 
 
 def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from chemlab.config.materials import litres_of
 from chemlab.config.pairs import log_activity_coefficients, pair_table
 from chemlab.config.reactions import HYDROXIDE, PROTON, WATER
 from chemlab.config.scenario import Scenario
@@ -14,6 +15,7 @@ from chemlab.physics.constants import ROOM_K
 from chemlab.roles.separation_benches import ExtractionBench
 
 from .real import ScriptedRealExtraction
+from .script import choices
 
 _APART = 30.0
 """Activity coefficient at infinite dilution in water above which a liquid counts as immiscible with water."""
@@ -51,42 +53,37 @@ class ScriptedWorkup(ScriptedRealExtraction):
 
     def __init__(self, bench: ExtractionBench, careful: bool = True) -> None:
         super().__init__(bench, careful)
-        scenario, processes = bench.scenario, bench.options.process
-        first: list[int] = np.cumsum([0, *(len(process.magnitudes) for process in processes)]).tolist()
+        scenario = bench.scenario
 
-        def choose(i: int, wanted: float) -> int:
+        def choose(wanted: float, kind: str, **which: str) -> int:
             """Return the smallest sufficient magnitude of a process, or else the largest."""
-            magnitudes: tuple[float, ...] = processes[i].magnitudes
-            enough = [m for m in magnitudes if m >= wanted]
-            return first[i] + magnitudes.index(min(enough, default=max(magnitudes)))
+            found = choices(bench, kind, **which)
+            return found[min((m for m in found if m >= wanted), default=max(found))]
 
-        added = {p.material: i for i, p in enumerate(processes) if p.kind == "add" and p.material is not None}
-        poured = {(p.vessel, p.target): i for i, p in enumerate(processes) if p.kind == "pour"}
+        added = [str(process.material) for process in bench.options.process if process.kind == "add"]
         self._organic_shade: float | None = None
         self._air_shade = scenario.materials["air"].shade
         self._before: list[int] = []
         self._after: list[int] = []
         """Actions before the first wash and after the last one."""
-        base, acid = self._base_and_acid(bench, list(added))
+        base, acid = self._base_and_acid(bench, added)
         present = {name for vessel in scenario.shelf.vessel for name in vessel.contents}
         solvent: str | None = next((name for name in added if keeps_apart(scenario, name)), None)
         if base and acid:
             most = max(scenario.theoretical_maximum_mol.get(goal, 0.0) for goal in bench.goals.names)
             for name, excess, into in ((base, _EXCESS, self._before), (acid, _EXCESS**2, self._after)):
-                material = scenario.materials[name]
-                litres = excess * most * material.molar_mass_g_mol / material.density_kg_l / 1000.0
-                into.append(choose(added[name], litres))
-            back = [choose(poured[pour], 1.0) for pour in (("EV", "B2"), ("B1", "EV"))]
+                into.append(choose(litres_of({name: excess * most}, scenario.materials), "add", material=name))
+            back = [choose(1.0, "pour", vessel=of, target=to) for of, to in (("EV", "B2"), ("B1", "EV"))]
             self._before = [self._mix, *[self._settle] * _DISSOLVING, *self._before]
             self._after = [*back, *self._after, self._mix, self._settle]
         elif not any(keeps_apart(scenario, name) for name in present):
             if all(keeps_apart(scenario, goal) for goal in bench.goals.names):
                 self._organic_shade = scenario.materials[bench.goals.names[0]].shade
                 # The goal is itself a solvent, which every wash removes in part: use a small volume, and one wash less.
-                self._add, self._most = choose(added[WATER], 0.0), self._most - 1
+                self._add, self._most = choose(0.0, "add", material=WATER), self._most - 1
             elif solvent is not None:
                 self._organic_shade = scenario.materials[solvent].shade
-                self._before = [choose(added[solvent], _SOLVENT_L)]
+                self._before = [choose(_SOLVENT_L, "add", material=solvent)]
         self._done: dict[int, int] = {}
 
     @staticmethod

@@ -100,9 +100,7 @@ def plan(
         str,
         typer.Option(callback=current_policy, help="Policy of the benches, as --policy of `chemlab run`."),
     ] = "scripted",
-    budget: Annotated[
-        str, typer.Option(help="Maximum number of plans tried: small (10,000), full (100,000) or a number.")
-    ] = "small",
+    budget: Annotated[int, typer.Option(help="Maximum number of plans tried.")] = 10_000,
     seed: SeedOption = 0,
     episodes: EpisodesOption = 100,
     output: Annotated[
@@ -117,17 +115,16 @@ def plan(
     In a scenario that requires observations, other policies score higher. The score is over episodes with seeds 0, 1,
     ..., which the search does not use.
     """
-    from ..agents.evaluate.search import plan_budget, search_plan
+    from ..agents.evaluate.search import search_plan
     from ..config.loading import load_scenario
 
     spec = load_scenario(scenario)
-    most = plan_budget(budget)
     if output is not None:
         check_result(output, scenario, benches)
     with counting() as progress:
-        task = progress.add_task("plans", total=most)
-        search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
-    words = ["chemlab", "audit", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]
+        task = progress.add_task("plans", total=budget)
+        search = search_plan(spec, benches, budget, seed, watch=lambda n: progress.advance(task, n))
+    words = ["chemlab", "audit", "plan", scenario, "--benches", benches, "--budget", str(budget), "--seed", str(seed)]
     words += ["--episodes", str(episodes)]
     found = search.as_file(shlex.join(words), episodes)
     if as_json:

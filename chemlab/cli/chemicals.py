@@ -106,9 +106,7 @@ def _made_pairs(
 
 def _show_ideal(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the pairs treated as ideal mixtures."""
-    if not rows:
-        return  # the extra is not needed without new pairs
-    from ..openchem.activity import IDEAL
+    from ..config.catalogue import IDEAL
 
     guessed = [" with ".join(row["of"]) for row in rows if row["source"] == IDEAL]
     if guessed:

@@ -27,8 +27,10 @@ FOLDER = Path(__file__).parent.parent / "data" / "catalogue"
 SALTS, FAMILY = FOLDER / "_salts.toml", FOLDER / "_reactions.toml"
 IDEAL_PAIR = "ideal"
 """Form of a pair without UNIFAC groups or interactions: all activity coefficients are 1."""
+IDEAL = "estimate: ideal mixture; no form of UNIFAC has the groups of both"
+"""Source of such a pair."""
 _SOURCES = {
-    IDEAL_PAIR: "estimate: ideal mixture; no form of UNIFAC has the groups of both",
+    IDEAL_PAIR: IDEAL,
     "azeotrope": "through the azeotrope at 101.325 kPa, Gmehling et al. (2004) (as remembered, not looked up)",
 }
 LOW_K, HIGH_K = 270.0, 480.0

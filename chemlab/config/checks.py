@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from .datafile import DataError
 from .datamodel import validated
 from .draws import BOTTLE, DEVICE_QUANTITIES, ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw, changed_limits, draw_limits
-from .materials import Material
+from .materials import Material, litres_of
 from .reactions import ReactionFamily
 from .scenario import OrderTerms, Scenario, StartSpec, VesselSpec
 
@@ -33,20 +33,16 @@ def mentioned_materials(spec: Scenario) -> list[tuple[str, str]]:
 
 def check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
     """Check that contents fit their vessels."""
-
-    def litres(name: str, mol: float) -> float:
-        return mol * known[name].molar_mass_g_mol / known[name].density_kg_l / 1000.0
-
     vessels: list[tuple[str, VesselSpec | StartSpec, float]]
     vessels = [(f"shelf.vessel.{i}", vessel, 0.0) for i, vessel in enumerate(spec.shelf.vessel)]
     for key, bench in spec.benches.items():
         start, also = bench.start, bench.start.companion
-        more = max(litres(goal, start.goal_mol) for goal in spec.goals)
+        more = max(litres_of({goal: start.goal_mol}, known) for goal in spec.goals)
         if also is not None:
-            more += max(litres(also.material, also.mol), litres(also.if_goal, also.mol))
+            more += max(litres_of({name: also.mol}, known) for name in (also.material, also.if_goal))
         vessels.append((f"benches.{key}.start", start, more))
     for key, vessel, more in vessels:
-        filled = more + sum(litres(name, mol) for name, mol in vessel.contents.items())
+        filled = more + litres_of(vessel.contents, known)
         if filled > vessel.capacity_l:
             raise DataError(
                 f"{where}: {key}: contents of {filled:.4g} L do not fit in capacity_l = {vessel.capacity_l:g}"
@@ -188,10 +184,7 @@ def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str,
         return  # litre for litre
     mol = start.contents[str(draw.material)]
     least, most = changed_limits(draw, mol)
-    material = known[str(draw.material)]
-    litres = {name: n * known[name].molar_mass_g_mol / known[name].density_kg_l for name, n in start.contents.items()}
-    litres[str(draw.material)] = most * material.molar_mass_g_mol / material.density_kg_l
-    filled = sum(litres.values()) / 1000.0
+    filled = litres_of({**start.contents, str(draw.material): most}, known)
     if not (least >= 0.0 and filled <= start.capacity_l):
         raise DataError(
             f"{where}: {least:g} to {most:g} mol, {filled:.4g} L in all, must be at least 0 and fit in capacity_l = "

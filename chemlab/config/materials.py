@@ -293,3 +293,9 @@ def atoms_of(counts: Mapping[str, float], materials: Mapping[str, Material]) -> 
             totals[element] = totals.get(element, 0.0) + amount * number
         totals["charge"] += amount * materials[key].charge
     return totals
+
+
+def litres_of(contents: Mapping[str, float], materials: Mapping[str, Material]) -> float:
+    """Return the volume in L of ``{material: mol}``, unmixed."""
+    found = ((mol, materials[key]) for key, mol in contents.items())
+    return sum(mol * one.molar_mass_g_mol / one.density_kg_l / 1000.0 for mol, one in found)

@@ -63,6 +63,26 @@ class _Called:
             return np.asarray(actions, dtype=object)
 
 
+class Watching:
+    """Plays as another policy does, and tells of every call.
+
+    Args:
+        policy: the other one. Its memory and its random streams are left alone.
+        told: called with the arguments of :meth:`Policy.act` and the actions.
+    """
+
+    def __init__(self, policy: Policy, told: Callable[..., None]) -> None:
+        self._policy, self._told = policy, told
+
+    def act(
+        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
+    ) -> npt.NDArray[Any]:
+        """See :class:`Policy`."""
+        actions = self._policy.act(observation, mask, step, members)
+        self._told(observation, mask, step, members, actions)
+        return actions
+
+
 class Memory:
     """Memory of a policy for each member of a batch: arrays that are zero at the start of an experiment or episode.
 

@@ -373,7 +373,7 @@ class RoleText:
         for label, channel in channels:
             own = values[channel.name]
             if label == "ticks left":  # a time that stays, so that only news is repeated
-                left = channel.low + float(own[0]) * (channel.high - channel.low)
+                left = channel.unscaled(float(own[0]))
                 cells["due at tick"] = _time(self._tick + left) if left > 0.0 else "overdue"
             elif channel.size > 1 or channel.unit == "one-hot":
                 cells["goal"] = self._words(label, channel, own, label)
@@ -392,7 +392,7 @@ class RoleText:
         warm = labels["temperature"]
         words = [] if value["occupied"] > 0.5 else ["no vessel"]
         words.append(f"{_number(value['fill'] * capacity)}/{_number(capacity)} L")
-        words.append(f"{_number(warm.low + value['temperature'] * (warm.high - warm.low))} K")
+        words.append(f"{_number(warm.unscaled(value['temperature']))} K")
         bench, position = (self._chosen(labels[f"last {which}"], values) for which in ("bench", "position"))
         origin = f"{bench} {self._position(bench, position)}".strip()
         if origin not in ("", "none"):
@@ -447,8 +447,8 @@ class RoleText:
             return ", ".join(f"{name} {number} {unit}".strip() for name, number in pairs)
         if channel.unit.startswith("share"):
             return f"{before} {100.0 * float(values[0]):.3g}%".strip()
-        span = channel.high - channel.low
-        exact = _as_exact_as(self._noise.get(channel.name, 0.0) * span, channel.low + values.astype(np.float64) * span)
+        noise = self._noise.get(channel.name, 0.0) * (channel.high - channel.low)
+        exact = _as_exact_as(noise, channel.unscaled(values.astype(np.float64)))
         scaled = [_number(value) for value in exact.tolist()]
         unit = "" if channel.unit in ("fraction", "mole fraction", *label.split()) else f" {channel.unit}"
         if channel.size == 1:

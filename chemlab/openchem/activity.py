@@ -12,13 +12,13 @@ from __future__ import annotations
 import functools
 import itertools
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from ..config.catalogue import IDEAL_PAIR, CataloguePair
+from ..config.catalogue import IDEAL, IDEAL_PAIR, CataloguePair
 from ..config.datafile import DataError
 from ..config.extras import needs
 from ..config.materials import Material
@@ -56,9 +56,6 @@ APOLAR = {"CH3", "CH2", "CH", "C", "CH2=CH", "CH=CH", "CH2=C", "CH=C", "ACH", "A
 For the water that they dissolve, the original UNIFAC is right within 0.5 (hexane: x = 7e-4, measured 5e-4), and the
 Dortmund form ten times too high.
 """
-
-IDEAL = "estimate: ideal mixture, all activity coefficients 1; no form of UNIFAC has the groups of both"
-"""Source of a pair without any data."""
 
 Groups = dict[int, int]
 
@@ -170,19 +167,20 @@ def _apart(names: tuple[str, str], materials: Mapping[str, Material], form: Mode
     return found is not None and {form.subgroups[number].group for number in found} <= APOLAR
 
 
-def forms_for(names: tuple[str, str], materials: Mapping[str, Material]) -> list[Model]:
-    """Forms of UNIFAC, the best one for two materials first."""
+def _forms(names: tuple[str, str], materials: Mapping[str, Material]) -> Iterator[tuple[Model, list[Groups]]]:
+    """The forms of UNIFAC that have all groups and interactions of two materials, the best first, and their groups."""
     forms = models()
-    return sorted(forms, key=lambda form: form.name != "UNIFAC") if _apart(names, materials, forms[0]) else forms
+    if _apart(names, materials, forms[0]):
+        forms = sorted(forms, key=lambda form: form.name != "UNIFAC")
+    for form in forms:
+        groups = [found for name in names if (found := form.groups(name, materials[name])) is not None]
+        if len(groups) == len(names) and not form.lacks(groups):
+            yield form, groups
 
 
 def best_form(names: tuple[str, str], materials: Mapping[str, Material]) -> tuple[Model, list[Groups]] | None:
     """Return the form of UNIFAC for two materials, and their groups in it; None if no form has all groups."""
-    for form in forms_for(names, materials):
-        groups = [found for name in names if (found := form.groups(name, materials[name])) is not None]
-        if len(groups) == len(names) and not form.lacks(groups):
-            return form, groups
-    return None
+    return next(_forms(names, materials), None)
 
 
 def pair_row(names: Sequence[str], found: Fit, low_k: float, high_k: float, source: str) -> dict[str, Any]:
@@ -308,10 +306,7 @@ def _curve(two: tuple[str, str], materials: Mapping[str, Material], curves: dict
     Returns:
         Its key there, None where no form is sound.
     """
-    for form in forms_for(two, materials):
-        groups = [found for name in two if (found := form.groups(name, materials[name])) is not None]
-        if len(groups) < 2 or form.lacks(groups):
-            continue
+    for form, groups in _forms(two, materials):
         key = (form.name, *(tuple(sorted(found.items())) for found in groups))
         if key in curves:
             return key

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..config.datafile import DataError
-from ..config.materials import Material
+from ..config.materials import Material, litres_of
 from ..config.pairs import Pair, log_activity_coefficients, pair_table
 from ..config.reactions import Reaction, ReactionFamily
 from ..config.scenario import SAFETY_EVENTS, RealSpec
@@ -154,8 +154,7 @@ def _dilute(
     """Return the activity coefficient at infinite dilution, per litre instead of per mole of solvent, at 298.15 K."""
     tau = pair_table((solute, solvent), pairs).tau(ROOM_K)
     gamma = log_activity_coefficients(np.array([0.0, 1.0]), tau, pair_table((solute, solvent), pairs).alpha)[0]
-    liquid = materials[solvent]
-    return math.exp(float(gamma)) * liquid.molar_mass_g_mol / liquid.density_kg_l / 1000.0
+    return litres_of({solvent: math.exp(float(gamma))}, materials)
 
 
 def _tick(
@@ -236,13 +235,9 @@ def _column(goal: str, others: Collection[str], materials: Mapping[str, Material
     return min(max(math.ceil(stages), 1), _MOST_STAGES), 1.0 if stages < 6.0 else 3.0
 
 
-def _litres(contents: Mapping[str, float], materials: Mapping[str, Material]) -> float:
-    return sum(n * materials[k].molar_mass_g_mol / materials[k].density_kg_l / 1000.0 for k, n in contents.items())
-
-
 def _charge_litres(fed: Mapping[str, float], mol: float, materials: Mapping[str, Material]) -> float:
     """Return the volume of a reaction's contents, solvent included."""
-    return max(mol / _MOL_PER_L, 1.2 * _litres(fed, materials))
+    return max(mol / _MOL_PER_L, 1.2 * litres_of(fed, materials))
 
 
 def check_design(
@@ -312,8 +307,8 @@ def design(
     check_design(goal, solvent, family, materials, mol)
     fed = {key: significant(amount, 3) for key, amount in feeds(goal, family, mol).items()}
     litre = _charge_litres(fed, mol, materials)
-    liquid = max(litre - _litres(fed, materials), 0.2 * litre)
-    in_solvent = significant(liquid * 1000.0 * materials[solvent].density_kg_l / materials[solvent].molar_mass_g_mol, 3)
+    liquid = max(litre - litres_of(fed, materials), 0.2 * litre)
+    in_solvent = significant(liquid / litres_of({solvent: 1.0}, materials), 3)
     strange = [key for key in _catalysts(goal, family) if key not in fed]
     catalysts = {key: significant(_CATALYST * mol, 3) for key in strange if key != solvent}
     reacts = {key for step in family.violent if step.event != "none" for key in step.reactants}
@@ -394,7 +389,7 @@ def _washes(
         return False
 
     def stays(key: str) -> float:
-        inside = _litres({key: 1.0}, materials) if key == solvent else _dilute(key, solvent, materials, pairs)
+        inside = litres_of({key: 1.0}, materials) if key == solvent else _dilute(key, solvent, materials, pairs)
         return _dilute(key, WATER, materials, pairs) / inside
 
     if stays(solvent) < _SOLVENT_STAYS or stays(goal) < _STAYS:

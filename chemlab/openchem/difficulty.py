@@ -35,9 +35,8 @@ from ..config.loading import load_scenario
 from ..config.scenario import MANAGER_AGENT, Scenario
 from ..envs.players import as_policy
 from ..envs.role_env import RoleVectorEnv
-from ..kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
+from ..kernels.arrays import IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
-from ..physics.chemistry import AMOUNTS
 from ..roles.bench import channel_slices
 from ..roles.manager_actions import WAIT
 from ..roles.reaction_bench import ReactionBench, ReactionOptions
@@ -96,11 +95,11 @@ class _Constant:
     """
 
     def __init__(self, bench: ReactionBench, recipes: list[tuple[float, tuple[str, ...]]], wanted: set[str]) -> None:
-        slices = channel_slices(bench.channels)
+        slices, channels = channel_slices(bench.channels), {channel.name: channel for channel in bench.channels}
         # With a jacket, the jacket's temperature is set.
-        self._gauge = slices["jacket" if "jacket" in slices else "temperature"].start
-        self._pressure = slices["pressure"].start
-        self._span = bench.options.temperature_k
+        self._channel = channels.get("jacket", channels["temperature"])
+        self._gauge, self._pressure = slices[self._channel.name].start, slices["pressure"].start
+        self._step_k = bench.options.temperature_k.step
         self._steps = max(round(_SLOWLY * bench.step_limit), 1)
         names = bench.reagent_names
         self._kelvin = np.array([kelvin for kelvin, _ in recipes])
@@ -109,9 +108,8 @@ class _Constant:
 
     def act(self, observation: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
         """Return the actions [B, n]."""
-        low, high, most = self._span.low, self._span.high, self._span.step
-        now = low + observation[:, self._gauge] * (high - low)
-        turn = np.clip(0.5 + (self._kelvin - now) / (2.0 * most), 0.0, 1.0)
+        now = self._channel.unscaled(observation[:, self._gauge])
+        turn = np.clip(0.5 + (self._kelvin - now) / (2.0 * self._step_k), 0.0, 1.0)
         close = observation[:, self._pressure] > _SAFE_PRESSURE
         turn = np.where(close, np.minimum(turn, 0.5), turn)
         # The share of the remainder that gives equal portions.
@@ -143,10 +141,10 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     assert isinstance(env.bench, ReactionBench)
     policy = _Constant(env.bench, recipes, wanted)
     observation, _ = env.reset(seed=0, options={"goal": goal})
-    before = _totals(env)
+    before = env.batch.shelf.total()
     for step in range(env.bench.step_limit):
         observation, *_ = env.step(policy.act(observation, step).astype(np.float32))
-    change = _totals(env) - before
+    change = env.batch.shelf.total() - before
     column = {name: i for i, name in enumerate(env.bench.layout.materials)}
     made = change[:, column[goal]]
     used = np.stack([-change[:, column[name]] / mol for name, mol in needed.items()]).max(axis=0)
@@ -154,14 +152,6 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     kelvin, slow = recipes[best]
     most = scenario.theoretical_maximum_mol.get(goal, 1.0)
     return Conditions(round(kelvin, 1), slow, float(made[best] / most), float(made[best] / max(used[best], _TRACE_MOL)))
-
-
-def _totals(env: RoleVectorEnv) -> FloatArray:
-    """Return [N, M] mol of each material in bottles, vessels and waste."""
-    shelf = env.batch.shelf
-    inside = shelf.vessels[:, :, AMOUNTS : AMOUNTS + shelf.stock.shape[1]]
-    total: FloatArray = shelf.stock + shelf.waste + inside.sum(axis=1)
-    return total
 
 
 def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:

@@ -24,7 +24,7 @@ from ..config.datamodel import validated
 from ..config.files import check_new, check_target, write_texts
 from ..config.inherit import completed
 from ..config.loading import restore_scenario
-from ..config.materials import Material, shipped_materials
+from ..config.materials import Material, litres_of, shipped_materials
 from ..config.reactions import ReactionFamily, side_words
 from ..config.scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario
 from ..physics.constants import GAS_CONSTANT
@@ -275,20 +275,17 @@ def _solvent(draws: Draws, materials: Mapping[str, Material], goals: list[str]) 
 
 def _mol(feeds: Sequence[str], materials: Mapping[str, Material]) -> float:
     """Return the equal amount of each feed in mol; the route consumes them completely."""
-    litres = sum(materials[name].molar_mass_g_mol / materials[name].density_kg_l for name in feeds) / 1000.0
-    return min(significant(_FEEDS_L / litres, 2), _MOL)
+    return min(significant(_FEEDS_L / litres_of(dict.fromkeys(feeds, 1.0), materials), 2), _MOL)
 
 
 def _paper(
     head: Mapping[str, Any], network: Network, goals: list[str], materials: Mapping[str, Material], solvent: str
 ) -> dict[str, Any]:
     """Return a scenario with the backend ``paper``, after ``fictitious``: a reaction bench and a distillation bench."""
-    liquid, mol = shipped_materials()[solvent], _mol(network.feeds, materials)
+    mol = _mol(network.feeds, materials)
     feeds = dict.fromkeys(network.feeds, mol)
-    solvents = [
-        {solvent: significant(1000.0 * litres * liquid.density_kg_l / liquid.molar_mass_g_mol, 3)}
-        for litres in _SOLVENT_L
-    ]
+    each = litres_of({solvent: 1.0}, shipped_materials())
+    solvents = [{solvent: significant(volume / each, 3)} for volume in _SOLVENT_L]
     others = {name: significant(0.1 * mol, 2) for name in (*network.byproducts, *network.coproducts)}
     crude = {"capacity_l": _CAPACITY_L, "contents": {**solvents[0], **others}, "goal_mol": significant(0.7 * mol, 2)}
     benches = {

@@ -41,6 +41,21 @@ def _known_options(options: Mapping[str, Any]) -> dict[str, Any]:
     return {key: int(value) if isinstance(value, np.integer) else value for key, value in given.items()}
 
 
+def turn_facts(labs: Laboratories, member: int, plays: Sequence[Play]) -> dict[str, Any]:
+    """Return what the turn just played has brought each agent, without what is zero or empty: ``rewards``, ``cost``,
+    ``events``, ``scores`` of experiments that ended, and in ``lost`` the agents whose actions were not legal.
+    """
+    agents, played = labs.agents, [(play.agent, labs.agents[play.agent]) for play in plays]
+    facts = {
+        "rewards": {name: x for name, x in zip(agents, labs.rewards[member].tolist(), strict=True) if x},
+        "cost": {name: x for name, x in zip(agents, labs.cost[member].tolist(), strict=True) if x},
+        "lost": [name for number, name in played if labs.illegal(number)[member]],
+        "events": {name: own for number, name in played if (own := labs.events(number, member))},
+        "scores": {name: x for name, x in zip(agents, labs.scores[member].tolist(), strict=True) if x == x},
+    }
+    return {key: fact for key, fact in facts.items() if fact}
+
+
 class Witness:
     """Describes the events in one laboratory as the lines of a record; created right after the laboratory's reset.
 
@@ -109,30 +124,14 @@ class Witness:
         """Return the line of a turn (or a round of several agents) right after it."""
         labs, m = self._labs, self._m
         line: dict[str, Any] = {"turn": self.turns, "tick": tick, "play": {}}
-        lost, events = [], {}
         for play in plays:
-            agent = labs.agents[play.agent]
             action = np.asarray(play.action)
             # The action as the simulator uses it: a policy's float32 as float64.
             recorded = action.astype(np.float64).tolist() if action.dtype.kind == "f" else action.tolist()
-            line["play"][agent] = [seen_hash(play.observation, play.mask), recorded]
-            if labs.illegal(play.agent)[m]:
-                lost.append(agent)
-            if happened := labs.events(play.agent, m):
-                events[agent] = happened
-        for key, values in (("rewards", labs.rewards[m]), ("cost", labs.cost[m])):
-            found = {agent: value for agent, value in zip(labs.agents, values.tolist(), strict=True) if value}
-            if found:
-                line[key] = found
+            line["play"][labs.agents[play.agent]] = [seen_hash(play.observation, play.mask), recorded]
+        line |= turn_facts(labs, m, plays)
         for agent, reward in line.get("rewards", {}).items():
             self.rewards[agent] += reward
-        if lost:
-            line["lost"] = lost
-        if events:
-            line["events"] = events
-        ended = {agent: s for agent, s in zip(labs.agents, labs.scores[m].tolist(), strict=True) if s == s}
-        if ended:
-            line["scores"] = ended
         for play in plays:
             if reading := labs.roles[play.agent].reading(play.action, m):
                 line["reading"] = reading

@@ -17,7 +17,17 @@ import numpy as np
 import numpy.typing as npt
 
 from .canvas import Box, Canvas, Image, ImageDraw, TextBox, text_width
-from .scene import BenchPicture, ChannelPicture, LayerPicture, MaterialPicture, Scene, SlotPicture, VesselPicture
+from .scene import (
+    EVENT_WORDS,
+    BenchPicture,
+    ChannelPicture,
+    LayerPicture,
+    MaterialPicture,
+    Scene,
+    SlotPicture,
+    VesselPicture,
+    event_words,
+)
 
 _UNITS = (960.0, 540.0)
 _SMALLEST = (480, 270)
@@ -41,14 +51,6 @@ _LEAST_BESIDE = 60.0
 """Width and height below which nothing is drawn beside a bench's vessel."""
 _LOWEST_GLASS = 10.0
 """Minimum height of a vessel; lower ones are not drawn."""
-
-_EVENT_WORDS = {
-    "spill_l": ("spilled", " L"),
-    "relief_valve_mol": ("relief valve", " mol"),
-    "boiled_dry": ("boiled dry", "x"),
-    "dry_heating": ("heated dry", "x"),
-    "metal_in_water_mol": ("metal in water", " mol"),
-}
 
 
 class GlassBox(NamedTuple):
@@ -187,14 +189,7 @@ def draw_vessel(scene: Scene, width: int = 240, height: int = 240) -> npt.NDArra
     rows = _legend_rows(held, width - 8.0, 1.0)
     y = height - 15.0 * len(rows) - 4.0
     _Painter(scene, canvas).vessel(vessel, "shelf", _Rect(4.0, 4.0, width - 4.0, y), False)
-    for row in rows:
-        x = 4.0
-        for material in row:
-            _chip(canvas, x, y + 1.5, material)
-            wide = min(_legend_width(material, 1.0), width - 8.0)
-            canvas.text(x + _TAG_WIDTH + 5.0, y + 11.0, material.name, 10.0, SOFT, room=wide - _TAG_WIDTH - 5.0)
-            x += wide
-        y += 15.0
+    _legend(canvas, rows, 4.0, y, width - 8.0)
     return np.array(canvas.image)
 
 
@@ -235,6 +230,19 @@ def _legend_rows(materials: Sequence[MaterialPicture], room: float, scale: float
     return rows
 
 
+def _legend(canvas: Canvas, rows: list[list[MaterialPicture]], left: float, top: float, room: float) -> None:
+    """Draw rows of the legend, each material at most ``room`` units wide."""
+    for i, row in enumerate(rows):
+        x, y = left, top + 15.0 * i
+        for material in row:
+            _chip(canvas, x, y + 1.5, material)
+            wide = min(_legend_width(material, canvas.scale), room)
+            canvas.text(
+                x + _TAG_WIDTH + 5.0, y + 11.0, _legend_name(material), 10.0, SOFT, room=wide - _TAG_WIDTH - 15.0
+            )
+            x += wide
+
+
 def _columns(count: int, rect: _Rect, shapes: Sequence[int]) -> int:
     """Choose the number of grid columns that gives the benches' vessels the most room."""
 
@@ -269,7 +277,7 @@ def _plan(still: _Still, width: int, height: int) -> _Plan:
     )
     # The sidebar around the stock takes these lines: result and costs; waste and every kind of safety event; the key.
     before = 38.0 + 8 * _LINE if still.kind == "laboratory" else 0.0
-    fitting = int((sidebar.height - before - (3 + len(_EVENT_WORDS)) * _LINE - 24.0 - _KEY) / _LINE)
+    fitting = int((sidebar.height - before - (3 + len(EVENT_WORDS)) * _LINE - 24.0 - _KEY) / _LINE)
     stock_lines = len(still.stock) if len(still.stock) <= fitting else max(fitting - 1, 0)
     return _Plan(header, sidebar, legend, shelf, benches, tuple(slots), tuple(cards), stock_lines)
 
@@ -294,17 +302,9 @@ def _background(still: _Still, width: int, height: int) -> tuple[Image.Image, tu
     canvas.line([(plan.legend.left, y - 3.0), (plan.legend.right, y - 3.0)], EDGE)
     rows = _legend_rows(still.materials, plan.legend.width - 8.0, scale)
     left_out = len(still.materials) - sum(len(row) for row in rows)
-    for row in rows:
-        x = plan.legend.left
-        for material in row:
-            _chip(canvas, x, y + 1.5, material)
-            wide = _legend_width(material, scale)
-            room = wide - _TAG_WIDTH - 15.0
-            canvas.text(x + _TAG_WIDTH + 5.0, y + 11.0, _legend_name(material), 10.0, SOFT, room=room)
-            x += wide
-        y += 15.0
+    _legend(canvas, rows, plan.legend.left, y, plan.legend.width)
     if left_out:
-        canvas.text(plan.legend.right, y - 4.0, f"+{left_out} more", 10.0, SOFT, "right")
+        canvas.text(plan.legend.right, plan.legend.bottom - 4.0, f"+{left_out} more", 10.0, SOFT, "right")
     return canvas.image, tuple(canvas.texts), plan
 
 
@@ -389,11 +389,6 @@ def _number(value: float) -> str:
     return f"{value:.{places}f}"
 
 
-def _event(kind: str, value: float) -> tuple[str, str]:
-    word, unit = _EVENT_WORDS.get(kind, (kind.replace("_", " "), ""))
-    return word, f"{value:.3g}{unit}"
-
-
 class _Painter:
     """Draws the dynamic parts of one scene."""
 
@@ -459,7 +454,7 @@ class _Painter:
         y = self._section(left, right, y - 4.0, "Waste", f"{scene.waste_l:.3f} L")
         y = self._section(left, right, y - 7.0, "Safety events", "" if scene.safety else "none")
         for kind, value in scene.safety:
-            word, amount = _event(kind, value)
+            word, amount = event_words(kind, value)
             canvas.text(left, y, word, 10.0, ORANGE)
             canvas.text(right, y, amount, 10.0, ORANGE, "right")
             y += _LINE
@@ -676,7 +671,7 @@ class _Painter:
             canvas.card(rect.left, rect.top, rect.right, rect.bottom, CARD, BLUE, width=max(canvas.px(2.0), 1))
         name = canvas.text(left, rect.top + 16.0, bench.agent, 12.0, INK if bench.busy else FAINT)
         tall = rect.height > 160.0
-        words = ", ".join(" ".join(_event(*event)) for event in bench.events)
+        words = ", ".join(" ".join(event_words(*event)) for event in bench.events)
         if bench.busy:
             count, room = f"step {bench.step}/{bench.step_limit}", right - left - name - 4.0
             steps = canvas.text(right, rect.top + 16.0, count, 10.0, SOFT, "right", room=room)

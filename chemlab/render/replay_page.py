@@ -17,7 +17,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from ..lab.engine import Laboratories
@@ -25,9 +24,10 @@ from ..lab.text import action_words, reading_words
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..physics.transfer import liquid_volume
 from ..record import Play, Record, RecordError, Replay, verify_record
+from ..record.recorder import turn_facts
 from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_ITEMS
-from .scene import Camera, Scene, laboratory_scene
+from .scene import Camera, Scene, event_words, laboratory_scene
 
 _DIGITS = 4
 _LONG = 30
@@ -38,13 +38,6 @@ _INLINE = 3
 """Longest tuple that is not an entry of the pool."""
 MOST_TURNS = 20_000
 """Maximum number of turns of a page; browsers cannot show longer ones."""
-_EVENT_WORDS = {
-    "spill_l": "{:.3g} L spilled",
-    "relief_valve_mol": "{:.3g} mol lost through the relief valve",
-    "boiled_dry": "boiled dry",
-    "dry_heating": "heated without liquid",
-    "metal_in_water_mol": "{:.3g} mol of metal met water",
-}
 
 
 @functools.lru_cache(maxsize=4096)
@@ -124,7 +117,7 @@ def _outcome(labs: Laboratories, turn: dict[str, Any], plays: Sequence[Play]) ->
     """Describe the outcome of a turn in words."""
     words = ["invalid action: it had no effect"] if turn.get("lost") else []
     for agent, events in turn.get("events", {}).items():
-        words += [f"safety, {agent}: {_EVENT_WORDS.get(kind, kind).format(x)}" for kind, x in events.items()]
+        words += [f"safety, {agent}: {' '.join(event_words(kind, x))}" for kind, x in events.items()]
     for agent, score in turn.get("scores", {}).items():
         meaning = labs.roles[labs.agents.index(agent)].workplace.score_meaning
         words.append(f"experiment of {agent} over: {score:+.3f} {meaning}")
@@ -334,22 +327,10 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
 
 def _turn(labs: Laboratories, plays: Sequence[Play]) -> dict[str, Any]:
     """Return the non-empty rewards, costs, events and scores of the turn just played."""
-    found: dict[str, Any] = {}
-    for key, values in (("rewards", labs.rewards[0]), ("cost", labs.cost[0]), ("scores", labs.scores[0])):
-        entries = {
-            agent: float(f"{value:.6g}")
-            for agent, value in zip(labs.agents, values.tolist(), strict=True)
-            if np.isfinite(value) and (value or key == "scores")
-        }
-        if entries:
-            found[key] = entries
-    lost = [labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0]]
-    events = {labs.agents[play.agent]: own for play in plays if (own := labs.events(play.agent))}
-    if lost:
-        found["lost"] = lost
-    if events:
-        found["events"] = events
-    if _managed(labs, plays) and not lost:
+    found = turn_facts(labs, 0, plays)
+    for key in {"rewards", "cost", "scores"} & found.keys():
+        found[key] = {agent: float(f"{value:.6g}") for agent, value in found[key].items()}
+    if _managed(labs, plays) and "lost" not in found:
         kind, *arguments = labs.actions.decode(int(plays[0].action))
         if kind == "measure":
             found["reading"] = {"slot": arguments[0], "instrument": arguments[1]}

@@ -36,10 +36,24 @@ from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
 MIXTURE_SLICES = 40
 _SEPARATED = 1e-3
 """A profile within this distance of the stacked layers is drawn as stacked layers."""
+EVENT_WORDS = {
+    "spill_l": ("spilled", " L"),
+    "relief_valve_mol": ("relief valve", " mol"),
+    "boiled_dry": ("boiled dry", "x"),
+    "dry_heating": ("heated dry", "x"),
+    "metal_in_water_mol": ("metal in water", " mol"),
+}
+"""Safety events in words, and the units of their amounts."""
 _UNKNOWN = ("#b9cbd8", "#dbe6ee", "#c9d3bf", "#e6dfcf")
 """Colours of layers whose materials are not known, from the bottom up."""
 _SHOWN_MOL = 5e-6
 """Amount in mol below which a material is not drawn."""
+
+
+def event_words(kind: str, amount: float) -> tuple[str, str]:
+    """A safety event in words, and its amount with its unit."""
+    words, unit = EVENT_WORDS.get(kind, (kind.replace("_", " "), ""))
+    return words, f"{amount:.3g}{unit}"
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,10 @@ class Channel:
     high: float
     meaning: str
 
+    def unscaled(self, values: Any) -> Any:
+        """Return numbers in [0, 1] in the channel's unit."""
+        return self.low + values * (self.high - self.low)
+
 
 def told_channel(names: Sequence[str], size: int) -> Channel:
     """Return the channel of revealed hidden parameters."""

@@ -74,7 +74,7 @@ def no_numbers(chemistry: ChemistryTable) -> FloatArray:
 def in_numbers(values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
     """Describe a reading: one number with its unit, or the number of values."""
     if channel.size == 1:
-        return f"{channel.low + values[0] * (channel.high - channel.low):.3f} {channel.unit}"
+        return f"{channel.unscaled(values[0]):.3f} {channel.unit}"
     return f"{channel.size} values of {channel.unit}"
 
 

@@ -407,6 +407,16 @@ class OperationBench(Bench):
     def action_meanings(self) -> list[str]:
         return list(self._meanings)
 
+    def choices(self, kind: str, **wanted: str | None) -> dict[float, int]:
+        """Return {magnitude: action} of the first process of a kind with the wanted vessel, target or material; empty
+        without one."""
+        first = 0
+        for process in self.options.process:
+            if process.kind == kind and all(getattr(process, name) == value for name, value in wanted.items()):
+                return {magnitude: first + i for i, magnitude in enumerate(process.magnitudes)}
+            first += len(process.magnitudes)
+        return {}
+
     def prepare(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
         experiments.changed[members] = True
         self._show(shelf, experiments, members)

@@ -56,6 +56,8 @@ from .models import checked_reaction
 _OPEN = "no effect: the vessel is open"
 _FULLEST = 0.98
 """Share of the vessel that the contents may fill at most when the piston moves in."""
+_WHOLE, _FIRST, _LAST = range(3)
+"""Parts of a step: all of it, the part before the reaction, the part after it."""
 
 
 class Span(DataModel):
@@ -220,26 +222,16 @@ def _conclude(m: int, state: Any, rules: Any, shelf: ShelfArrays, chem: Handle) 
 
 
 @kernel
-def _load_all(
-    members: IntArray, actions: FloatArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
-) -> None:
-    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
-    for b in range(members.shape[0]):
-        _load(members[b], actions[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
-
-
-@kernel
-def _conclude_all(members: IntArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle) -> None:
-    state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
-    for b in range(members.shape[0]):
-        _conclude(members[b], state, rules, arrays, chemistry[arrays.variant[members[b]]])
-
-
-@kernel
 def _step(
-    members: IntArray, actions: FloatArray, experiment: Handle, bench: Handle, shelf: Handle, chemistry: Handle
+    members: IntArray,
+    actions: FloatArray,
+    part: int,
+    experiment: Handle,
+    bench: Handle,
+    shelf: Handle,
+    chemistry: Handle,
 ) -> int:
-    """Step every member with the built-in kinetics: load, react, conclude.
+    """Step every member: load, react by the built-in kinetics, conclude; or do the first or the last of these alone.
 
     Returns:
         The last member in which the reactions were too stiff, -1 if none.
@@ -249,10 +241,12 @@ def _step(
     for b in range(members.shape[0]):
         m = members[b]
         chem = chemistry[arrays.variant[m]]
-        _load(m, actions[b], state, rules, arrays, chem)
-        if _react(m, state, rules, arrays, chem) < 0:
+        if part != _LAST:
+            _load(m, actions[b], state, rules, arrays, chem)
+        if part == _WHOLE and _react(m, state, rules, arrays, chem) < 0:
             stiff = m
-        _conclude(m, state, rules, arrays, chem)
+        if part != _FIRST:
+            _conclude(m, state, rules, arrays, chem)
     return stiff
 
 
@@ -445,7 +439,7 @@ class ReactionBench(Bench):
     def act(self, shelf: Shelf, experiments: Experiments, members: IntArray, actions: npt.NDArray[Any]) -> None:
         handles = self._handles(shelf, experiments)
         if self.model is None:
-            stiff = _step(members, actions, *handles)
+            stiff = _step(members, actions, _WHOLE, *handles)
             if stiff >= 0:
                 raise ArithmeticError(
                     f"{experiments.agent}: the reactions of laboratory {stiff} at "
@@ -454,7 +448,7 @@ class ReactionBench(Bench):
                     f"shorter benches.{self.key}.tick, or smaller rate constants"
                 )
             return
-        _load_all(members, actions, *handles)
+        _step(members, actions, _FIRST, *handles)
         for m in members.tolist():
             row = shelf.rows[experiments.places[m, 0]]
             amounts = row[AMOUNTS : AMOUNTS + len(self.layout.materials)]
@@ -466,7 +460,7 @@ class ReactionBench(Bench):
                 self.options.tick * float(experiments.gain[m, STIR]),
                 self._elements,
             )
-        _conclude_all(members, *handles)
+        _step(members, actions, _LAST, *handles)
 
     def memory(self, experiments: Experiments, members: IntArray) -> list[Quantity]:
         busy = experiments.busy[members][:, None]

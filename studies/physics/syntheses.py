@@ -18,7 +18,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from chemlab import Flask
-from chemlab.config.materials import shipped_materials
+from chemlab.config.materials import litres_of, shipped_materials
 
 GAS = 8.314462618
 MATERIALS = shipped_materials()
@@ -36,15 +36,10 @@ class Row(NamedTuple):
     source: str
 
 
-def litres(contents: Mapping[str, float]) -> float:
-    """Return the volume of unmixed liquids given in mol."""
-    return sum(n * MATERIALS[k].molar_mass_g_mol / MATERIALS[k].density_kg_l / 1000.0 for k, n in contents.items())
-
-
 def filled_up(contents: Mapping[str, float], solvent: str, litre: float = 0.5) -> dict[str, float]:
     """Add solvent to contents until they fill ``litre``."""
-    rest = litre - litres(contents)
-    return {**contents, solvent: rest / litres({solvent: 1.0})}
+    rest = litre - litres_of(contents, MATERIALS)
+    return {**contents, solvent: rest / litres_of({solvent: 1.0}, MATERIALS)}
 
 
 # -- snar -------------------------------------------------------------------------------------------------------------
@@ -69,12 +64,12 @@ def snar_profile(start: tuple[float, float], celsius: float, seconds: float, ami
     k = [at * math.exp(-1000.0 * e / GAS * (1.0 / kelvin - 1.0 / SNAR_KELVIN)) for at, e in SNAR_AT_90_C]
 
     names = (SUBSTRATE, AMINE, *PRODUCTS)
-    litres = np.array([MATERIALS[name].molar_mass_g_mol / MATERIALS[name].density_kg_l / 1000.0 for name in names])
+    each = np.array([litres_of({name: 1.0}, MATERIALS) for name in names])
     first = np.array([*start, 0.0, 0.0, 0.0])
 
     def rates(_: float, mol: np.ndarray) -> list[float]:
         # The volume is a litre at first; with a solid salt (two amines) the liquid's volume decreases.
-        volume = 1.0 + float(litres @ (mol - first)) if amines == 2.0 else 1.0
+        volume = 1.0 + float(each @ (mol - first)) if amines == 2.0 else 1.0
         a, b, ortho, para, _bis = mol / math.sqrt(volume)
         r = k[0] * a * b, k[1] * a * b, k[2] * ortho * b, k[3] * para * b
         return [-r[0] - r[1], -amines * sum(r), r[0] - r[2], r[1] - r[3], r[2] + r[3]]
@@ -160,7 +155,7 @@ def fischer() -> list[Row]:
     rows.append(Row("fischer", "heat of esterification", "kJ/mol", MIXED_HEAT, heat / 1000.0, math.nan, _HEAT_SOURCE))
     rows.append(Row("fischer", "K at 100 C", "", 4.76 / 1.63, equilibrium, math.nan, _SMITH_SOURCE))
     contents = dict(zip((ACID, ALCOHOL, WATER), SMITH, strict=True))
-    litre = litres(contents)  # more than the nominal 1 L, because volumes are additive here
+    litre = litres_of(contents, MATERIALS)  # more than the nominal 1 L, because volumes are additive here
     start = SMITH[0] / litre, SMITH[1] / litre, SMITH[2] / litre
     for minutes, published in ((30, math.nan), (60, math.nan), (120, 0.35), (100_000, 0.54)):
         flask = Flask({**contents, **dict.fromkeys(CATALYST, 0.1 * litre)}, reactions="fischer", capacity_l=2.0)

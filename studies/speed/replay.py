@@ -17,10 +17,10 @@ from typing import Any
 from playwright.sync_api import sync_playwright
 
 from chemlab import raw_env
-from chemlab.agents.episodes import play_episode
+from chemlab.agents.episodes import record_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.inherit import scenario_names
-from chemlab.record import Recorder, read_record
+from chemlab.record import read_record
 from chemlab.render.replay_page import replay_page
 
 FLAGS = ["--no-sandbox", "--disable-gpu"]
@@ -32,8 +32,7 @@ def page_of(name: str, folder: Path) -> Path:
     pages = []
     for seed in range(10):
         path = folder / f"{name}-{seed}.jsonl"
-        with Recorder(path, env.laboratories) as recorder:
-            play_episode(env, make_policies("random", env.laboratories, seed), seed, recorder=recorder)
+        record_episode(path, env, make_policies("random", env.laboratories, seed), seed)
         pages.append(replay_page(read_record(path)))
     page = folder / f"{name}.html"
     page.write_text(max(pages, key=len), encoding="utf-8")

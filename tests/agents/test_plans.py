@@ -111,7 +111,6 @@ def test_every_public_context_gets_a_plan() -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"budget": "huge"}, ["small, full", "'huge'"]),
         ({"budget": 0}, ["at least one plan"]),
         ({"contexts": [("NaCl",)]}, ["dodecane", "NaCl"]),
         ({"contexts": []}, ["none"]),

@@ -11,11 +11,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from chemlab.agents.episodes import play_episode
+from chemlab.agents.episodes import record_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.envs.aec import raw_env
-from chemlab.record import Recorder, verify_record
+from chemlab.record import verify_record
 
 NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60)
 Lines = list[str]
@@ -37,9 +37,8 @@ def record(
 ) -> Lines:
     """An honest episode's lines."""
     env = raw_env(scenario)
-    with Recorder(path, env.laboratories, force=True) as recorder:
-        policies = make_policies(policy, env.laboratories, seed)
-        play_episode(env, policies, seed, policy, options=options, recorder=recorder)
+    policies = make_policies(policy, env.laboratories, seed)
+    record_episode(path, env, policies, seed, options=options, force=True)
     return path.read_text(encoding="utf-8").splitlines()
 
 

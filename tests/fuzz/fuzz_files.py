@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from typer.testing import CliRunner
 
-from chemlab.agents.episodes import play_episode
+from chemlab.agents.episodes import record_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.datafile import DataError, read_json, read_toml
@@ -467,8 +467,7 @@ def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tup
         for name in scenario_names() if turns else ():
             # Compiles kernels, which must not count as a hang: a scripted episode needs all of them.
             env, path = raw_env(name), Path(folder) / f"{name}.jsonl"
-            with Recorder(path, env.laboratories) as recorder:
-                play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
+            record_episode(path, env, make_policies("scripted", env.laboratories, 0), 0)
             assert verify_record(path).status == "ok"
 
     def one(folder: Path, kind: str, rng: np.random.Generator) -> str:

@@ -25,12 +25,12 @@ from fuzz_files import campaign, change, main, scribble
 from typer.testing import CliRunner
 
 from chemlab.agents.demonstrations import demonstrations
-from chemlab.agents.episodes import play_episode
+from chemlab.agents.episodes import record_episode
 from chemlab.agents.policies import make_policies
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
 from chemlab.envs.aec import raw_env
-from chemlab.record import Recorder, RecordError, read_record, verify_record
+from chemlab.record import RecordError, read_record, verify_record
 from chemlab.render.charts import draw_moles, draw_spectra, draw_timeline
 from chemlab.render.replay_page import replay_page
 
@@ -98,8 +98,7 @@ def honest(folder: Path) -> list[bytes]:
     found = []
     for name, policy, stop in SOURCES:
         env, path = raw_env(name), folder / f"{name}.jsonl"
-        with Recorder(path, env.laboratories, policies={"manager_0": policy}) as recorder:
-            play_episode(env, make_policies(policy, env.laboratories, 1), 1, policy, recorder=recorder)
+        record_episode(path, env, make_policies(policy, env.laboratories, 1), 1, policy)
         found.append(b"".join(path.read_bytes().splitlines(keepends=True)[:stop]))
     return found
 

@@ -154,7 +154,7 @@ def worst(scene: Scene) -> Scene:
         orders=tuple(dataclasses.replace(order, goal=long, filled=True) for order in scene.orders) * 4,
         result=-12.3456,
         costs=tuple((item, 12.3456) for item, _ in scene.costs),
-        safety=tuple((kind, 1234.5678) for kind in drawing._EVENT_WORDS),
+        safety=tuple((kind, 1234.5678) for kind in drawing.EVENT_WORDS),
         stock=tuple(dataclasses.replace(b, material=f"{b.material} {long}", mol=9999.0) for b in scene.stock) * 3,
         waste_l=1234.5,
         benches=benches,
