@@ -781,5 +781,11 @@ def test_a_role_of_a_laboratory_is_a_task() -> None:
     bench = LaboratoryTask("wurtz_dodecane", "ext_0")
     expected = [result.rewards["ext_0"] for result in results]
     assert bench.returns(bench.policy("scripted"), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
+    one = LaboratoryTask("wurtz_any", goals=("dodecane",))
+    batch = one.batch(20)
+    batch.reset(seed=0)
+    asked = batch.laboratories.scenario.goals
+    assert {asked[goal] for goal in batch.laboratories.state.goal[:, 0]} == {"dodecane"}
+    assert one.fingerprint == LaboratoryTask("wurtz_any").fingerprint
     with pytest.raises(ValueError, match="goals: wurtz_dodecane asks for dodecane, given gold"):
         LaboratoryTask("wurtz_dodecane", goals=("gold",))
