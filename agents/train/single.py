@@ -107,6 +107,8 @@ class Agent(Trainee):
         self._stages = curriculum_of(a, tuple(task.scenario.benches))
         self._stage: Stage | None = None
         self._hints: str | None = getattr(a, "hints", None)
+        self._shown: str | None = getattr(a, "bc", None) or self._hints
+        self.has_policy = self._shown is not None
         self._taken: PretrainedPolicy | None = None
         self.config = self.described(a.scenario, task.agent, list(task.goals), task.fingerprint)
 
@@ -137,10 +139,9 @@ class Agent(Trainee):
     def _clone(self) -> float:
         """Clone the policy of ``bc`` or ``hints``, if there is one; return the seconds that takes."""
         a, begun = self.arguments, time.perf_counter()
-        shown = getattr(a, "bc", None) or self._hints
-        if shown is not None:
+        if self._shown is not None:
             more = {"spread": a.bc_std} if hasattr(a, "bc_std") else {}
-            batch, teacher, hinted = self._task.batch(a.envs), self._task.policy(shown, a.seed), self._hints is not None
+            batch, teacher, hinted = self._task.batch(a.envs), self._task.policy(self._shown, a.seed), self._hints is not None
             imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, **more)  # type: ignore[attr-defined]
         return time.perf_counter() - begun
 

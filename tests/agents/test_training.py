@@ -136,6 +136,25 @@ def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path)
     assert not np.array_equal(weights_of(other, algo), weights_of(whole, algo))
 
 
+class _StopBefore(Watcher):
+    """Stops a run after the evaluation before it learns."""
+
+    def evaluated(self, evaluation: Any, best: bool) -> None:
+        raise Killed
+
+
+def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(tmp_path: Path) -> None:
+    arguments = small("maskable-ppo", bc="scripted", bc_steps=50)
+    whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
+    train(arguments, whole.path)
+    assert [one.step for one in whole.evaluations()] == [0, 128, 256, 384]
+    assert whole.checkpoint("first") == whole.checkpoints / "first-0"
+    with pytest.raises(Killed):
+        train(arguments, broken.path, _StopBefore())
+    train(arguments, broken.path)
+    assert without_times(broken) == without_times(whole)
+
+
 def test_a_crash_after_the_last_step(tmp_path: Path) -> None:
     """Only the final evaluation is missing: it is made up for, and nothing is trained."""
     arguments, whole, broken = small("a2c"), Run(tmp_path / "whole"), Run(tmp_path / "broken")
