@@ -289,22 +289,25 @@ class _Learner:
         """Begin with the weights of a policy; the critic learns alone at first.
 
         Raises:
-            ValueError: the policy has other layers.
+            ValueError: the policy has other layers, or observes hints, or notes that this learner has not.
         """
+        card, width = policy.card, policy.weights["0.weight"].shape[1]
+        if card.advice is not None:
+            raise ValueError(f"{card.name} observes the hints of {card.advice}, which ippo and mappo do not give")
+        if card.notes and width > self.size:
+            raise ValueError(f"{card.name} observes its notes, which are off here; add --notes")
         linear = [layer for layer in self.network.actor if isinstance(layer, nn.Linear)]
         sizes = [len(policy.weights[f"{i}.bias"]) for i in range(sum("bias" in name for name in policy.weights))]
-        if sizes != [layer.out_features for layer in linear] or policy.card.memory or policy.card.activation != "tanh":
+        if sizes != [layer.out_features for layer in linear] or card.memory or card.activation != "tanh":
             raise ValueError(
-                f"{policy.card.name} has hidden layers {sizes[:-1]} ({policy.card.activation}, memory "
-                f"{policy.card.memory}); give others with --net-arch, which are tanh without memory"
+                f"{card.name} has hidden layers {sizes[:-1]} ({card.activation}, memory {card.memory}); "
+                "give others with --net-arch, which are tanh without memory"
             )
         with torch.no_grad():
             for i, layer in enumerate(linear):
                 weight = policy.weights[f"{i}.weight"]
-                if i == 0 and weight.shape[1] > self.size:
-                    raise ValueError(f"{policy.card.name} observes its notes, which are off here; add --notes")
                 if i == 0:  # a policy may have been trained without notes
-                    weight = self.seen(np.pad(weight, ((0, 0), (0, self.size - weight.shape[1]))))
+                    weight = self.seen(np.pad(weight, ((0, 0), (0, self.size - width))))
                 layer.weight.copy_(torch.from_numpy(weight))
                 layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
             if LOG_STD in policy.weights:
@@ -897,14 +900,14 @@ class PPOTeam:
             batches[role_of(agent)].append(found)
         learned = 0
         for role in learning:
-            parts = batches[role]
+            parts, critic_alone = batches[role], self.learners[role].critic_first > 0
             batch = joined(parts)
             count = len(batch["advantage"])  # type: ignore[arg-type]
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
                 if role == MANAGER_ROLE:
                     self.learners[role].normalize(np.asarray(batch["observed" if batch["seen"] is None else "seen"]))
-            if self._best is not None and role == MANAGER_ROLE:
+            if self._best is not None and role == MANAGER_ROLE and not critic_alone:
                 self._best.learn(self.learners[role], self.rng)
             learned += count
         return learned

@@ -465,6 +465,17 @@ def test_a_policy_to_begin_from_has_no_shared_weights_and_learns_in_small_steps(
         IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
 
 
+def test_while_the_critic_learns_alone_no_own_turns_are_learned_again() -> None:
+    made = managers("rush", tied=False, self_imitation=1.0, net_arch=(256, 256), rollout=200)
+    made.learners["manager"].take(load_pretrained("rush_manager"))
+    made.learners["manager"].critic_first, again = 2, list[int]()
+    assert made._best is not None
+    made._best.learn = lambda learner, rng: again.append(learner.critic_first)  # type: ignore[method-assign]
+    for rounds in range(3):
+        made.learn(0.0, rounds)
+    assert len(again) == 1
+
+
 def test_a_policy_to_begin_from_plays_as_before_when_its_observation_is_normalized() -> None:
     """Its critic is new, and learns at the rate of learning from nothing."""
     learner = managers("rush", tied=False, learning_rate=1e-4, net_arch=(256, 256)).learners["manager"]
@@ -506,4 +517,8 @@ def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
     blind = managers("failing", tied=False, notes=False, net_arch=hidden).learners["manager"]
     with pytest.raises(ValueError, match="observes its notes, which are off here; add --notes"):
         blind.take(load_pretrained(tmp_path / "own"))
-    managers("failing", tied=False, net_arch=hidden).learners["manager"].take(load_pretrained(tmp_path / "own"))
+    own = load_pretrained(tmp_path / "own")
+    managers("failing", tied=False, net_arch=hidden).learners["manager"].take(own)
+    own.card = own.card.model_copy(update={"notes": False, "advice": "scripted"})
+    with pytest.raises(ValueError, match="observes the hints of scripted, which ippo and mappo do not give"):
+        managers("failing", tied=False, net_arch=hidden).learners["manager"].take(own)
