@@ -61,7 +61,7 @@ class Watcher:
 class Progress:
     """State of the loop, stored in each checkpoint.
 
-    ``seconds`` is wall time over all sittings; ``sampled`` says how the policy was played in the last evaluation.
+    ``seconds`` is wall time over all sittings; ``sampled`` says how the policy plays: as in the last evaluation, at first as ``play`` says.
     """
 
     step: int = 0
@@ -117,7 +117,7 @@ class Trainee(ABC):
 
     @abstractmethod
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
-        """Evaluate the policy, sampled or greedy: mean return by goal."""
+        """Evaluate the policy, sampled or greedy (after :meth:`take`, as its card says): mean return by goal."""
 
     @abstractmethod
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
@@ -244,6 +244,8 @@ def train_in_rounds(run: Run, trainee: Trainee, progress: Progress, watcher: Wat
             if evaluation is not None:
                 watcher.evaluated(evaluation, best)
 
+        if p.best_step is None:
+            p.sampled = getattr(a, "play", "greedy") == "sampled"
         if trainee.has_policy and p.best_step is None:
             assess(evaluate=True, save=True)
         while p.step < total:

@@ -18,7 +18,6 @@ from stable_baselines3.common.noise import NormalActionNoise
 from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import as_policy
 
-from ..former_names import GREEDY, SAMPLED
 from ..learners import LEARNERS
 from ..pretrained import PretrainedPolicy, load_pretrained, save_policy
 from ..recurrent import MaskedLstmPolicy
@@ -162,8 +161,7 @@ class Agent(Trainee):
         if self._taken is None and not sampled:
             player = self._player
         else:
-            policy = self._taken or self._policy(0, None)
-            player = self._task.advised(policy.as_played(SAMPLED if sampled else GREEDY), self._hints)
+            player = self._task.advised(self._taken or self._policy(0, None, sampled), self._hints)
         return self._task.by_goal(player, episodes, seed)
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
@@ -173,11 +171,11 @@ class Agent(Trainee):
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         save_agent(self._run, folder, self.model, self.venv, vars(progress))
-        policy = self._policy(progress.step, evaluation)
+        policy = self._policy(progress.step, evaluation, progress.sampled)
         save_policy(folder / policy.card.name, policy.card, policy.weights)
 
-    def _policy(self, step: int, evaluation: Evaluation | None) -> PretrainedPolicy:
-        """Return the learner's policy as it is exported."""
+    def _policy(self, step: int, evaluation: Evaluation | None, sampled: bool) -> PretrainedPolicy:
+        """Return the learner's policy as it is exported, sampled or greedy."""
         return learned_policy(
             self.model,
             self._task.workplace,
@@ -189,7 +187,7 @@ class Agent(Trainee):
             evaluation=reached(self.arguments, evaluation),
             background=self._task.background,
             advice=self._hints,
-            sampled=evaluation is not None and evaluation.sampled,
+            sampled=sampled,
         )
 
     def take(self, folder: Path) -> None:

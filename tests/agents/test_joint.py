@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,12 @@ from chemlab.agents.evaluate.benchmark import find_rows
 from chemlab.agents.notes import notes_size
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.pretrained import load_pretrained
-from chemlab.agents.runs import Evaluation, Run
+from chemlab.agents.runs import Run
 from chemlab.agents.train import imitate, joint
 from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
-from chemlab.agents.train.loop import Watcher
+from chemlab.agents.train.loop import Progress, Watcher
 from chemlab.agents.train.ppo import PPOTeam
 from chemlab.config.datafile import DataError
 from chemlab.lab.engine import Laboratories
@@ -209,13 +210,25 @@ def test_scripted_scores_are_those_of_scripted_policies_in_the_roles_that_learn(
     assert min(found[0].values()) > 0.5
 
 
-def test_benches_that_have_practised_are_greedy_under_a_sampled_manager() -> None:
+def test_benches_that_have_practised_are_greedy_under_a_sampled_manager(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = joint.Team(IPPO(scenario="wurtz_dodecane_direct", roles=("all",), envs=4, rollout=16))
     run.make()
+    played, kept = [], tmp_path / "kept"
+    kept.mkdir()
+
+    def play(labs: Any, policies: Any, goal: str, seed: int) -> Any:
+        played.append({agent for agent, policy in policies.items() if policy.card.sampled})
+        return SimpleNamespace(returns=np.zeros(1))
+
+    monkeypatch.setattr(joint, "play_laboratory", play)
+    run.save(kept, Progress(1, sampled=True), None)
     run.team.fixed = {"rxn", "dit"}
-    evaluation = Evaluation(1, 0.5, {"dodecane": 0.5}, None, None, True, 0.4)
-    sampled = {role: run._policy(role, 1, evaluation).card.sampled for role in run.learning}
-    assert sampled == {"manager": True, "rxn": False, "dit": False}
+    run.scores(1, 0, True)
+    run.take(kept)
+    run.scores(1, 0, True)
+    assert played == [{"manager_0"}, {"manager_0", "rxn_0", "dit_0"}], "a checkpoint plays as it did before that"
 
 
 def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: Path) -> None:
