@@ -23,7 +23,6 @@ import numpy.typing as npt
 from chemlab.config.extras import needs
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import Laboratories
@@ -34,6 +33,7 @@ from chemlab.roles.manager_actions import DISCARD, FIRST, MEASURE, SECOND, START
 from chemlab.roles.manager_state import INSTRUMENTS
 
 from ..advice import Advisor
+from ..background import background_players
 from ..notes import WIDE, Notes
 from ..policies import agent_policy
 from ..pretrained import LOG_STD, PretrainedPolicy
@@ -626,7 +626,7 @@ class PPOTeam:
         noting = self._hides if settings.notes is None else settings.notes
         self.notes = Notes(labs) if noting and MANAGER_ROLE in roles else None
         self.learners: dict[str, _Learner] = {}
-        self._background: dict[str, Policy] = {}
+        self._players = background_players(labs, roles, background)
         self._tracks: dict[str, _Track] = {}
         state = self.batch.state_space.shape[0] if isinstance(settings, MAPPO) else 0
         # Rollouts much shorter than an episode lose what a long workflow is worth; longer ones only delay updates.
@@ -637,7 +637,6 @@ class PPOTeam:
         for number, agent in enumerate(self.agents):
             role, space = role_of(agent), self.batch.action_space(agent)
             if role not in roles:
-                self._background[agent] = agent_policy(background, labs, number, seed)
                 continue
             count = labs.action_counts[number]
             if role not in self.learners:
@@ -685,6 +684,8 @@ class PPOTeam:
         self._rewarded, self._refunded = np.zeros(self.settings.envs), np.zeros(self.settings.envs)
         self._unread, everywhere = np.zeros(self.labs.state.age.shape, np.bool_), np.ones(self.settings.envs, np.bool_)
         self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
+        for member in self.labs.members.tolist():
+            self._players.seed(member, self.settings.seed + member)
         self._earned = self.labs.unfinished_worth(self.labs.members)
         self._read(0.0, everywhere)
 
@@ -759,6 +760,7 @@ class PPOTeam:
             }
             measured = self.labs.state.charges[:, INSTRUMENTS].copy()
             self._observed, rewards, over, _, self._infos = self.batch.step(actions)
+            self._players.renew(np.flatnonzero(over))
             self._read(done, over)
             self.scores += self._infos["manager_0"]["score"][over].tolist()
             for agent, track in self._tracks.items():
@@ -813,10 +815,8 @@ class PPOTeam:
             return None
         number = self.agents.index(agent)
         mask = None if "action_mask" not in info else info["action_mask"][rows]
-        if agent in self._background:
-            played = self._background[agent].act(
-                self._observed[agent][rows], mask, self.labs.turns_had(number)[rows], rows
-            )
+        if role_of(agent) not in self.learners:
+            played = self._players.decide(number, rows)
         elif role_of(agent) in self.fixed:
             allowed = None if mask is None else mask.astype(np.bool_)
             played, _ = self.learners[role_of(agent)].act(self._observed[agent][rows], allowed, greedy=True)
@@ -931,9 +931,11 @@ class PPOTeam:
         for number in range(rounds):
             self._restart()
             self._tried = number > 0
+            seeds = np.random.SeedSequence(self.settings.seed).spawn(len(self.agents))
             self._teachers = {
-                agent: Advisor(agent_policy(shown, self.labs, self.agents.index(agent), self.settings.seed))
-                for agent in self._tracks
+                agent: Advisor(agent_policy(shown, self.labs, index, own))
+                for index, (agent, own) in enumerate(zip(self.agents, seeds, strict=True))
+                if agent in self._tracks
             }
             episodes = _Shown(self._tracks, {role: learner.gamma for role, learner in self.learners.items()})
             played = 0

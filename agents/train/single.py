@@ -140,7 +140,11 @@ class Agent(Trainee):
         a, begun = self.arguments, time.perf_counter()
         if self._shown is not None:
             more = {"spread": a.bc_std} if hasattr(a, "bc_std") else {}
-            batch, teacher, hinted = self._task.batch(a.envs), self._task.policy(self._shown, a.seed), self._hints is not None
+            batch, teacher, hinted = (
+                self._task.batch(a.envs),
+                self._task.policy(self._shown, a.seed),
+                self._hints is not None,
+            )
             imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, **more)  # type: ignore[attr-defined]
         return time.perf_counter() - begun
 

@@ -39,7 +39,6 @@ SMALL: dict[str, Any] = {
     "eval_episodes": 1,
     "final_episodes": 1,
 }
-CRITICS = {"own": IPPO, "state": MAPPO}
 
 
 def team_of(arguments: IPPO) -> PPOTeam:
@@ -114,9 +113,17 @@ class _Stopping(Watcher):
             raise _Stop
 
 
-@pytest.mark.parametrize(("regime", "critic"), [("together", "own"), ("in-turns", "own"), ("together", "state")])
-def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -> None:
-    arguments = CRITICS[critic](**SMALL, regime=regime, **({"period": 1} if regime == "in-turns" else {}))
+@pytest.mark.parametrize(
+    ("kind", "more"),
+    [
+        (IPPO, {}),
+        (IPPO, {"regime": "in-turns", "period": 1}),
+        (IPPO, {"roles": ("manager",), "background": "scripted@0.5"}),
+        (MAPPO, {}),
+    ],
+)
+def test_a_stopped_run_goes_on_alike(kind: type[IPPO], more: dict[str, Any], tmp_path: Path) -> None:
+    arguments = kind(**SMALL, **more)
     whole = train(arguments, tmp_path / "whole")
     with pytest.raises(_Stop):
         train(arguments, tmp_path / "stopped", _Stopping())
@@ -131,6 +138,30 @@ def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -
     for name, array in first.items():
         np.testing.assert_array_equal(array, second[name], err_msg=name)
     assert train(arguments, tmp_path / "whole") == whole, "what is finished is not run again"
+
+
+def test_what_others_draw_depends_on_the_seed_of_the_episode_alone() -> None:
+    """And every agent, of those that are cloned, too, draws for itself."""
+    given = {**SMALL, "rollout": 1, "scenario": "wurtz_two_lines", "background": "random"}
+    team = team_of(IPPO(**given, roles=("manager",)))
+    benches = [policy for policy in team._players._policies if policy is not None]
+    assert len({policy._stream[0, 0] for policy in benches}) == len(benches) > 2
+    while not team.scores:
+        team.collect(1.0)
+    (member, *_) = np.flatnonzero(team.labs.episodes.begun > 1).tolist()
+    now = [policy._stream[member, 0] for policy in benches]
+    team._players.seed(member, team.labs.episodes.sequence(member))
+    assert now == [policy._stream[member, 0] for policy in benches]
+    clones = team_of(IPPO(**given, roles=("rxn",), bc="random"))
+    teachers, collect = list[set[float]](), clones.collect
+
+    def watched(remaining: float) -> None:
+        collect(remaining)
+        teachers.append({float(one._policy._seeds.generate_state(1)[0]) for one in clones._teachers.values()})
+
+    clones.collect = watched  # type: ignore[method-assign]
+    clones.clone("random", 1, 1, 0.1)
+    assert len(teachers[0]) == len(clones._tracks) > 1
 
 
 def test_a_checkpoint_has_what_self_imitation_remembers_and_no_empty_rows() -> None:
