@@ -100,6 +100,13 @@ class ChemlabVecEnv(Guarded, VecEnv):
             space = gymnasium.spaces.Box(low, high, dtype=np.float32)
         super().__init__(batch.num_envs, space, env.single_action_space)
 
+    def seed(self, seed: int | Sequence[int] | None = None) -> Sequence[int | None]:
+        """Set the seeds of the members at the next reset: of member i, seed + i, or each its own."""
+        if seed is None or isinstance(seed, (int, np.integer)):
+            return super().seed(seed)
+        self._seeds = list(seed)
+        return self._seeds
+
     @staticmethod
     def _info(cost: float = 0.0, illegal: bool = False) -> dict[str, Any]:
         return {"TimeLimit.truncated": False, "cost": cost, "illegal_action": illegal}

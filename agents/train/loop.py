@@ -34,8 +34,8 @@ with needs("training needs Stable-Baselines3", "train"):
 
 
 EVALUATION_SEED = 1_000_000
-"""First seed of the evaluations that choose the best checkpoint. Training episodes have small seeds, the final
-evaluation begins at :data:`~chemlab.agents.runs.RESULT_SEED`; no two share a seed."""
+"""First seed of the evaluations that choose the best checkpoint. The final one begins at
+:data:`~chemlab.agents.runs.RESULT_SEED`; training has :func:`~chemlab.agents.runs.training_seeds`."""
 
 
 class Watcher:
@@ -61,7 +61,8 @@ class Watcher:
 class Progress:
     """State of the loop, stored in each checkpoint.
 
-    ``seconds`` is wall time over all sittings; ``sampled`` says how the policy plays: as in the last evaluation, at first as ``play`` says.
+    ``seconds`` is wall time over all sittings; ``sampled`` says how the policy plays: as in the last evaluation, at
+    first as ``play`` says.
     """
 
     step: int = 0

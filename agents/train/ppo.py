@@ -38,6 +38,7 @@ from ..notes import WIDE, Notes
 from ..policies import agent_policy
 from ..pretrained import LOG_STD, PretrainedPolicy
 from ..roles import MANAGER_ROLE, role_of
+from ..runs import training_seeds
 from .arguments import IPPO, MAPPO
 
 with needs("training needs PyTorch", "train"):
@@ -564,7 +565,7 @@ class _Practice:
         size, actions = learner.size, self.batch.action_count
         shape = () if actions else tuple(self.batch.single_action_space.shape or ())
         self.track = _Track(_PRACTICE, settings.envs, size, size + state, shape, actions)
-        self._observed, _ = self.batch.reset(seed=settings.seed)
+        self._observed, _ = self.batch.reset(seed=training_seeds(settings.seed, settings.envs))
 
     def learn(self, remaining: float, rng: np.random.Generator) -> int:
         """Play a short rollout and learn from it; return the number of turns."""
@@ -683,9 +684,10 @@ class PPOTeam:
         self.scores: list[float] = []
         self._rewarded, self._refunded = np.zeros(self.settings.envs), np.zeros(self.settings.envs)
         self._unread, everywhere = np.zeros(self.labs.state.age.shape, np.bool_), np.ones(self.settings.envs, np.bool_)
-        self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
-        for member in self.labs.members.tolist():
-            self._players.seed(member, self.settings.seed + member)
+        seeds = training_seeds(self.settings.seed, self.settings.envs)
+        self._observed, self._infos = self.batch.reset(seed=seeds)
+        for member, seed in enumerate(seeds):
+            self._players.seed(member, seed)
         self._earned = self.labs.unfinished_worth(self.labs.members)
         self._read(0.0, everywhere)
 

@@ -21,7 +21,7 @@ from chemlab.envs.players import as_policy
 from ..learners import LEARNERS
 from ..pretrained import PretrainedPolicy, load_pretrained, save_policy
 from ..recurrent import MaskedLstmPolicy
-from ..runs import Evaluation, Run
+from ..runs import Evaluation, Run, training_seeds
 from ..sb3 import ChemlabVecEnv
 from .arguments import ALGORITHMS, SAC, TD3, Recurrent, Replay, Single, Stage, curriculum_of
 from .checkpoints import forget_replay, load_agent, save_agent
@@ -132,6 +132,8 @@ class Agent(Trainee):
             forget_replay(run)
             self.model = _learner(a, self.venv, self.steps)
             progress.seconds = self._clone()
+        if not progress.step:
+            self.venv.seed(training_seeds(a.seed, a.envs))
         self._player = task.advised(as_policy(self.model), self._hints)
         return progress
 
@@ -140,11 +142,8 @@ class Agent(Trainee):
         a, begun = self.arguments, time.perf_counter()
         if self._shown is not None:
             more = {"spread": a.bc_std} if hasattr(a, "bc_std") else {}
-            batch, teacher, hinted = (
-                self._task.batch(a.envs),
-                self._task.policy(self._shown, a.seed),
-                self._hints is not None,
-            )
+            batch, teacher = self._task.batch(a.envs), self._task.policy(self._shown, a.seed)
+            hinted = self._hints is not None
             imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, **more)  # type: ignore[attr-defined]
         return time.perf_counter() - begun
 

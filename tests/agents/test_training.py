@@ -31,7 +31,7 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.learners import LEARNERS, load_learner
 from chemlab.agents.policies import make_policies
-from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
+from chemlab.agents.runs import RESULT_SEED, CurvePoint, Run, RunBusy, find_runs, training_seeds
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.seals import seal_file
 from chemlab.agents.train import learn as training
@@ -48,7 +48,7 @@ from chemlab.agents.train.arguments import (
 )
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.loop import Watcher
-from chemlab.agents.train.single import _learner
+from chemlab.agents.train.single import Agent, _learner
 from chemlab.agents.train.tasks import BenchTask, LaboratoryTask, find_task
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
@@ -789,6 +789,21 @@ def test_curves_survive_a_cut_line(tmp_path: Path) -> None:
     run.rewind(20)
     assert run.curve() == points[:2]
     assert os.path.getsize(run.evaluations_file) == 0
+
+
+def test_runs_with_neighbouring_seeds_have_different_episodes(tmp_path: Path) -> None:
+    """Nor does any have those of an evaluation, whatever its seed."""
+    seeds = {seed: set(training_seeds(seed, 256)) for seed in (0, 1, 1_000_000)}
+    assert len(set.union(*seeds.values())) == 3 * 256
+    assert not set.union(*seeds.values()) & {*range(1_000_000, 1_010_000), *range(RESULT_SEED, RESULT_SEED + 10_000)}
+    made = Agent(small("ppo", scenario="rush", bench=None, roles=("manager",), envs=3))
+    made.begin(Run(tmp_path / "run"))
+    made.venv.reset()
+    labs = made.venv.batch.laboratories
+    for member, seed in enumerate(training_seeds(0, 3)):
+        alone = LaboratoryTask("rush").batch(1)
+        alone.reset(seed=seed)
+        assert (alone.laboratories.episodes.first[0] == labs.episodes.first[member]).all()
 
 
 def test_a_role_of_a_laboratory_is_a_task() -> None:
