@@ -689,6 +689,8 @@ class PPOTeam:
         for member, seed in enumerate(seeds):
             self._players.seed(member, seed)
         self._earned = self.labs.unfinished_worth(self.labs.members)
+        self._decided = np.zeros(self.settings.envs, np.int64)
+        """[N] tick of the manager's last decision."""
         self._read(0.0, everywhere)
 
     def learn(self, done: float, rounds: int) -> int:
@@ -780,7 +782,7 @@ class PPOTeam:
         """Return [N] the manager's rewards with the help that is given, as soon as what they are for has happened.
 
         Costs, and in some scenarios payments, are otherwise settled at the end of an episode. What unfinished work is
-        nearly worth is a potential, which shifts a return by a constant (`Ng et al., 1999
+        nearly worth is a potential, discounted as returns are, which shifts a return by a constant (`Ng et al., 1999
         <https://people.eecs.berkeley.edu/~russell/papers/icml99-shaping.pdf>`_).
 
         Args:
@@ -798,6 +800,9 @@ class PPOTeam:
         earned += refund * np.maximum(0.5 * paid - earned, 0.0)
         unfinished = labs.unfinished_worth(everywhere)
         credit = earned + np.where(over, 0.0, unfinished) - self._earned
+        decides = info["has_turn"] & ~over
+        apart = np.maximum(labs.state.ticks - self._decided, 0) if self.settings.by_ticks else 1
+        credit -= np.where(decides, (1.0 - self.settings.manager_gamma**apart) * unfinished, 0.0)
         self._earned = np.where(over, 0.0, earned) + unfinished
         self._rewarded[over] = self._refunded[over] = 0.0
         return np.asarray(credit)
@@ -841,6 +846,8 @@ class PPOTeam:
             if self.notes is not None and role_of(agent) == MANAGER_ROLE:
                 self.notes.played(played, rows)
             track.acted[t, rows], track.tick[t, rows] = True, self.labs.state.ticks[rows]
+            if role_of(agent) == MANAGER_ROLE:
+                self._decided[rows] = self.labs.state.ticks[rows]
             track.observed[t, rows], track.action[t, rows] = observed, played if chosen is None else chosen
             track.log_probability[t, rows] = log_probability
             if track.mask is not None:
@@ -939,7 +946,8 @@ class PPOTeam:
                 for index, (agent, own) in enumerate(zip(self.agents, seeds, strict=True))
                 if agent in self._tracks
             }
-            episodes = _Shown(self._tracks, {role: learner.gamma for role, learner in self.learners.items()})
+            by_ticks = self.settings.by_ticks
+            episodes = _Shown(self._tracks, {role: own.gamma for role, own in self.learners.items()}, by_ticks)
             played = 0
             while played < first or not (episodes.all_ended() if number else episodes.enough(turns / rounds)):
                 self.collect(0.0)
@@ -979,31 +987,37 @@ class _Shown:
     Args:
         tracks: of the agents, which are read after every rollout.
         gammas: discount by role.
+        by_ticks: whether it is one of ticks and not of turns.
     """
 
-    def __init__(self, tracks: Mapping[str, _Track], gammas: Mapping[str, float]) -> None:
-        self._gammas = gammas
+    def __init__(self, tracks: Mapping[str, _Track], gammas: Mapping[str, float], by_ticks: bool) -> None:
+        self._gammas, self._by_ticks = gammas, by_ticks
         self._turns: dict[str, list[dict[str, Arrays | None]]] = {agent: [] for agent in tracks}
-        self._rounds: dict[str, list[tuple[BoolArray, BoolArray, Arrays]]] = {agent: [] for agent in tracks}
+        self._rounds: dict[str, list[tuple[Arrays, ...]]] = {agent: [] for agent in tracks}
 
     def add(self, tracks: Mapping[str, _Track]) -> None:
         """Take a rollout."""
         for agent, track in tracks.items():
             self._turns[agent].append(track.turns(track.acted))
-            self._rounds[agent].append((track.acted.copy(), track.ended.copy(), track.reward.copy()))
+            self._rounds[agent].append((track.acted.copy(), track.ended.copy(), track.reward.copy(), track.tick.copy()))
             track.clear()
 
     def _returns(self, agent: str) -> tuple[BoolArray, Arrays]:
         """Return, for each turn in order, whether its episode has ended, and its return."""
-        acted, ended, rewards = (np.concatenate(part) for part in zip(*self._rounds[agent], strict=True))
-        gamma, following = self._gammas[role_of(agent)], np.zeros(acted.shape[1], dtype=np.float32)
+        acted, ended, rewards, ticks = (np.concatenate(part) for part in zip(*self._rounds[agent], strict=True))
+        apart, last = np.ones(acted.shape), ticks[0]
+        for t in range(len(acted)) if self._by_ticks else ():
+            apart[t] = np.maximum(ticks[t] - last, 0)
+            last = np.where(acted[t], ticks[t], last)
+        gamma = (self._gammas[role_of(agent)] ** apart).astype(np.float32)
+        following = np.zeros(acted.shape[1], dtype=np.float32)
         known, over = np.zeros(acted.shape, dtype=np.bool_), np.zeros(acted.shape[1], dtype=np.bool_)
         returns = np.zeros(acted.shape, dtype=np.float32)
         for t in reversed(range(len(acted))):
             over |= ended[t]
             following = np.where(ended[t], 0.0, following) + rewards[t]
             returns[t], known[t] = following, over
-            following = np.where(acted[t], gamma * following, following).astype(np.float32)
+            following = np.where(acted[t], gamma[t] * following, following).astype(np.float32)
         return known[acted], returns[acted]
 
     def all_ended(self) -> bool:
