@@ -477,7 +477,7 @@ class IPPO(Clipped, Arguments, Cloning):
     @model_validator(mode="before")
     @classmethod
     def _add_implied(cls, values: dict[str, Any]) -> dict[str, Any]:
-        return {**cls.implied(values), **values}
+        return {**cls.implied(values), **{name: value for name, value in values.items() if value is not None}}
 
     @model_validator(mode="after")
     def _check_weights(self) -> Self:

@@ -489,6 +489,7 @@ def test_flags_of_a_clone_say_what_only_others_have_by_default() -> None:
     pairs = dict(zip(flags[::2], flags[1::2], strict=True))
     assert [pairs[f"--{name}"] for name in ("learning-rate", "ent-coef", "refund")] == ["0.001", "0.03", "0.25"]
     assert "--learning-rate" not in training_arguments(clone).flags()
+    assert "None" not in IPPO(begin_from="runs/first", tied=None, rollout=None).command_line()
 
 
 @pytest.mark.parametrize(
