@@ -262,6 +262,17 @@ def test_benches_that_have_practised_are_greedy_under_a_sampled_manager(
     assert played == [{"manager_0"}, {"manager_0", "rxn_0", "dit_0"}], "a checkpoint plays as it did before that"
 
 
+def test_a_checkpoint_before_the_first_evaluation_plays_as_asked(tmp_path: Path) -> None:
+    stopping = _Stopping()
+    stopping.checkpoint = True
+    given = {**SMALL, "scenario": "wurtz_dodecane_direct", "evaluations": 1, "checkpoints": 100}
+    with pytest.raises(_Stop):
+        train(IPPO(**given, roles=("manager",), play="sampled"), tmp_path, stopping)
+    last = Run(tmp_path).checkpoint("last")
+    assert last is not None
+    assert load_pretrained(last / "manager").card.sampled
+
+
 def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: Path) -> None:
     """What it was rewarded for is no part of the task that its card names."""
     small = {**SMALL, "scenario": "relay", "roles": ("manager",), "steps": 40, "rewards": "mixed"}
