@@ -14,6 +14,8 @@ from contextlib import asynccontextmanager, suppress
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from chemlab.config.extras import needs
 
 with needs("a live page needs starlette and uvicorn", "live"):
@@ -71,6 +73,8 @@ class Live:
         self._scenario, self._policy, self._split, self._folder = scenario, policy, split, folder
         self._lock = threading.RLock()
         self.taken: set[str] = set()
+        self._unseen: set[str] = set()
+        """Agents of whose experiment, or episode, a person has played the first turn, and a policy none."""
         self.episode = 0
         self.room: Room
         self.begin(seed)
@@ -83,7 +87,7 @@ class Live:
     def _begin(self, seed: int) -> None:
         if self.episode:
             self.room.close()
-        self.seed, self.episode, self.verdict = seed, self.episode + 1, ("", "")
+        self.seed, self.verdict = seed, ("", "")
         agents = ["manager_0", *self._scenario.bench_agents()]
         self.room = Room(
             self._scenario,
@@ -97,7 +101,8 @@ class Live:
         labs = self.room.laboratories
         self._players = Players(labs, [agent_policy(self._policy, labs, i) for i in range(len(labs.agents))])
         self._players.seed(0, seed)
-        self.film = Film(labs)
+        self._unseen.clear()
+        self.film, self.episode = Film(labs), self.episode + 1
 
     def _watched(self, tick: int, played: Play) -> None:
         self.film.add(tick, [played])
@@ -120,16 +125,26 @@ class Live:
                 if self.waits:
                     return
                 labs = self.room.laboratories
-                number = labs.turn()
-                self.room.play(labs.agents[number], self._players.decide(number, labs.members)[0])
+                number, agent = labs.turn(), self.turn
+                # A policy that comes later begins there, and not where it was in an experiment before.
+                step = np.zeros(1, np.int64) if agent in self._unseen else labs.turns_had(number)
+                self._unseen.discard(agent)
+                self.room.play(agent, self._players.decide(number, labs.members, step)[0])
 
     def call(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
         """A turn of the person at a seat."""
         with self._lock:
+            labs = self.room.laboratories
+            if self.turn == agent and not labs.turns_had(labs.agents.index(agent))[0]:
+                self._unseen.add(agent)
             return self.room.call(agent, verb, arguments)
 
     def page(self, number: int) -> str:
         """The spectators' page."""
+        with self._lock:
+            return self._page(number)
+
+    def _page(self, number: int) -> str:
         data = {
             **self.film.still(),
             "seed": self.seed,
@@ -424,7 +439,7 @@ class _Pages:
         """The first page: one laboratory, or two side by side."""
         self.allowed(request)
         if len(self.show.lives) == 1:
-            return HTMLResponse(self.show.lives[0].page(0), headers=_HEADERS)
+            return await self._spectators(0)
         query = html.escape(request.url.query)
         sources = [f'src="/lab/{number}?{query}"' for number in range(len(self.show.lives))]
         titles = [f"{number}: {policy}" for number, policy in enumerate(self.show.policies)]
@@ -433,9 +448,13 @@ class _Pages:
 
     async def page(self, request: Request) -> Response:
         """The page of a laboratory."""
-        number, live = self.lab(request)
+        number, _ = self.lab(request)
         self.allowed(request)
-        return HTMLResponse(live.page(number), headers=_HEADERS)
+        return await self._spectators(number)
+
+    async def _spectators(self, number: int) -> Response:
+        page = await anyio.to_thread.run_sync(self.show.lives[number].page, number)
+        return HTMLResponse(page, headers=_HEADERS)
 
     async def events(self, request: Request) -> Response:
         """News of a laboratory for its page."""

@@ -116,7 +116,7 @@ class Card(DataModel):
         output: ``argmax`` (of the legal actions), ``clip`` (to [0, 1]) or ``tanh`` (rescaled to [0, 1]).
         evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's ``scripted_mean``,
             ``scripted_by_goal``; for the policy as played here, with masks.
-        background: policies of the other roles, if trained in a laboratory.
+        background: policies of the roles that did not learn, if trained in a laboratory.
         memory: number of units of its LSTM before the layers; 0: none.
         masked: whether it chooses among legal actions only; False if it was trained without masks.
         advice: name of the policy whose action it observes (:mod:`chemlab.agents.advice`), if any.

@@ -10,7 +10,7 @@
 | `checkpoints/` | `last-STEP/`, `best-STEP/`, and `first-0/` of clones before training; replay memory; \
 large, not for version control |
 | `checkpoints/*-STEP/` | `ROLE.safetensors` and `ROLE.json` are the policies (:mod:`~chemlab.agents.pretrained`); \
-`model.zip` or `ROLE.zip` (Stable-Baselines3's learner) and `state.pkl` are signed pickles for resuming \
+`model.zip` (Stable-Baselines3's learner) and `state.pkl` are signed pickles for resuming \
 (:mod:`~chemlab.agents.seals`) |
 | `tensorboard/` | TensorBoard's event files; not for version control |
 
@@ -38,6 +38,11 @@ from chemlab.config.files import naming, wait_locked, write_text
 
 RESULT_SEED = 2_000_000
 """Seed of the first episode of the final evaluation; training and intermediate evaluations use other seeds."""
+
+
+def training_seeds(seed: int, envs: int) -> list[int]:
+    """Return the seeds of a run's environments, of 64 bits: neither another run's nor those of evaluations."""
+    return [int(own) for own in np.random.SeedSequence(seed).generate_state(envs, np.uint64)]
 
 
 class RunConfig(BaseModel):

@@ -100,6 +100,13 @@ class ChemlabVecEnv(Guarded, VecEnv):
             space = gymnasium.spaces.Box(low, high, dtype=np.float32)
         super().__init__(batch.num_envs, space, env.single_action_space)
 
+    def seed(self, seed: int | Sequence[int] | None = None) -> Sequence[int | None]:
+        """Set the seeds of the members at the next reset: of member i, seed + i, or each its own."""
+        if seed is None or isinstance(seed, (int, np.integer)):
+            return super().seed(seed)
+        self._seeds = list(seed)
+        return self._seeds
+
     @staticmethod
     def _info(cost: float = 0.0, illegal: bool = False) -> dict[str, Any]:
         return {"TimeLimit.truncated": False, "cost": cost, "illegal_action": illegal}
@@ -178,6 +185,9 @@ class ChemlabVecEnv(Guarded, VecEnv):
             legal = self.batch.action_masks().astype(np.int8)
             observations = self._advisor.shown(observations, legal, self._lengths, np.arange(self.num_envs))
             self._advice = observations[:, -self._advice.shape[1] :]
+        return self._with_masks(observations)
+
+    def _with_masks(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         if self._show_masks:
             return np.concatenate([observations, self.batch.action_masks()], axis=1, dtype=np.float32)
         # SB3 still uses the last observations after the next step.
@@ -190,7 +200,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
     def get_state(self) -> list[npt.NDArray[Any]]:
         """Return copies of everything that changes, for :meth:`set_state`."""
         memory = np.empty(1, dtype=object)
-        memory[0] = None if self._advisor is None else self._advisor.get_memory()
+        memory[0] = None if self._advisor is None else (self._advisor.get_memory(), self._advice.copy())
         return [*self.batch.get_state(), self._returns.copy(), self._lengths.copy(), memory]
 
     def set_state(self, state: list[npt.NDArray[Any]]) -> npt.NDArray[np.float32]:
@@ -198,9 +208,12 @@ class ChemlabVecEnv(Guarded, VecEnv):
         *batch, self._returns[:], self._lengths[:], memory = state
         self._reset_seeds()
         self._reset_options()
-        if self._advisor is not None:
-            self._advisor.set_memory(memory[0])
-        return self._kept(self.batch.set_state(batch))
+        observations = self.batch.set_state(batch)
+        if self._advisor is not None:  # which is not asked again: it may draw
+            own, self._advice = memory[0]
+            self._advisor.set_memory(own)
+            observations = np.concatenate([observations, self._advice], axis=1, dtype=np.float32)
+        return self._with_masks(observations)
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Return [N, actions] the current legal actions.

@@ -147,7 +147,7 @@ class ScriptedCrystallization(Remembering):
         chosen = []
         for o, m, s, i in zip(observation, mask, step.tolist(), members.tolist(), strict=True):
             read = {name: self._read(o, name) for name in ("temperature", "volume", "solids")}
-            if s == 0:
+            if s == 0 or i not in self._memory:  # others may have played its first turns
                 goal = int(o[self._slices["goal"]].argmax())
                 self._memory[i] = self._wet(read["volume"], read["solids"], goal)
             action = self._decide(self._memory[i], read["temperature"], read["volume"], read["solids"], m)

@@ -88,7 +88,7 @@ class ScriptedExtraction(Remembering):
         return next((action for magnitude, action in self._drains if magnitude <= percent + 1e-9), self._drains[-1][1])
 
     def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        if step == 0:
+        if step == 0 or member not in self._phase:  # others may have played its first turns
             self._phase[member] = DECANT if count_pixels(picture, self._metals) else ADD
             self._washes[member] = 0
         if self._phase[member] == DECANT:

@@ -80,7 +80,7 @@ class ScriptedFraction(ScriptedRealDistillation):
         out = []
         for i, (seen, legal, action) in enumerate(zip(observation, mask, stripping.tolist(), strict=True)):
             member, goal = int(members[i]), int(seen[self._slices["goal"]].argmax())
-            if step[i] == 0:
+            if step[i] == 0 or member not in self._phase:  # others may have played its first turns
                 self._phase[member] = STRIP
             until = self._until_k[goal]
             litres = self._volume.unscaled(float(seen[self._slices["volume"]][0]))

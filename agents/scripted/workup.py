@@ -111,7 +111,7 @@ class ScriptedWorkup(ScriptedRealExtraction):
         return int(organic.argmax()) if organic.any() else 0
 
     def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        if step == 0:
+        if step == 0 or member not in self._done:  # others may have played its first turns
             self._done[member] = 0
         done = self._done[member]
         if done < len(self._before):

@@ -115,7 +115,7 @@ ABOUT: dict[str, str] = {
     "shown_readings": "Share of training over which instruments read vessels unasked, ever fewer of them.",
     "partial": "Share of training over which submissions that fail their specification are paid in part, ever less.",
     "free_readings": "Share of training over which the manager's measurements are refunded, ever less.",
-    "self_imitation": "Weight of the manager's own turns that went better than expected.",
+    "self_imitation": "Weight of the manager's own turns that went better than expected; 0 with manager_gamma below 1.",
     "notes": "Whether the manager observes its notes of the episode, too. Default: where parameters are hidden.",
     "tied": "Whether slots share the manager's weights, and orders, too. Default: where parameters are hidden.",
 }
@@ -464,9 +464,12 @@ class IPPO(Clipped, Arguments, Cloning):
 
     @staticmethod
     def implied(values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the defaults of a clone, and of a run that begins from another: no help, fewer and smaller steps."""
+        """Return the defaults of a clone, and of a run that begins from another: no help, fewer and smaller steps.
+
+        Returns of self-imitation are not discounted, so that it is for a ``manager_gamma`` of 1.
+        """
         if values.get("bc") is None and values.get("begin_from") is None:
-            return {}
+            return {} if values.get("manager_gamma", 1.0) == 1.0 else {"self_imitation": 0.0}
         tied = {} if values.get("begin_from") is None else {"tied": False}
         steps = {"rollout": 128, "batch_size": 1024, "learning_rate": 1e-4}
         return {**dict.fromkeys(_HELP, 0.0), **steps, "ent_coef": 0.0, **tied}
@@ -474,12 +477,16 @@ class IPPO(Clipped, Arguments, Cloning):
     @model_validator(mode="before")
     @classmethod
     def _add_implied(cls, values: dict[str, Any]) -> dict[str, Any]:
-        return {**cls.implied(values), **values}
+        return {**cls.implied(values), **{name: value for name, value in values.items() if value is not None}}
 
     @model_validator(mode="after")
     def _check_weights(self) -> Self:
         if self.regime == "together" and self.period != type(self).model_fields["period"].default:
             raise ValueError("period: is for regime in-turns; leave it out")
+        if self.self_imitation and self.manager_gamma < 1.0:
+            raise ValueError(
+                "self_imitation: learns from returns that are not discounted; leave it out, or manager_gamma"
+            )
         if self.tied and self.begin_from is not None:
             raise ValueError("tied: the policy of begin_from has weights of its own for each slot; leave it out")
         return self

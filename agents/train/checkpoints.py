@@ -203,7 +203,8 @@ def load_agent(run: Run, folder: Path, algo: str, venv: ChemlabVecEnv) -> tuple[
     if buffer is not None:
         _load_replay(run, buffer, state["replay_rows"])
     # Creating the model has reseeded everything, so the generators are restored last.
-    venv.set_state(state["environments"])
+    if model.num_timesteps:  # before, they have not begun, and do with the run's seed
+        venv.set_state(state["environments"])
     if state.get("memory") is not None:
         model._last_lstm_states = state["memory"]  # type: ignore[attr-defined]
     model.action_space.np_random.bit_generator.state = state["action_space"]

@@ -21,6 +21,7 @@ from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray
 
 from ..advice import Advisor, with_advice
+from ..runs import training_seeds
 
 _SPREAD = 0.02
 """Minimum standard deviation of a clone's continuous actions."""
@@ -298,7 +299,7 @@ def _examples(
     rewards: list[FloatArray] = []
     ends: list[BoolArray] = []
     ended = np.zeros(n, dtype=np.bool_)
-    observation, _ = batch.reset(seed=seed)
+    observation, _ = batch.reset(seed=None if seed is None else training_seeds(seed, n))
     # A learner that never ends its episodes reaches the laboratory's limits.
     while len(rows) * n < steps or not (learner is None or ended.all()):
         mask = batch.action_masks().astype(np.int8) if discrete else None

@@ -21,7 +21,6 @@ from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import goals_met
 
 from ..episodes import play_laboratory
-from ..former_names import GREEDY, SAMPLED
 from ..policies import agent_policy, as_trained
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..roles import MANAGER_ROLE, chosen_roles, role_of
@@ -156,8 +155,8 @@ class Team(Trainee):
 
         Benches over which the manager learns are greedy, as in training.
         """
-        learned = self._taken or {role: self._policy(role, 0, None) for role in self.learning}
-        return self._played(learned, self._background, episodes, seed, SAMPLED if sampled else GREEDY)
+        learned = self._taken or {role: self._policy(role, 0, None, sampled) for role in self.learning}
+        return self._played(learned, self._background, episodes, seed)
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float]:
         """See :class:`~chemlab.agents.train.loop.Trainee`: scripted policies play the roles that learn."""
@@ -165,7 +164,7 @@ class Team(Trainee):
         return self._played({}, background, episodes, seed)
 
     def _played(
-        self, learned: Mapping[str, PretrainedPolicy], background: str, episodes: int, seed: int, way: str = GREEDY
+        self, learned: Mapping[str, PretrainedPolicy], background: str, episodes: int, seed: int
     ) -> dict[str, float]:
         """Return mean scores by goal of what has been learned, among the background's policies."""
         labs = Laboratories(self.scenario, episodes, split=self.arguments.evaluation_split)
@@ -174,11 +173,10 @@ class Team(Trainee):
             policies: dict[str, Policy] = {}
             for number, agent in enumerate(labs.agents):
                 mine = learned.get(role_of(agent))
-                how = GREEDY if role_of(agent) in self.team.fixed else way
                 if mine is None:
                     policies[agent] = agent_policy(background, labs, number)
                 else:
-                    policies[agent] = as_trained(mine.as_played(how), labs, number)
+                    policies[agent] = as_trained(mine.as_played(None), labs, number)
             found[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())
         return found
 
@@ -186,7 +184,7 @@ class Team(Trainee):
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         save_state(folder, {"team": self.team, **random_state(), "progress": vars(progress)})
         for role in self.learning:
-            policy = self._policy(role, progress.step, evaluation)
+            policy = self._policy(role, progress.step, evaluation, progress.sampled)
             save_policy(folder / role, policy.card, policy.weights)
 
     def take(self, folder: Path) -> None:
@@ -196,8 +194,8 @@ class Team(Trainee):
     def close(self) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`: there is nothing to release."""
 
-    def _policy(self, role: str, step: int, evaluation: Evaluation | None) -> PretrainedPolicy:
-        """Return the policy of a role for the whole scenario."""
+    def _policy(self, role: str, step: int, evaluation: Evaluation | None, sampled: bool) -> PretrainedPolicy:
+        """Return the policy of a role for the whole scenario, sampled or greedy."""
         workplace, manager = self._workplaces[role], role == MANAGER_ROLE
         card = Card.of(
             workplace,
@@ -210,7 +208,7 @@ class Team(Trainee):
             output="argmax" if self.team.learners[role].network.discrete else "clip",
             evaluation=reached(self.arguments, evaluation),
             background=self._background,
-            sampled=evaluation is not None and evaluation.sampled and role not in self.team.fixed,
+            sampled=sampled and role not in self.team.fixed,
             notes=manager and self.team.notes is not None,
         )
         return PretrainedPolicy(card, self.team.weights(role))

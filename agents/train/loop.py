@@ -34,8 +34,8 @@ with needs("training needs Stable-Baselines3", "train"):
 
 
 EVALUATION_SEED = 1_000_000
-"""First seed of the evaluations that choose the best checkpoint. Training episodes have small seeds, the final
-evaluation begins at :data:`~chemlab.agents.runs.RESULT_SEED`; no two share a seed."""
+"""First seed of the evaluations that choose the best checkpoint. The final one begins at
+:data:`~chemlab.agents.runs.RESULT_SEED`; training has :func:`~chemlab.agents.runs.training_seeds`."""
 
 
 class Watcher:
@@ -61,7 +61,8 @@ class Watcher:
 class Progress:
     """State of the loop, stored in each checkpoint.
 
-    ``seconds`` is wall time over all sittings; ``sampled`` says how the policy was played in the last evaluation.
+    ``seconds`` is wall time over all sittings; ``sampled`` says how the policy plays: as in the last evaluation, at
+    first as ``play`` says.
     """
 
     step: int = 0
@@ -117,7 +118,7 @@ class Trainee(ABC):
 
     @abstractmethod
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
-        """Evaluate the policy, sampled or greedy: mean return by goal."""
+        """Evaluate the policy, sampled or greedy (after :meth:`take`, as its card says): mean return by goal."""
 
     @abstractmethod
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
@@ -244,6 +245,8 @@ def train_in_rounds(run: Run, trainee: Trainee, progress: Progress, watcher: Wat
             if evaluation is not None:
                 watcher.evaluated(evaluation, best)
 
+        if p.best_step is None:
+            p.sampled = getattr(a, "play", "greedy") == "sampled"
         if trainee.has_policy and p.best_step is None:
             assess(evaluate=True, save=True)
         while p.step < total:

@@ -23,7 +23,6 @@ import numpy.typing as npt
 from chemlab.config.extras import needs
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.batch import BatchedLaboratory
-from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import BoolArray, IntArray
 from chemlab.lab.engine import Laboratories
@@ -34,10 +33,12 @@ from chemlab.roles.manager_actions import DISCARD, FIRST, MEASURE, SECOND, START
 from chemlab.roles.manager_state import INSTRUMENTS
 
 from ..advice import Advisor
+from ..background import background_players
 from ..notes import WIDE, Notes
 from ..policies import agent_policy
 from ..pretrained import LOG_STD, PretrainedPolicy
 from ..roles import MANAGER_ROLE, role_of
+from ..runs import training_seeds
 from .arguments import IPPO, MAPPO
 
 with needs("training needs PyTorch", "train"):
@@ -289,22 +290,25 @@ class _Learner:
         """Begin with the weights of a policy; the critic learns alone at first.
 
         Raises:
-            ValueError: the policy has other layers.
+            ValueError: the policy has other layers, or observes hints, or notes that this learner has not.
         """
+        card, width = policy.card, policy.weights["0.weight"].shape[1]
+        if card.advice is not None:
+            raise ValueError(f"{card.name} observes the hints of {card.advice}, which ippo and mappo do not give")
+        if card.notes and width > self.size:
+            raise ValueError(f"{card.name} observes its notes, which are off here; add --notes")
         linear = [layer for layer in self.network.actor if isinstance(layer, nn.Linear)]
         sizes = [len(policy.weights[f"{i}.bias"]) for i in range(sum("bias" in name for name in policy.weights))]
-        if sizes != [layer.out_features for layer in linear] or policy.card.memory or policy.card.activation != "tanh":
+        if sizes != [layer.out_features for layer in linear] or card.memory or card.activation != "tanh":
             raise ValueError(
-                f"{policy.card.name} has hidden layers {sizes[:-1]} ({policy.card.activation}, memory "
-                f"{policy.card.memory}); give others with --net-arch, which are tanh without memory"
+                f"{card.name} has hidden layers {sizes[:-1]} ({card.activation}, memory {card.memory}); "
+                "give others with --net-arch, which are tanh without memory"
             )
         with torch.no_grad():
             for i, layer in enumerate(linear):
                 weight = policy.weights[f"{i}.weight"]
-                if i == 0 and weight.shape[1] > self.size:
-                    raise ValueError(f"{policy.card.name} observes its notes, which are off here; add --notes")
                 if i == 0:  # a policy may have been trained without notes
-                    weight = self.seen(np.pad(weight, ((0, 0), (0, self.size - weight.shape[1]))))
+                    weight = self.seen(np.pad(weight, ((0, 0), (0, self.size - width))))
                 layer.weight.copy_(torch.from_numpy(weight))
                 layer.bias.copy_(torch.from_numpy(policy.weights[f"{i}.bias"]))
             if LOG_STD in policy.weights:
@@ -561,7 +565,7 @@ class _Practice:
         size, actions = learner.size, self.batch.action_count
         shape = () if actions else tuple(self.batch.single_action_space.shape or ())
         self.track = _Track(_PRACTICE, settings.envs, size, size + state, shape, actions)
-        self._observed, _ = self.batch.reset(seed=settings.seed)
+        self._observed, _ = self.batch.reset(seed=training_seeds(settings.seed, settings.envs))
 
     def learn(self, remaining: float, rng: np.random.Generator) -> int:
         """Play a short rollout and learn from it; return the number of turns."""
@@ -623,7 +627,7 @@ class PPOTeam:
         noting = self._hides if settings.notes is None else settings.notes
         self.notes = Notes(labs) if noting and MANAGER_ROLE in roles else None
         self.learners: dict[str, _Learner] = {}
-        self._background: dict[str, Policy] = {}
+        self._players = background_players(labs, roles, background)
         self._tracks: dict[str, _Track] = {}
         state = self.batch.state_space.shape[0] if isinstance(settings, MAPPO) else 0
         # Rollouts much shorter than an episode lose what a long workflow is worth; longer ones only delay updates.
@@ -634,7 +638,6 @@ class PPOTeam:
         for number, agent in enumerate(self.agents):
             role, space = role_of(agent), self.batch.action_space(agent)
             if role not in roles:
-                self._background[agent] = agent_policy(background, labs, number, seed)
                 continue
             count = labs.action_counts[number]
             if role not in self.learners:
@@ -681,8 +684,13 @@ class PPOTeam:
         self.scores: list[float] = []
         self._rewarded, self._refunded = np.zeros(self.settings.envs), np.zeros(self.settings.envs)
         self._unread, everywhere = np.zeros(self.labs.state.age.shape, np.bool_), np.ones(self.settings.envs, np.bool_)
-        self._observed, self._infos = self.batch.reset(seed=self.settings.seed)
+        seeds = training_seeds(self.settings.seed, self.settings.envs)
+        self._observed, self._infos = self.batch.reset(seed=seeds)
+        for member, seed in enumerate(seeds):
+            self._players.seed(member, seed)
         self._earned = self.labs.unfinished_worth(self.labs.members)
+        self._decided = np.zeros(self.settings.envs, np.int64)
+        """[N] tick of the manager's last decision."""
         self._read(0.0, everywhere)
 
     def learn(self, done: float, rounds: int) -> int:
@@ -756,6 +764,7 @@ class PPOTeam:
             }
             measured = self.labs.state.charges[:, INSTRUMENTS].copy()
             self._observed, rewards, over, _, self._infos = self.batch.step(actions)
+            self._players.renew(np.flatnonzero(over))
             self._read(done, over)
             self.scores += self._infos["manager_0"]["score"][over].tolist()
             for agent, track in self._tracks.items():
@@ -773,7 +782,7 @@ class PPOTeam:
         """Return [N] the manager's rewards with the help that is given, as soon as what they are for has happened.
 
         Costs, and in some scenarios payments, are otherwise settled at the end of an episode. What unfinished work is
-        nearly worth is a potential, which shifts a return by a constant (`Ng et al., 1999
+        nearly worth is a potential, discounted as returns are, which shifts a return by a constant (`Ng et al., 1999
         <https://people.eecs.berkeley.edu/~russell/papers/icml99-shaping.pdf>`_).
 
         Args:
@@ -791,6 +800,9 @@ class PPOTeam:
         earned += refund * np.maximum(0.5 * paid - earned, 0.0)
         unfinished = labs.unfinished_worth(everywhere)
         credit = earned + np.where(over, 0.0, unfinished) - self._earned
+        decides = info["has_turn"] & ~over
+        apart = np.maximum(labs.state.ticks - self._decided, 0) if self.settings.by_ticks else 1
+        credit -= np.where(decides, (1.0 - self.settings.manager_gamma**apart) * unfinished, 0.0)
         self._earned = np.where(over, 0.0, earned) + unfinished
         self._rewarded[over] = self._refunded[over] = 0.0
         return np.asarray(credit)
@@ -810,10 +822,8 @@ class PPOTeam:
             return None
         number = self.agents.index(agent)
         mask = None if "action_mask" not in info else info["action_mask"][rows]
-        if agent in self._background:
-            played = self._background[agent].act(
-                self._observed[agent][rows], mask, self.labs.turns_had(number)[rows], rows
-            )
+        if role_of(agent) not in self.learners:
+            played = self._players.decide(number, rows)
         elif role_of(agent) in self.fixed:
             allowed = None if mask is None else mask.astype(np.bool_)
             played, _ = self.learners[role_of(agent)].act(self._observed[agent][rows], allowed, greedy=True)
@@ -836,6 +846,8 @@ class PPOTeam:
             if self.notes is not None and role_of(agent) == MANAGER_ROLE:
                 self.notes.played(played, rows)
             track.acted[t, rows], track.tick[t, rows] = True, self.labs.state.ticks[rows]
+            if role_of(agent) == MANAGER_ROLE:
+                self._decided[rows] = self.labs.state.ticks[rows]
             track.observed[t, rows], track.action[t, rows] = observed, played if chosen is None else chosen
             track.log_probability[t, rows] = log_probability
             if track.mask is not None:
@@ -897,14 +909,14 @@ class PPOTeam:
             batches[role_of(agent)].append(found)
         learned = 0
         for role in learning:
-            parts = batches[role]
+            parts, critic_alone = batches[role], self.learners[role].critic_first > 0
             batch = joined(parts)
             count = len(batch["advantage"])  # type: ignore[arg-type]
             if count > 1:
                 self.learners[role].update(batch, remaining if role == MANAGER_ROLE else whole, self.rng)
                 if role == MANAGER_ROLE:
                     self.learners[role].normalize(np.asarray(batch["observed" if batch["seen"] is None else "seen"]))
-            if self._best is not None and role == MANAGER_ROLE:
+            if self._best is not None and role == MANAGER_ROLE and not critic_alone:
                 self._best.learn(self.learners[role], self.rng)
             learned += count
         return learned
@@ -928,11 +940,14 @@ class PPOTeam:
         for number in range(rounds):
             self._restart()
             self._tried = number > 0
+            seeds = np.random.SeedSequence(self.settings.seed).spawn(len(self.agents))
             self._teachers = {
-                agent: Advisor(agent_policy(shown, self.labs, self.agents.index(agent), self.settings.seed))
-                for agent in self._tracks
+                agent: Advisor(agent_policy(shown, self.labs, index, own))
+                for index, (agent, own) in enumerate(zip(self.agents, seeds, strict=True))
+                if agent in self._tracks
             }
-            episodes = _Shown(self._tracks, {role: learner.gamma for role, learner in self.learners.items()})
+            by_ticks = self.settings.by_ticks
+            episodes = _Shown(self._tracks, {role: own.gamma for role, own in self.learners.items()}, by_ticks)
             played = 0
             while played < first or not (episodes.all_ended() if number else episodes.enough(turns / rounds)):
                 self.collect(0.0)
@@ -972,31 +987,37 @@ class _Shown:
     Args:
         tracks: of the agents, which are read after every rollout.
         gammas: discount by role.
+        by_ticks: whether it is one of ticks and not of turns.
     """
 
-    def __init__(self, tracks: Mapping[str, _Track], gammas: Mapping[str, float]) -> None:
-        self._gammas = gammas
+    def __init__(self, tracks: Mapping[str, _Track], gammas: Mapping[str, float], by_ticks: bool) -> None:
+        self._gammas, self._by_ticks = gammas, by_ticks
         self._turns: dict[str, list[dict[str, Arrays | None]]] = {agent: [] for agent in tracks}
-        self._rounds: dict[str, list[tuple[BoolArray, BoolArray, Arrays]]] = {agent: [] for agent in tracks}
+        self._rounds: dict[str, list[tuple[Arrays, ...]]] = {agent: [] for agent in tracks}
 
     def add(self, tracks: Mapping[str, _Track]) -> None:
         """Take a rollout."""
         for agent, track in tracks.items():
             self._turns[agent].append(track.turns(track.acted))
-            self._rounds[agent].append((track.acted.copy(), track.ended.copy(), track.reward.copy()))
+            self._rounds[agent].append((track.acted.copy(), track.ended.copy(), track.reward.copy(), track.tick.copy()))
             track.clear()
 
     def _returns(self, agent: str) -> tuple[BoolArray, Arrays]:
         """Return, for each turn in order, whether its episode has ended, and its return."""
-        acted, ended, rewards = (np.concatenate(part) for part in zip(*self._rounds[agent], strict=True))
-        gamma, following = self._gammas[role_of(agent)], np.zeros(acted.shape[1], dtype=np.float32)
+        acted, ended, rewards, ticks = (np.concatenate(part) for part in zip(*self._rounds[agent], strict=True))
+        apart, last = np.ones(acted.shape), ticks[0]
+        for t in range(len(acted)) if self._by_ticks else ():
+            apart[t] = np.maximum(ticks[t] - last, 0)
+            last = np.where(acted[t], ticks[t], last)
+        gamma = (self._gammas[role_of(agent)] ** apart).astype(np.float32)
+        following = np.zeros(acted.shape[1], dtype=np.float32)
         known, over = np.zeros(acted.shape, dtype=np.bool_), np.zeros(acted.shape[1], dtype=np.bool_)
         returns = np.zeros(acted.shape, dtype=np.float32)
         for t in reversed(range(len(acted))):
             over |= ended[t]
             following = np.where(ended[t], 0.0, following) + rewards[t]
             returns[t], known[t] = following, over
-            following = np.where(acted[t], gamma * following, following).astype(np.float32)
+            following = np.where(acted[t], gamma[t] * following, following).astype(np.float32)
         return known[acted], returns[acted]
 
     def all_ended(self) -> bool:

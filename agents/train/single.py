@@ -18,11 +18,10 @@ from stable_baselines3.common.noise import NormalActionNoise
 from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import as_policy
 
-from ..former_names import GREEDY, SAMPLED
 from ..learners import LEARNERS
 from ..pretrained import PretrainedPolicy, load_pretrained, save_policy
 from ..recurrent import MaskedLstmPolicy
-from ..runs import Evaluation, Run
+from ..runs import Evaluation, Run, training_seeds
 from ..sb3 import ChemlabVecEnv
 from .arguments import ALGORITHMS, SAC, TD3, Recurrent, Replay, Single, Stage, curriculum_of
 from .checkpoints import forget_replay, load_agent, save_agent
@@ -107,6 +106,8 @@ class Agent(Trainee):
         self._stages = curriculum_of(a, tuple(task.scenario.benches))
         self._stage: Stage | None = None
         self._hints: str | None = getattr(a, "hints", None)
+        self._shown: str | None = getattr(a, "bc", None) or self._hints
+        self.has_policy = self._shown is not None
         self._taken: PretrainedPolicy | None = None
         self.config = self.described(a.scenario, task.agent, list(task.goals), task.fingerprint)
 
@@ -131,16 +132,18 @@ class Agent(Trainee):
             forget_replay(run)
             self.model = _learner(a, self.venv, self.steps)
             progress.seconds = self._clone()
+        if not progress.step:
+            self.venv.seed(training_seeds(a.seed, a.envs))
         self._player = task.advised(as_policy(self.model), self._hints)
         return progress
 
     def _clone(self) -> float:
         """Clone the policy of ``bc`` or ``hints``, if there is one; return the seconds that takes."""
         a, begun = self.arguments, time.perf_counter()
-        shown = getattr(a, "bc", None) or self._hints
-        if shown is not None:
+        if self._shown is not None:
             more = {"spread": a.bc_std} if hasattr(a, "bc_std") else {}
-            batch, teacher, hinted = self._task.batch(a.envs), self._task.policy(shown, a.seed), self._hints is not None
+            batch, teacher = self._task.batch(a.envs), self._task.policy(self._shown, a.seed)
+            hinted = self._hints is not None
             imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, **more)  # type: ignore[attr-defined]
         return time.perf_counter() - begun
 
@@ -161,8 +164,7 @@ class Agent(Trainee):
         if self._taken is None and not sampled:
             player = self._player
         else:
-            policy = self._taken or self._policy(0, None)
-            player = self._task.advised(policy.as_played(SAMPLED if sampled else GREEDY), self._hints)
+            player = self._task.advised(self._taken or self._policy(0, None, sampled), self._hints)
         return self._task.by_goal(player, episodes, seed)
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
@@ -172,11 +174,11 @@ class Agent(Trainee):
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         """See :class:`~chemlab.agents.train.loop.Trainee`."""
         save_agent(self._run, folder, self.model, self.venv, vars(progress))
-        policy = self._policy(progress.step, evaluation)
+        policy = self._policy(progress.step, evaluation, progress.sampled)
         save_policy(folder / policy.card.name, policy.card, policy.weights)
 
-    def _policy(self, step: int, evaluation: Evaluation | None) -> PretrainedPolicy:
-        """Return the learner's policy as it is exported."""
+    def _policy(self, step: int, evaluation: Evaluation | None, sampled: bool) -> PretrainedPolicy:
+        """Return the learner's policy as it is exported, sampled or greedy."""
         return learned_policy(
             self.model,
             self._task.workplace,
@@ -188,7 +190,7 @@ class Agent(Trainee):
             evaluation=reached(self.arguments, evaluation),
             background=self._task.background,
             advice=self._hints,
-            sampled=evaluation is not None and evaluation.sampled,
+            sampled=sampled,
         )
 
     def take(self, folder: Path) -> None:

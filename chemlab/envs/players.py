@@ -261,8 +261,10 @@ class Players:
         for policy, own in zip(self._policies, memory, strict=True):
             _remind(policy, own)
 
-    def decide(self, number: int, members: IntArray) -> npt.NDArray[Any]:
+    def decide(self, number: int, members: IntArray, step: IntArray | None = None) -> npt.NDArray[Any]:
         """Return actions [B, ...] of an agent with a policy, in laboratories [B] in which it has the turn.
+
+        ``step`` [B] is as for :meth:`Policy.act`; default: the turns that the agent has had.
 
         Raises:
             ValueError: the policy's actions are outside its agent's space; the message names the agent.
@@ -271,7 +273,7 @@ class Players:
         assert policy is not None, "agents without a policy cannot decide"
         seen, mask = self._seen(number, members), labs.mask(number, members)
         with np.errstate(under="ignore"):  # tiny probabilities underflow to 0
-            actions = policy.act(seen, mask, labs.turns_had(number)[members], members)
+            actions = policy.act(seen, mask, labs.turns_had(number)[members] if step is None else step, members)
         return checked_actions(labs.agents[number], actions, len(members), labs.action_space(number))
 
     def _seen(self, number: int, members: IntArray) -> ObservationArray:

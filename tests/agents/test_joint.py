@@ -5,6 +5,7 @@ from __future__ import annotations
 import pickle
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,12 +19,12 @@ from chemlab.agents.evaluate.benchmark import find_rows
 from chemlab.agents.notes import notes_size
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.pretrained import load_pretrained
-from chemlab.agents.runs import Evaluation, Run
+from chemlab.agents.runs import Run
 from chemlab.agents.train import imitate, joint
 from chemlab.agents.train.arguments import IPPO, MAPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
-from chemlab.agents.train.loop import Watcher
+from chemlab.agents.train.loop import Progress, Watcher
 from chemlab.agents.train.ppo import PPOTeam
 from chemlab.config.datafile import DataError
 from chemlab.lab.engine import Laboratories
@@ -38,7 +39,6 @@ SMALL: dict[str, Any] = {
     "eval_episodes": 1,
     "final_episodes": 1,
 }
-CRITICS = {"own": IPPO, "state": MAPPO}
 
 
 def team_of(arguments: IPPO) -> PPOTeam:
@@ -113,9 +113,17 @@ class _Stopping(Watcher):
             raise _Stop
 
 
-@pytest.mark.parametrize(("regime", "critic"), [("together", "own"), ("in-turns", "own"), ("together", "state")])
-def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -> None:
-    arguments = CRITICS[critic](**SMALL, regime=regime, **({"period": 1} if regime == "in-turns" else {}))
+@pytest.mark.parametrize(
+    ("kind", "more"),
+    [
+        (IPPO, {}),
+        (IPPO, {"regime": "in-turns", "period": 1}),
+        (IPPO, {"roles": ("manager",), "background": "scripted@0.5"}),
+        (MAPPO, {}),
+    ],
+)
+def test_a_stopped_run_goes_on_alike(kind: type[IPPO], more: dict[str, Any], tmp_path: Path) -> None:
+    arguments = kind(**SMALL, **more)
     whole = train(arguments, tmp_path / "whole")
     with pytest.raises(_Stop):
         train(arguments, tmp_path / "stopped", _Stopping())
@@ -130,6 +138,30 @@ def test_a_stopped_run_goes_on_alike(regime: str, critic: str, tmp_path: Path) -
     for name, array in first.items():
         np.testing.assert_array_equal(array, second[name], err_msg=name)
     assert train(arguments, tmp_path / "whole") == whole, "what is finished is not run again"
+
+
+def test_what_others_draw_depends_on_the_seed_of_the_episode_alone() -> None:
+    """And every agent, of those that are cloned, too, draws for itself."""
+    given = {**SMALL, "rollout": 1, "scenario": "wurtz_two_lines", "background": "random"}
+    team = team_of(IPPO(**given, roles=("manager",)))
+    benches = [policy for policy in team._players._policies if policy is not None]
+    assert len({policy._stream[0, 0] for policy in benches}) == len(benches) > 2
+    while not team.scores:
+        team.collect(1.0)
+    (member, *_) = np.flatnonzero(team.labs.episodes.begun > 1).tolist()
+    now = [policy._stream[member, 0] for policy in benches]
+    team._players.seed(member, team.labs.episodes.sequence(member))
+    assert now == [policy._stream[member, 0] for policy in benches]
+    clones = team_of(IPPO(**given, roles=("rxn",), bc="random"))
+    teachers, collect = list[set[float]](), clones.collect
+
+    def watched(remaining: float) -> None:
+        collect(remaining)
+        teachers.append({float(one._policy._seeds.generate_state(1)[0]) for one in clones._teachers.values()})
+
+    clones.collect = watched  # type: ignore[method-assign]
+    clones.clone("random", 1, 1, 0.1)
+    assert len(teachers[0]) == len(clones._tracks) > 1
 
 
 def test_a_checkpoint_has_what_self_imitation_remembers_and_no_empty_rows() -> None:
@@ -209,13 +241,36 @@ def test_scripted_scores_are_those_of_scripted_policies_in_the_roles_that_learn(
     assert min(found[0].values()) > 0.5
 
 
-def test_benches_that_have_practised_are_greedy_under_a_sampled_manager() -> None:
+def test_benches_that_have_practised_are_greedy_under_a_sampled_manager(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     run = joint.Team(IPPO(scenario="wurtz_dodecane_direct", roles=("all",), envs=4, rollout=16))
     run.make()
+    played, kept = [], tmp_path / "kept"
+    kept.mkdir()
+
+    def play(labs: Any, policies: Any, goal: str, seed: int) -> Any:
+        played.append({agent for agent, policy in policies.items() if policy.card.sampled})
+        return SimpleNamespace(returns=np.zeros(1))
+
+    monkeypatch.setattr(joint, "play_laboratory", play)
+    run.save(kept, Progress(1, sampled=True), None)
     run.team.fixed = {"rxn", "dit"}
-    evaluation = Evaluation(1, 0.5, {"dodecane": 0.5}, None, None, True, 0.4)
-    sampled = {role: run._policy(role, 1, evaluation).card.sampled for role in run.learning}
-    assert sampled == {"manager": True, "rxn": False, "dit": False}
+    run.scores(1, 0, True)
+    run.take(kept)
+    run.scores(1, 0, True)
+    assert played == [{"manager_0"}, {"manager_0", "rxn_0", "dit_0"}], "a checkpoint plays as it did before that"
+
+
+def test_a_checkpoint_before_the_first_evaluation_plays_as_asked(tmp_path: Path) -> None:
+    stopping = _Stopping()
+    stopping.checkpoint = True
+    given = {**SMALL, "scenario": "wurtz_dodecane_direct", "evaluations": 1, "checkpoints": 100}
+    with pytest.raises(_Stop):
+        train(IPPO(**given, roles=("manager",), play="sampled"), tmp_path, stopping)
+    last = Run(tmp_path).checkpoint("last")
+    assert last is not None
+    assert load_pretrained(last / "manager").card.sampled
 
 
 def test_a_manager_that_shared_rewards_is_exported_without_a_warning(tmp_path: Path) -> None:

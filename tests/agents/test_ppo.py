@@ -23,7 +23,7 @@ from chemlab.agents.saved import find_saved
 from chemlab.agents.train.arguments import IPPO, training_arguments
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
-from chemlab.agents.train.ppo import PPOTeam, _drawn, _Track
+from chemlab.agents.train.ppo import PPOTeam, _drawn, _Shown, _Track
 from chemlab.agents.train.tied import TiedLinear, Unit, action_units, notes_units, observed_units
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -65,6 +65,9 @@ def test_a_discount_of_ticks_is_of_the_ticks_between_turns() -> None:
     track.value[[1, 2], 0] = [0.5, 0.25]
     track.reward[[1, 2], 0] = [1.0, 2.0]
     last, turn = np.array([0.75], dtype=np.float32), np.array([True])
+    shown = _Shown({"manager_0": track}, {"manager": 0.9}, by_ticks=True)
+    shown._rounds["manager_0"] = [(track.acted, np.array([[False], [False], [True]]), track.reward, track.tick)]
+    assert shown._returns("manager_0")[1] == pytest.approx([1.0 + 0.9**5 * 2.0, 2.0])
     found = track.finished(last, turn, 0.9, 0.8, np.array([10]))
     second = 2.0 + 0.9**2 * 0.75 - 0.25
     first = 1.0 + 0.9**5 * 0.25 - 0.5 + 0.9**5 * 0.8 * second
@@ -306,6 +309,27 @@ def test_credit_comes_at_once_and_adds_up_to_the_score(scenario: str) -> None:
     assert earlier > len(firsts), "costs and progress are credited before the end"
 
 
+@pytest.mark.parametrize("given", [{"manager_gamma": 0.9}, {"manager_gamma": 0.99, "by_ticks": True}])
+def test_unfinished_work_shifts_a_discounted_return_by_a_constant(given: dict[str, Any]) -> None:
+    """The same turns are worth the same with and without it, but for what vessels are worth at the beginning."""
+    none = dict.fromkeys(("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0)
+    sums, shifts = list[Any](), np.zeros(2)
+    for counts in (True, False):
+        made = managers("rush", **{**none, "rollout": 600, "envs": 2, **given})
+        if not counts:
+            shifts, made._earned = made._earned, np.zeros(2)
+            made.labs.unfinished_worth = np.zeros_like  # type: ignore[method-assign, assignment]
+        made.collect(1.0)
+        tracks, turns = made._tracks, np.argwhere(made._tracks["manager_0"].acted)[:, 1]
+        shown = _Shown(tracks, {"manager": given["manager_gamma"]}, "by_ticks" in given)
+        shown.add(tracks)
+        known, returns = shown._returns("manager_0")
+        assert known[:2].all()
+        sums.append((returns[[int((turns == member).argmax()) for member in (0, 1)]], returns))
+    assert sums[0][0] + shifts == pytest.approx(sums[1][0], abs=1e-5)
+    assert np.abs(sums[0][1] - sums[1][1]).max() > 0.01
+
+
 def test_unfinished_work_is_nearly_worth_something() -> None:
     """Half of the order's worth, by the share of amount and purity of the best vessels; each vessel for one order."""
     labs = managers("failing").labs
@@ -456,6 +480,12 @@ def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
     assert result.mean > result.scripted_mean > 0.7
 
 
+def test_returns_of_self_imitation_are_not_discounted() -> None:
+    assert IPPO(scenario="rush", roles=("manager",), manager_gamma=0.9).self_imitation == 0.0
+    with pytest.raises(ValueError, match="self_imitation: learns from returns that are not discounted"):
+        IPPO(scenario="rush", roles=("manager",), manager_gamma=0.9, self_imitation=1.0)
+
+
 def test_a_policy_to_begin_from_has_no_shared_weights_and_learns_in_small_steps() -> None:
     begun, new = (IPPO(scenario="rush", roles=("manager",), begin_from=policy) for policy in ("runs/first", None))
     assert begun.tied is False
@@ -463,6 +493,17 @@ def test_a_policy_to_begin_from_has_no_shared_weights_and_learns_in_small_steps(
     assert (new.rollout, begun.rollout, begun.batch_size) == (None, 128, 4 * new.batch_size)
     with pytest.raises(ValueError, match="tied: the policy of begin_from has weights of its own for each slot"):
         IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
+
+
+def test_while_the_critic_learns_alone_no_own_turns_are_learned_again() -> None:
+    made = managers("rush", tied=False, self_imitation=1.0, net_arch=(256, 256), rollout=200)
+    made.learners["manager"].take(load_pretrained("rush_manager"))
+    made.learners["manager"].critic_first, again = 2, list[int]()
+    assert made._best is not None
+    made._best.learn = lambda learner, rng: again.append(learner.critic_first)  # type: ignore[method-assign]
+    for rounds in range(3):
+        made.learn(0.0, rounds)
+    assert len(again) == 1
 
 
 def test_a_policy_to_begin_from_plays_as_before_when_its_observation_is_normalized() -> None:
@@ -506,4 +547,8 @@ def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
     blind = managers("failing", tied=False, notes=False, net_arch=hidden).learners["manager"]
     with pytest.raises(ValueError, match="observes its notes, which are off here; add --notes"):
         blind.take(load_pretrained(tmp_path / "own"))
-    managers("failing", tied=False, net_arch=hidden).learners["manager"].take(load_pretrained(tmp_path / "own"))
+    own = load_pretrained(tmp_path / "own")
+    managers("failing", tied=False, net_arch=hidden).learners["manager"].take(own)
+    own.card = own.card.model_copy(update={"notes": False, "advice": "scripted"})
+    with pytest.raises(ValueError, match="observes the hints of scripted, which ippo and mappo do not give"):
+        managers("failing", tied=False, net_arch=hidden).learners["manager"].take(own)

@@ -31,7 +31,7 @@ from chemlab.agents.episodes import play_episode
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.learners import LEARNERS, load_learner
 from chemlab.agents.policies import make_policies
-from chemlab.agents.runs import CurvePoint, Run, RunBusy, find_runs
+from chemlab.agents.runs import RESULT_SEED, CurvePoint, Run, RunBusy, find_runs, training_seeds
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.seals import seal_file
 from chemlab.agents.train import learn as training
@@ -48,7 +48,7 @@ from chemlab.agents.train.arguments import (
 )
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.loop import Watcher
-from chemlab.agents.train.single import _learner
+from chemlab.agents.train.single import Agent, _learner
 from chemlab.agents.train.tasks import BenchTask, LaboratoryTask, find_task
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
@@ -134,6 +134,25 @@ def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path)
     other = Run(tmp_path / "other")
     train(small(algo, checkpoints=3, seed=1), other.path)
     assert not np.array_equal(weights_of(other, algo), weights_of(whole, algo))
+
+
+class _StopBefore(Watcher):
+    """Stops a run after the evaluation before it learns."""
+
+    def evaluated(self, evaluation: Any, best: bool) -> None:
+        raise Killed
+
+
+def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(tmp_path: Path) -> None:
+    arguments = small("maskable-ppo", bc="scripted", bc_steps=50)
+    whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
+    train(arguments, whole.path)
+    assert [one.step for one in whole.evaluations()] == [0, 128, 256, 384]
+    assert whole.checkpoint("first") == whole.checkpoints / "first-0"
+    with pytest.raises(Killed):
+        train(arguments, broken.path, _StopBefore())
+    train(arguments, broken.path)
+    assert without_times(broken) == without_times(whole)
 
 
 def test_a_crash_after_the_last_step(tmp_path: Path) -> None:
@@ -470,6 +489,7 @@ def test_flags_of_a_clone_say_what_only_others_have_by_default() -> None:
     pairs = dict(zip(flags[::2], flags[1::2], strict=True))
     assert [pairs[f"--{name}"] for name in ("learning-rate", "ent-coef", "refund")] == ["0.001", "0.03", "0.25"]
     assert "--learning-rate" not in training_arguments(clone).flags()
+    assert "None" not in IPPO(begin_from="runs/first", tied=None, rollout=None).command_line()
 
 
 @pytest.mark.parametrize(
@@ -772,6 +792,21 @@ def test_curves_survive_a_cut_line(tmp_path: Path) -> None:
     assert os.path.getsize(run.evaluations_file) == 0
 
 
+def test_runs_with_neighbouring_seeds_have_different_episodes(tmp_path: Path) -> None:
+    """Nor does any have those of an evaluation, whatever its seed."""
+    seeds = {seed: set(training_seeds(seed, 256)) for seed in (0, 1, 1_000_000)}
+    assert len(set.union(*seeds.values())) == 3 * 256
+    assert not set.union(*seeds.values()) & {*range(1_000_000, 1_010_000), *range(RESULT_SEED, RESULT_SEED + 10_000)}
+    made = Agent(small("ppo", scenario="rush", bench=None, roles=("manager",), envs=3))
+    made.begin(Run(tmp_path / "run"))
+    made.venv.reset()
+    labs = made.venv.batch.laboratories
+    for member, seed in enumerate(training_seeds(0, 3)):
+        alone = LaboratoryTask("rush").batch(1)
+        alone.reset(seed=seed)
+        assert (alone.laboratories.episodes.first[0] == labs.episodes.first[member]).all()
+
+
 def test_a_role_of_a_laboratory_is_a_task() -> None:
     """What the scripted manager and a scripted bench come to is what whole episodes say."""
     env = raw_env("wurtz_dodecane")
@@ -781,5 +816,11 @@ def test_a_role_of_a_laboratory_is_a_task() -> None:
     bench = LaboratoryTask("wurtz_dodecane", "ext_0")
     expected = [result.rewards["ext_0"] for result in results]
     assert bench.returns(bench.policy("scripted"), 2, 4)[0] == pytest.approx(expected, rel=1e-12)
+    one = LaboratoryTask("wurtz_any", goals=("dodecane",))
+    batch = one.batch(20)
+    batch.reset(seed=0)
+    asked = batch.laboratories.scenario.goals
+    assert {asked[goal] for goal in batch.laboratories.state.goal[:, 0]} == {"dodecane"}
+    assert one.fingerprint == LaboratoryTask("wurtz_any").fingerprint
     with pytest.raises(ValueError, match="goals: wurtz_dodecane asks for dodecane, given gold"):
         LaboratoryTask("wurtz_dodecane", goals=("gold",))

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from helpers import until
+from helpers import slow_but, until
 
+from chemlab.agents.policies import agent_policy
 from chemlab.cli.servers import _free_port
 from chemlab.config.loading import load_scenario
 from chemlab.record import read_record, verify_record
@@ -245,6 +246,57 @@ def test_a_policy_plays_unless_a_person_has_the_seat(tmp_path: Path) -> None:
     lab.check()
     assert lab.verdict[0] == "ok"
     assert set(read_record(lab.record).header["policies"].values()) == {"scripted"}
+
+
+@pytest.mark.parametrize(
+    ("scenario", "seat"),
+    slow_but(
+        [("wurtz_dodecane", "ext_0"), ("recrystallization", "cry_0"), ("wurtz_real", "dit_0"), ("wurtz_real", "ext_0")],
+        ("wurtz_dodecane", "ext_0"),
+    ),
+)
+def test_a_policy_goes_on_where_a_person_began(scenario: str, seat: str, tmp_path: Path) -> None:
+    """It begins at its own first turn, not where it was in another experiment, and knows the number after that."""
+    lab = live.Live(load_scenario(scenario), "scripted", 0, "train", tmp_path)
+    while lab.turn != seat:
+        lab.step()
+    lab.taken.add(seat)
+    labs = lab.room.laboratories
+    number, members = labs.agents.index(seat), labs.members
+    mask = labs.mask(number, members)
+    action = next(int(a) for a in mask[0].nonzero()[0] if a != labs.roles[number].workplace.end_action)
+    lab.room.call = lambda agent, verb, arguments: lab.room.play(agent, action)  # type: ignore[method-assign]
+    lab.call(seat, "", {})
+    lab.taken.clear()
+    policy, steps = lab._players._policies[number], []
+    act = policy.act
+    policy.act = lambda seen, mask, step, members: (steps.append(int(step[0])), act(seen, mask, step, members))[1]
+    while len(steps) < 3:
+        lab.step()
+    assert steps[:2] == [0, 2]
+    alone = agent_policy("scripted", labs, number)
+    assert len(alone.act(labs.observe(number, members), mask, members + 1, members)) == 1
+    lab.room.close()
+
+
+def test_a_page_has_the_film_of_its_episode(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also while another one begins: it waits."""
+    lab, pages = live.Live(load_scenario(NAME), "scripted", 0, "train", tmp_path), list[str]()
+    lab.step()
+    made = live.Film
+    asker = threading.Thread(target=lambda: pages.append(lab.page(0)))
+
+    def slowly(labs: Any) -> Any:
+        asker.start()
+        asker.join(0.2)
+        return made(labs)
+
+    monkeypatch.setattr(live, "Film", slowly)
+    lab.begin(1)
+    asker.join()
+    assert '"episode":2' in pages[0].replace(" ", "")
+    assert '"turns":[]' in pages[0].replace(" ", "")
+    lab.room.close()
 
 
 def test_a_verdict_is_of_the_episode_that_was_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
