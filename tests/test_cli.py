@@ -592,6 +592,8 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
     assert runner.invoke(app, ["generate", "lab"]).exit_code == 0
     assert runner.invoke(app, ["run", "fictitious", "--record", "a.jsonl", "--json"]).exit_code == 0
     Path("link.json").symlink_to("lab.toml")
+    Path("based.toml").write_text('base = "lab.toml"\n')
+    Path("mine.json").write_text("{}")
     Path("plan.json").write_text("{}")
     run = Path("run", "checkpoints", "best-1")
     run.mkdir(parents=True)
@@ -611,7 +613,10 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         ["run", "lab.toml", "--record", "link.json", "--force"],
         ["play", "lab.toml", "--record", "lab.toml", "--force"],
         ["run", "fictitious", "--policy", "scripted,manager=plan:plan.json", "--record", "plan.json", "--force"],
+        ["run", "based.toml", "--record", "lab_reactions.toml", "--force"],
         ["evaluate", "lab.toml", "--out", "lab.toml"],
+        ["evaluate", "based.toml", "--out", "lab.toml", "--force"],
+        ["evaluate", "based.toml@3", "--out", "lab_materials.toml", "--force"],
         ["evaluate", "fictitious", "--policy", "plan.json", "--out", "plan.json"],
         ["audit", "lab.toml", "--out", "lab.toml"],
         ["crossplay", "lab.toml", "--out", "lab.toml"],
@@ -624,13 +629,20 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         ["data", "pairs", "hexane", "water", "-o", "lab.toml", "--materials", *lab],
         ["data", "reactions", "--smarts", "C>>C", "--reactants", "water", "-o", "lab.toml", "--materials", *lab],
         ["export", "run", "--out", "run/config.json"],
+        ["export", "run", "--out", "mine"],
+        ["export", "starts", "lab.toml", "--out", "mine.json"],
+        ["evaluate", "fictitious", "--out", "mine.json"],
+        ["audit", "fictitious", "--out", "mine.json"],
+        ["audit", "plan", "fictitious", "--out", "mine.json"],
+        ["crossplay", "fictitious", "--out", "mine.json"],
     ):
         if not find_spec({"export": "torch", "data": "ugropy"}.get(words[0], "chemlab")):
             continue  # that is what is said
         done = runner.invoke(app, words)
         assert isinstance(done.exception, SystemExit), (words, done.exception)
         assert done.exit_code == 2
-        assert "is an input of this command" in done.output.replace("\n", ""), (words, done.output)
+        said = "already exists" if words[-1].startswith("mine") else "is an input of this command"
+        assert said in done.output.replace("\n", ""), (words, done.output)
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 

@@ -15,6 +15,7 @@ from .options import (
     AddressOption,
     DefaultGroup,
     EpisodesOption,
+    ForceOption,
     JsonOption,
     ProcessesOption,
     ScenarioArgument,
@@ -54,6 +55,7 @@ def measures(
     processes: ProcessesOption = None,
     address: AddressOption = None,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the results as JSON.")] = None,
+    force: ForceOption = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -73,7 +75,7 @@ def measures(
     if keep is not None:
         check_folder(keep)
     if output is not None:
-        check_result(output, scenario)
+        check_result(output, force, scenario)
     with resumable(keep), counting() as progress, executor(address, processes) as jobs:
         task = progress.add_task("parts", total=job_count(spec, chosen))
         found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task), turns)
@@ -109,6 +111,7 @@ def plan(
         Path | None,
         typer.Option("--out", "-o", help="Also write the plans; play them with --policy BENCHES,manager=plan:FILE."),
     ] = None,
+    force: ForceOption = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -123,7 +126,7 @@ def plan(
     spec = load_scenario(scenario)
     most = plan_budget(budget)
     if output is not None:
-        check_result(output, scenario, benches)
+        check_result(output, force, scenario, benches)
     with counting() as progress:
         task = progress.add_task("plans", total=most)
         search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))

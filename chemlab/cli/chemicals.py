@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..config.files import check_apart, check_new, check_target, write_text, write_texts
-from .options import JsonOption, app
+from .options import ForceOption, JsonOption, app
 from .screen import counting, err, out, plain, show_table
 
 if TYPE_CHECKING:
@@ -35,7 +35,6 @@ ValuesOption = Annotated[
 NameOption = Annotated[
     list[str] | None, typer.Option(help="KEY=WHAT: id KEY for the compound WHAT (CAS number, name, SMILES).")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
 IdealOption = Annotated[
