@@ -23,7 +23,7 @@ import os.path
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
 
@@ -40,6 +40,7 @@ from .config.catalogue import (
     closest,
     keep_material,
     keep_pairs,
+    key_of,
     matches,
     normalized,
     salts,
@@ -822,33 +823,26 @@ class Flask:
             ImportError: the extra ``chem`` is not installed, which looks things up.
             OSError: the folder of what is kept (:func:`chemlab.config.catalogue.user_folder`) cannot be written to.
         """
-        known = shipped_materials()
-        for key in (name, *matches(name)):
-            if key in known:
-                return known[key]
-            if found := catalogue_material(key):
-                return found[1]
-            if key in REAGENTS:
-                ions = " and ".join(REAGENTS[key])
-                raise DataError(f"{name!r} is known as its ions in water only: see the materials {ions}")
-        from .openchem.compounds import known_as, material_tables
+        if found := _named(name):
+            return found
+        from .openchem.compounds import checked_materials, known_as, material_tables
         from .openchem.identity import compound_of
         from .openchem.writing import material_text
 
         compound = compound_of(name)
-        if same := known_as(compound, known):
-            return known[same]
-        if compound.key in known or (catalogue_material(compound.key) is not None and not matches(compound.key)):
-            raise DataError(
-                f"{name!r}: would be called {compound.key!r}, which another material is; give its CAS number"
-            )
-        texts = [name, compound.key, compound.name, compound.cas, compound.common_name, compound.formula]
-        spelled = [normalized(spelling) for spelling in texts if spelling]
-        text = material_text(material_tables([compound]), f"Flask.material({name!r})")
-        keep_material(compound.key, text, [*spelled, *([compound.smiles] if len(compound.smiles) > 2 else [])])
-        made = catalogue_material(compound.key)
-        assert made is not None
-        return made[1]
+        if same := known_as(compound, shipped_materials()):
+            return shipped_materials()[same]
+        for spelling in (compound.cas, compound.smiles):
+            if spelling and (found := _named(spelling)):
+                return found
+        known_name = "" if compound.name == compound.formula else compound.name
+        key = key_of(known_name or compound.common_name, compound.inchi_key)
+        tables = material_tables([replace(compound, key=key)])
+        names = [normalized(text) for text in (key, known_name, compound.cas, compound.common_name) if text]
+        structure = [compound.smiles] if len(compound.smiles) > 2 else []  # CO is a formula, too
+        text = material_text(tables, f"Flask.material({name!r})")
+        keep_material(key, text, [*names, name.strip(), *structure])
+        return checked_materials(tables)[key]
 
     # -- display ------------------------------------------------------------------------------------------------------
 
@@ -963,6 +957,7 @@ class Flask:
         if name in known and known[name].role != "gas":
             return name
         keys = matches(name) or _of_structure(name)
+        keys = (name,) if name in keys else keys
         kept = catalogue_material(keys[0]) if len(keys) == 1 else None
         gas = keys[0] if kept and kept[1].role == "gas" else ""
         if not keys:  # bundled gases
@@ -974,7 +969,7 @@ class Flask:
         if len(keys) == 1:
             return keys[0]
         if keys:
-            raise DataError(f"{name!r} may be {' or '.join(map(repr, keys))}; give one of these names")
+            raise _several(name, keys)
         if wrong_cas(name):
             raise DataError(f"{name!r} is no CAS number: its check digit is wrong; correct it, or give a name")
         near = list(dict.fromkeys([*difflib.get_close_matches(name, known, 1, 0.9), *closest(name)]))[:3]
@@ -1131,6 +1126,30 @@ class Flask:
             more = spilled - self._spilled
             warnings.warn(f"{more:.4g} L ran over the rim of {self.capacity_l:g} L", SpillWarning, stacklevel=4)
             self._spilled = spilled
+
+
+def _named(name: str) -> Material | None:
+    """The material that is called so, None if none is.
+
+    Raises:
+        DataError: several are, or it is known as its ions only.
+    """
+    keys = matches(name)
+    for key in (name, *keys):
+        if key != name and len(keys) > 1:
+            raise _several(name, keys)
+        if found := shipped_materials().get(key):
+            return found
+        if kept := catalogue_material(key):
+            return kept[1]
+        if key in REAGENTS:
+            ions = " and ".join(REAGENTS[key])
+            raise DataError(f"{name!r} is known as its ions in water only: see the materials {ions}")
+    return None
+
+
+def _several(name: str, keys: Iterable[str]) -> DataError:
+    return DataError(f"{name!r} may be {' or '.join(map(repr, keys))}; give one of these names")
 
 
 def _of_structure(text: str) -> tuple[str, ...]:

@@ -15,8 +15,17 @@ import numpy as np
 import pytest
 from helpers import script
 
-from chemlab.config.catalogue import FAMILY, FOLDER, acids_and_bases, catalogue_pairs, matches, spellings
-from chemlab.config.datafile import read_toml
+from chemlab.config.catalogue import (
+    FAMILY,
+    FOLDER,
+    CataloguePair,
+    acids_and_bases,
+    catalogue_pairs,
+    keep_pairs,
+    matches,
+    spellings,
+)
+from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import load_materials, shipped_materials
 from chemlab.config.pairs import shipped_pairs
 from chemlab.sandbox import Flask
@@ -97,6 +106,7 @@ def test_other_names_find_an_amount() -> None:
         (lambda: Flask({"acetone": 1.0}, physics="paper"), "has no polarity.*choose physics = 'real'"),
         (lambda: Flask({"water": 1.0}).plot(), "there is no history yet"),
         (lambda: Flask.material("sulfuric acid"), "known as its ions in water only"),
+        (lambda: Flask.material("C8H10"), "may be .*'o-xylene'.*give one of these names"),
     ],
 )
 def test_mistakes_are_answered(made: Callable[[], object], message: str) -> None:
@@ -278,3 +288,49 @@ def test_other_compounds_are_looked_up_once(tmp_path: Path) -> None:
     assert (tmp_path / "kept" / "pairs.csv").read_text(encoding="utf-8").splitlines() == rows
     with pytest.raises(ValueError, match="a mixture of hydrocarbons"):
         Flask.material("petroleum ether")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rdkit") is None, reason="needs the extra chem")
+def test_what_is_added_is_one_compound_and_changes_no_other(tmp_path: Path) -> None:
+    def of(text: str) -> str | None:
+        return Flask.material(text).smiles
+
+    unlisted = "CCCCC(C)OC(CC)CCCC", "CCCCC(C)OC(CCC)CCC"
+    assert [of(text) for text in unlisted] == [of(text) for text in unlisted] == list(unlisted)  # isomers
+    assert sum(mol == 1.0 for mol in Flask(dict.fromkeys(unlisted, 1.0)).amounts.values()) == 2
+    assert of("benzo[a]pyrene") == of("50-32-8")
+    assert of("2,2'-bipyridine") == of("2,2'-Bipyridine") == "c1ccc(-c2ccccn2)nc1"
+    assert of("C1CCCCC1C") == "CC1CCCCC1"
+    assert of("c1ccccc1C") == of("toluene")
+    assert of("C1CCSC1") != of("thiophene")
+    of("propanal")
+    assert of("C3H6O") == of("acetone")
+    # One compound by any of its names, whichever came first.
+    files = len(list((tmp_path / "kept").glob("*.toml")))
+    for text in ("phenyl methyl ether", "anisole", "COc1ccccc1", "100-66-3"):
+        assert of(text) == "COc1ccccc1"
+    assert len(list((tmp_path / "kept").glob("*.toml"))) == files + 1
+    assert Flask({"anisole": 1.0}).amounts["100-66-3"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("names.csv", "anisole\n", "the line 'anisole' has 1 cells, not 2"),
+        ("pairs.csv", "acetone,butanone,UNIFAC\n", "the line .* has 3 cells, not 11"),
+        ("pairs.csv", "acetone,own,UNIFAC,x,0,0,0,0,0,0,0\n", "the line .* has numbers that are none"),
+        ("names.csv", "\xff", "is no list of 2 columns"),
+    ],
+)
+def test_a_line_of_ones_own_that_is_malformed_is_named(name: str, text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / name).write_bytes(text.encode("latin-1"))
+    with pytest.raises(DataError, match=f"{re.escape(name)}: {message}"):
+        catalogue_pairs([frozenset(("acetone", "own"))]) if name == "pairs.csv" else matches("x")
+
+
+def test_a_row_of_pairs_begins_its_own_line(tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "pairs.csv").write_text("a,b,UNIFAC,0.3,0,0,0,0,0,0,0")
+    keep_pairs([CataloguePair("a", "c", "UNIFAC", 0.3, 0.0, (0.0,) * 6)])
+    assert len(catalogue_pairs([frozenset("ab"), frozenset("ac")])) == 2

@@ -177,6 +177,9 @@ def test_compare_updates_a_file(tmp_path: Path) -> None:
     page.write_text(text.replace("<!-- results: end -->", f"{rest}\n<!-- results: end -->"))
     assert runner.invoke(app, arguments).exit_code == 0
     assert page.read_text() == text.replace("<!-- results: end -->", f"{rest}\n<!-- results: end -->")
+    page.write_bytes(b"\xff")
+    done = runner.invoke(app, arguments)
+    assert (done.exit_code, "is not a text file" in done.output.replace("\n", "")) == (2, True)
     page.write_text("no marks")
     assert runner.invoke(app, arguments).exit_code == 2
     assert page.read_text() == "no marks"
