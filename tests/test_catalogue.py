@@ -181,6 +181,19 @@ def test_azeotropes_are_where_they_were_measured() -> None:
         assert re.search(rf"\| {re.escape(names)} \|.*\| {'yes' if row.met else 'no'} \|", page), names
 
 
+def test_what_mixes_with_water_is_one_liquid() -> None:
+    """Those that are not say so."""
+    mixes = ["pyridine", "tetrahydrofuran", "acetonitrile", "tert-butanol", "acetone", "1,4-dioxane", "2-propanol"]
+    for name in mixes:
+        for mol in (0.5, 1.0, 2.0, 4.0):
+            flask = Flask({name: mol, "water": 4.0}, temperature_k=300.0)
+            assert [layer.name for layer in flask.layers if layer.volume_l > 0.01] in (["aqueous"], ["organic"]), name
+    for name in ("benzylamine", "butyric_acid", "gamma-butyrolactone"):
+        flask = Flask({name: 1.0, "water": 4.0})
+        assert len(flask.layers) == 2
+        assert "two layers at room temperature although the liquids mix" in flask.report()
+
+
 def test_every_two_molecules_are_a_pair() -> None:
     pairs = {frozenset(two) for two in itertools.combinations([*MOLECULES, "water", "ethanol", "toluene"], 2)}
     found = {**catalogue_pairs(pairs), **shipped_pairs()}

@@ -19,6 +19,7 @@ else:
     import tomli as tomllib
 
 from chemlab.cli import app
+from chemlab.config.catalogue import catalogue_pairs
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import Material, load_materials, shipped_materials
@@ -32,12 +33,14 @@ for package in ("rdkit", "chemicals", "thermo", "ugropy"):
 import chemicals  # noqa: E402
 import numpy as np  # noqa: E402
 
+from chemlab.openchem.activity import make_pairs  # noqa: E402
 from chemlab.openchem.compounds import compounds, material_tables  # noqa: E402
 from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of  # noqa: E402
 from chemlab.openchem.properties import Properties, Value, fitted_vapor_pressure  # noqa: E402
 from chemlab.openchem.templates import Rate, Template, expand, family_tables, heat_of_reaction  # noqa: E402
 from chemlab.openchem.writing import family_text, material_text, toml, toml_tables  # noqa: E402
+from chemlab.sandbox import Flask  # noqa: E402
 
 WURTZ = "[C:1][Cl:3].[C:2][Cl:4].[Na:5].[Na:6]>>[C:1][C:2].([Na+:5].[Cl-:3]).([Na+:6].[Cl-:4])"
 CHLOROHEXANES = ["1-chlorohexane", "2-chlorohexane", "3-chlorohexane"]
@@ -520,6 +523,16 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
         assert pair.tau(330.0) == (0.0, 0.0)  # NRTL without parameters: all activity coefficients are 1
         assert pair.source.startswith("estimate: ideal mixture")
     assert "--ideal" in read_toml(path)["lock"]["command"]
+
+
+def test_pairs_take_the_form_that_a_flask_takes(tmp_path: Path) -> None:
+    """Catalogue's liquids are known by their key, and a form that extrapolates too far is no one's."""
+    run("data", "pairs", "acetone", "cyclohexane", "-o", tmp_path / "a.toml")
+    two = [("1,2-dichlorobenzene", "acetic_acid"), ("1,2-dichlorobenzene", "glycerol"), ("pyridine", "glycerol")]
+    known = {name: Flask.material(name) for names in two for name in names}
+    forms = [row["source"] for row in make_pairs(two, known, ideal=True)]
+    assert forms == [catalogue_pairs([frozenset(names)])[frozenset(names)].source for names in two]
+    assert forms[:2] == ["UNIFAC", "UNIFAC"]
 
 
 def test_pairs_that_are_shipped_are_not_made_again(tmp_path: Path) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..config.catalogue import IDEAL_PAIR, SOURCES, catalogue_material
 from ..config.files import check_apart, check_new, check_target, write_text, write_texts
 from .options import ForceOption, JsonOption, app
 from .screen import counting, err, out, plain, show_table
@@ -39,7 +40,7 @@ NameOption = Annotated[
 
 IdealOption = Annotated[
     bool,
-    typer.Option("--ideal", help="Treat pairs without UNIFAC groups as ideal mixtures; their source states it."),
+    typer.Option("--ideal", help="Treat pairs that UNIFAC does not describe as ideal mixtures; their source says so."),
 ]
 RateOption = Annotated[
     list[str] | None,
@@ -99,19 +100,15 @@ def _made_pairs(
         err.print(f"fitting {_count(len(two), 'pair')} of liquids")
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
-        rows = make_pairs(two, known, lambda _: progress.advance(task), ideal)
+        rows = make_pairs(two, known, lambda done: progress.update(task, completed=done), ideal)
     return pair_text(rows, command), rows
 
 
 def _show_ideal(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the pairs treated as ideal mixtures."""
-    if not rows:
-        return  # the extra is not needed without new pairs
-    from ..openchem.activity import IDEAL
-
-    guessed = [" with ".join(row["of"]) for row in rows if row["source"] == IDEAL]
+    guessed = [" with ".join(row["of"]) for row in rows if row["source"] == SOURCES[IDEAL_PAIR]]
     if guessed:
-        out.print(f"treated as ideal mixtures, because UNIFAC has no groups for them: {plain(', '.join(guessed))}")
+        out.print(f"treated as ideal mixtures, because UNIFAC does not describe them: {plain(', '.join(guessed))}")
 
 
 @data.command()
@@ -245,6 +242,7 @@ def pairs(
     if len(names) < 2:
         raise ValueError("a pair needs two materials; name one more")
     known = _known(materials)
+    known |= {name: found[1] for name in names if name not in known and (found := catalogue_material(name))}
     every = list(itertools.combinations(names, 2))
     two = [pair for pair in every if frozenset(pair) not in shipped_pairs()]
     if not two:

@@ -27,8 +27,8 @@ FOLDER = Path(__file__).parent.parent / "data" / "catalogue"
 SALTS, FAMILY = FOLDER / "_salts.toml", FOLDER / "_reactions.toml"
 IDEAL_PAIR = "ideal"
 """Form of a pair without UNIFAC groups or interactions: all activity coefficients are 1."""
-_SOURCES = {
-    IDEAL_PAIR: "estimate: ideal mixture; no form of UNIFAC has the groups of both",
+SOURCES = {
+    IDEAL_PAIR: "estimate: ideal mixture, all activity coefficients 1; no form of UNIFAC describes both",
     "azeotrope": "through the azeotrope at 101.325 kPa, Gmehling et al. (2004) (as remembered, not looked up)",
 }
 _PAIR_CELLS = 11
@@ -83,7 +83,7 @@ class CataloguePair(NamedTuple):
             low_k=LOW_K,
             high_k=HIGH_K,
             error=self.error,
-            source=_SOURCES.get(self.form, self.form),
+            source=SOURCES.get(self.form, self.form),
         )
 
 
