@@ -289,6 +289,19 @@ def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatc
     assert "fictitious: its recorded vessels come with chemlab" in " ".join(done.output.split())
     assert load_scenario("fictitious").argument == "fictitious"
     assert load_scenario(mapping("fictitious")).argument == "FILE.toml"
+    done = runner.invoke(app, ["generate", "made", "-o", "a folder"])
+    assert "chemlab run 'a folder/made.toml'" in " ".join(done.output.split())
+    if find_spec("ugropy"):
+        new = ["new", "made", "--reactions", "a folder/made_reactions.toml", "-o", "a folder/made_reactions.toml"]
+        assert "is an input of this command" in " ".join(runner.invoke(app, new).output.split())
+    done = runner.invoke(app, ["describe", "fictitious", "--trust"])
+    assert "chemlab describe fictitious --agent NAME --trust" in " ".join(done.output.split())
+    plan = ["audit", "plan", "salt_from_oil", "--budget", "200", "--episodes", "1", "--trust", "-o"]
+    done = runner.invoke(app, [*plan, "plan.json"])
+    assert "manager=plan:plan.json --trust" in " ".join(done.output.split())
+    for name in ("a,b.json", "a=b.json", "a@1.json"):
+        done = runner.invoke(app, [*plan, name])
+        assert (done.exit_code, "has a meaning in --policy" in " ".join(done.output.split())) == (2, True)
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

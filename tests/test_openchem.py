@@ -314,6 +314,17 @@ def test_what_is_not_found_is_asked_for_and_can_be_given(tmp_path: Path) -> None
     assert "already exists" in run("data", "material", "diphenyl sulfone", "-o", path, fails=True).output
 
 
+def test_own_values_far_from_the_compilations_are_named(tmp_path: Path) -> None:
+    """Such as one in another unit."""
+    values = tmp_path / "own.toml"
+    for field, number, right in (("boiling_point_k", 153.7, 427.0), ("density_kg_l", 989.0 / 100, 0.99)):
+        values.write_text(f'[anisole]\n{field} = {number}\nsource.{field} = "a label"\n')
+        words = ("data", "material", "anisole", "--values", values, "--force", "-o", tmp_path / "m.toml")
+        assert f"check anisole: {field} = {number}: doubtful: compilations say" in " ".join(run(*words).output.split())
+        values.write_text(values.read_text().replace(str(number), str(right)))
+        assert "check anisole" not in run(*words).output
+
+
 def test_values_of_ones_own_are_never_left_out_in_silence(tmp_path: Path) -> None:
     """Of a file that is not there, and of materials that are not written: shipped ones have theirs already."""
     path, values = tmp_path / "m.toml", tmp_path / "own.toml"
@@ -333,6 +344,8 @@ def test_a_result_never_replaces_another(tmp_path: Path) -> None:
     assert "is given for two outputs" in " ".join(done.output.split())
     done = run("data", "material", "--name", "toluene=CCCCCCCCCCCCO", *words[3:], fails=True)
     assert "id of another bundled material" in " ".join(done.output.split())
+    done = run("data", "material", "--name", "x=anisole", "--name", "x=cumene", *words[3:], fails=True)
+    assert "'x' is given for 'anisole' and for 'cumene'" in " ".join(done.output.split())
     assert not list(tmp_path.iterdir())
 
 
@@ -488,6 +501,10 @@ def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path
     (step,) = load_reactions(str(path), materials).reaction
     assert step.words == "acetic_anhydride + 1-butanol -> butyl_acetate + acetic_acid"
     assert "already exists" in run(*words, fails=True).output
+    done = run(*words, "--rate", 1e-3, "--activation", 55, "--source", "a notebook", "--json", "--force")
+    assert "55 J/mol of" in done.stderr
+    assert json.loads(done.stdout)
+    run(*words, "--rate", 1e-3, "--activation", 55000, "--source", "a notebook", "--force")
     # What the file says it was made by makes it again.
     again = tmp_path / "again" / "ester.toml"
     run(*shlex.split(read_toml(path)["lock"]["command"])[1:], "-o", again)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from dataclasses import asdict
 from pathlib import Path
@@ -126,21 +127,25 @@ def plan(
     spec = load_scenario(scenario)
     most = plan_budget(budget)
     if output is not None:
+        if found := re.search("[,=@]", str(output)):
+            raise ValueError(f"--out: {output}: {found[0]} has a meaning in --policy plan:FILE; give another name")
         check_result(output, force, scenario, benches)
     with counting() as progress:
         task = progress.add_task("plans", total=most)
         search = search_plan(spec, benches, most, seed, watch=lambda n: progress.advance(task, n))
     words = ["chemlab", "audit", "plan", scenario, "--benches", benches, "--budget", budget, "--seed", str(seed)]
-    words += ["--episodes", str(episodes)]
-    found = search.as_file(shlex.join(words), episodes)
+    trusting = ["--trust"] if trust else []
+    words += ["--episodes", str(episodes), *trusting]
+    plans = search.as_file(shlex.join(words), episodes)
     if as_json:
-        typer.echo(json.dumps(found.model_dump()))
+        typer.echo(json.dumps(plans.model_dump()))
     else:
-        _tell(search, found)
+        _tell(search, plans)
     if output is not None:
-        found.save(output)
+        plans.save(output)
         if not as_json:
-            run = shlex.join(["chemlab", "run", scenario, "--policy", f"{benches},manager=plan:{output}"])
+            words = ["chemlab", "run", scenario, "--policy", f"{benches},manager=plan:{output}"]
+            run = shlex.join([*words, *trusting])
             out.print(f"wrote {plain(output)}; play it: {plain(run)}")
 
 

@@ -55,8 +55,8 @@ def _free(path: Path, force: bool, *read: Path) -> None:
     """Check that an output path is free, or may be overwritten and is not one of the input files."""
     if path.suffix != ".toml":
         raise ValueError(f"{path}: must end with .toml")
-    check_new(path, force)
     check_apart([path], read)
+    check_new(path, force)
     check_target(path)
 
 
@@ -66,7 +66,8 @@ def _named(options: Iterable[str] | None) -> dict[str, str]:
         key, equals, what = option.partition("=")
         if not (key and equals and what):
             raise ValueError(f"--name: must be KEY=WHAT, given {option!r}")
-        found[key] = what
+        if found.setdefault(key, what) != what:
+            raise ValueError(f"--name: {key!r} is given for {found[key]!r} and for {what!r}; give each its own")
     return found
 
 
@@ -339,6 +340,13 @@ def reactions(
     if strangers:
         results[beside] = material_text(tables, command)
     write_texts(results)
+    for step in found:
+        energy = step.template.rate.activation_j_mol
+        if energy is not None and 0.0 < energy < _SMALLEST_ACTIVATION:
+            err.print(
+                f"warning: --activation: {energy:g} J/mol of {plain(step.words)} is next to nothing; were "
+                f"{energy:g} kJ/mol meant, give {1000.0 * energy:g}"
+            )
     if as_json:
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return
@@ -361,13 +369,6 @@ def reactions(
         )
     if strangers:
         out.print(f"{plain(beside)}: {_count(len(strangers), 'material')}")
-    for step in found:
-        energy = step.template.rate.activation_j_mol
-        if energy is not None and 0.0 < energy < _SMALLEST_ACTIVATION:
-            err.print(
-                f"warning: --activation: {energy:g} J/mol of {plain(step.words)} is next to nothing; were "
-                f"{energy:g} kJ/mol meant, give {1000.0 * energy:g}"
-            )
     guesses = "; rate constants that were not given are guessed" if any("guess" in row[2] for row in rows) else ""
     out.print(f"{plain(output)}: {_count(len(found), 'reaction')}{guesses}")
 
@@ -470,8 +471,6 @@ def new(
 
     _check_name(name)
     path = output or Path(f"{name}.toml")
-    read = [*(materials or ()), *(pairs or ())]
-    _free(path, force, *read)
     own = path.parent / f"{path.stem}_pairs.toml"
     asking = sys.stdin.isatty()
     reactions = reactions or (typer.prompt("reaction file") if asking else "")
@@ -480,8 +479,8 @@ def new(
     file = Path(reactions)
     files = list(materials or ())
     made = file.parent / f"{file.stem}_materials.toml"
-    read += [file, made] if file.suffix == ".toml" else []
-    check_apart([path], read)
+    read = [*(materials or ()), *(pairs or ()), *([file, made] if file.suffix == ".toml" else ())]
+    _free(path, force, *read)
     if made.exists() and made not in files:
         files.append(made)
     known = _known(files)
@@ -565,5 +564,5 @@ def generate(
     made.scenario()
     path = made.write(output, force)
     out.print(plain(made.tables["summary"]))
-    words = f"play it: chemlab run {plain(path)}; measure its difficulty: chemlab audit difficulty {plain(path)}"
-    out.print(f"{plain(path)} and {len(made.files()) - 1} files beside it; {words}")
+    words = f"play it: {_command('run', path)}; measure its difficulty: {_command('audit', 'difficulty', path)}"
+    out.print(f"{plain(path)} and {len(made.files()) - 1} files beside it; {plain(words)}")
