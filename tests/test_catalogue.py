@@ -41,6 +41,7 @@ BOILS_ELSEWHERE = {
     "benzyl_chloride": "452 K by three compilations",
     "N-methylpyrrolidone": "475 K by the equation of its vapour pressure",
     "3-chlorohexane": "the bundled material's own source",
+    "succinic_acid": "it loses water at 508 K; 591 K by Yaws and by DIPPR's vapour pressure",
 }
 """Molecules that boil 1.5 K or more from the CRC Handbook, 95th ed."""
 
