@@ -31,7 +31,7 @@ SOURCES = {
     IDEAL_PAIR: "estimate: ideal mixture, all activity coefficients 1; no form of UNIFAC describes both",
     "azeotrope": "through the azeotrope at 101.325 kPa, Gmehling et al. (2004) (as remembered, not looked up)",
 }
-_PAIR_CELLS = 11
+_PAIR_CELLS, _WATER_PKA = 11, 14.0
 LOW_K, HIGH_K = 270.0, 480.0
 """Range of temperatures of the fits."""
 
@@ -46,9 +46,17 @@ REAGENTS: dict[str, dict[str, float]] = {
 
 @functools.lru_cache(maxsize=1)
 def acids_and_bases() -> frozenset[str]:
-    """Return the acids of ``_reactions.toml``, their bases, and the salts of these."""
+    """Return the acids of ``_reactions.toml``, their bases, and the salts of these.
+
+    An acid weaker than water (ethanol) is none; its base is one.
+    """
     family = read_toml(FAMILY)
-    species = {name for acid in family["acid"] for name in acid["species"]}
+    species = {
+        name
+        for acid in family["acid"]
+        for name, pka in zip(acid["species"], [*acid["pka"], 0.0], strict=True)
+        if pka < _WATER_PKA
+    }
     return frozenset(species | {salt["solid"] for salt in family["salt"] if salt["anion"] in species})
 
 
