@@ -61,7 +61,7 @@ def _free(path: Path, force: bool, *read: Path) -> None:
 
 
 def _named(options: Iterable[str] | None) -> dict[str, str]:
-    found = {}
+    found: dict[str, str] = {}
     for option in options or ():
         key, equals, what = option.partition("=")
         if not (key and equals and what):

@@ -106,7 +106,6 @@ class VaporPressure(DataModel):
         slope = (self._log(at_end + inward) - self._log(at_end)) / (1.0 / (at_end + inward) - 1.0 / at_end)
         return np.asarray(np.exp(self._log(at_end) + slope * (1.0 / temperature - 1.0 / at_end)))
 
-
     def heat(self, temperature_k: float) -> float:
         """Return the heat of vaporization in J/mol to an ideal gas by the slope of the curve (Clausius-Clapeyron)."""
         low, high = 0.999 * temperature_k, 1.001 * temperature_k
@@ -259,8 +258,8 @@ class Material(DataModel):
             heat = real.vapor_pressure.heat(self.boiling_point_k)
             if real.dimerization is None and abs(heat / self.vaporization_enthalpy_j_mol - 1.0) > _HEAT_ERROR:
                 raise ValueError(
-                    f"vaporization_enthalpy_j_mol = {self.vaporization_enthalpy_j_mol:g}, and real.vapor_pressure rises at "
-                    f"boiling_point_k = {self.boiling_point_k} as by {heat:.0f} J/mol; must agree within "
+                    f"vaporization_enthalpy_j_mol = {self.vaporization_enthalpy_j_mol:g}, and real.vapor_pressure "
+                    f"rises at boiling_point_k = {self.boiling_point_k} as by {heat:.0f} J/mol; must agree within "
                     f"{_HEAT_ERROR:.0%}; give a boiling point, a heat and a vapour pressure that belong together"
                 )
 

@@ -212,15 +212,19 @@ def _fitted(
     pairs: Sequence[tuple[str, str]], materials: Mapping[str, Material], grid: Grid, progress: Callable[[int], None]
 ) -> list[tuple[str, Fit]]:
     """Return the form and the fit of each pair; :data:`~chemlab.config.catalogue.IDEAL_PAIR` where no form is sound."""
-    forms = [best_form(two, materials) for two in pairs]
-    keys = [chosen and (chosen[0].name, *map(_sorted, chosen[1])) for chosen in forms]
-    curves = {key: chosen for key, chosen in zip(keys, forms, strict=True) if chosen is not None}
+    keys: list[Any] = []
+    curves: dict[Any, tuple[Model, list[Groups]]] = {}
+    for two in pairs:
+        chosen = best_form(two, materials)
+        keys.append(None if chosen is None else (chosen[0].name, *map(_sorted, chosen[1])))
+        curves |= {} if chosen is None else {keys[-1]: chosen}
     made: dict[Any, tuple[str, Fit]] = {None: (IDEAL_PAIR, Fit(np.zeros(6), 0.3, 0.0))}
     for at in range(0, len(curves), _CHUNK):
         part = list(curves.items())[at : at + _CHUNK]
         log_gamma = [_curve(*key) if grid is QUICK else form.log_gamma(groups, grid) for key, (form, groups) in part]
         found = fits(np.array(log_gamma), grid)
-        made |= {key: (key[0], Fit(p, float(a), float(e))) for (key, _), p, a, e in zip(part, *found, strict=True)}
+        for (key, (form, _)), parameters, alpha, error in zip(part, *found, strict=True):
+            made[key] = form.name, Fit(parameters, float(alpha), float(error))
         progress(sum(key in made for key in keys))
     return [made[key] for key in keys]
 
