@@ -269,7 +269,7 @@ def _path_of(word: str) -> str:
 
 
 def check_apart_from(path: Path, *read: str | Path) -> None:
-    """Check that a result overwrites none of the files that a command reads, those that a scenario names included.
+    """Check that a result overwrites no file that a command reads, nor one that its scenario names.
 
     Args:
         path: path of the result.
