@@ -39,6 +39,7 @@ from .config.catalogue import (
     catalogue_pairs,
     closest,
     keep_material,
+    keep_names,
     keep_pairs,
     key_of,
     matches,
@@ -824,18 +825,17 @@ class Flask:
             OSError: the folder of what is kept (:func:`chemlab.config.catalogue.user_folder`) cannot be written to.
         """
         if found := _named(name):
-            return found
+            return found[1]
         from .openchem.compounds import checked_materials, known_as, material_tables
         from .openchem.identity import compound_of
         from .openchem.writing import material_text
 
         compound = compound_of(name)
-        if same := known_as(compound, shipped_materials()):
-            return shipped_materials()[same]
-        for spelling in (compound.cas, compound.smiles):
-            if spelling and (found := _named(spelling)):
-                return found
         known_name = "" if compound.name == compound.formula else compound.name
+        for spelling in (known_as(compound, shipped_materials()), compound.cas, compound.smiles):
+            if spelling and (found := _named(spelling)):
+                keep_names(found[0], filter(None, (name.strip(), normalized(known_name))))
+                return found[1]
         key = key_of(known_name or compound.common_name, compound.inchi_key)
         tables = material_tables([replace(compound, key=key)])
         names = [normalized(text) for text in (key, known_name, compound.cas, compound.common_name) if text]
@@ -959,7 +959,8 @@ class Flask:
         keys = matches(name) or _of_structure(name)
         keys = (name,) if name in keys else keys
         kept = catalogue_material(keys[0]) if len(keys) == 1 else None
-        gas = keys[0] if kept and kept[1].role == "gas" else ""
+        only = kept[1] if kept else known.get(keys[0]) if len(keys) == 1 else None
+        gas = keys[0] if only is not None and only.role == "gas" else ""
         if not keys:  # bundled gases
             called = (key for key, m in known.items() if m.role == "gas" and normalized(name) == normalized(m.name))
             gas = name if name in known else next(called, "")
@@ -1128,8 +1129,8 @@ class Flask:
             self._spilled = spilled
 
 
-def _named(name: str) -> Material | None:
-    """The material that is called so, None if none is.
+def _named(name: str) -> tuple[str, Material] | None:
+    """Key and material of what is called so, None if nothing is.
 
     Raises:
         DataError: several are, or it is known as its ions only.
@@ -1139,9 +1140,9 @@ def _named(name: str) -> Material | None:
         if key != name and len(keys) > 1:
             raise _several(name, keys)
         if found := shipped_materials().get(key):
-            return found
+            return key, found
         if kept := catalogue_material(key):
-            return kept[1]
+            return key, kept[1]
         if key in REAGENTS:
             ions = " and ".join(REAGENTS[key])
             raise DataError(f"{name!r} is known as its ions in water only: see the materials {ions}")

@@ -322,12 +322,15 @@ def test_what_is_added_is_one_compound_and_changes_no_other(tmp_path: Path) -> N
     assert of("C1CCSC1") != of("thiophene")
     of("propanal")
     assert of("C3H6O") == of("acetone")
+    assert of("hydrogen") == of("H2")
+    with pytest.raises(DataError, match=r"'hydrogen'.* is a gas"):
+        Flask({"hydrogen": 0.1, "water": 10.0})
     # One compound by any of its names, whichever came first.
     files = len(list((tmp_path / "kept").glob("*.toml")))
     for text in ("phenyl methyl ether", "anisole", "COc1ccccc1", "100-66-3"):
         assert of(text) == "COc1ccccc1"
     assert len(list((tmp_path / "kept").glob("*.toml"))) == files + 1
-    assert Flask({"anisole": 1.0}).amounts["100-66-3"] == 1.0
+    assert Flask({"Anisole": 1.0, "Phenyl methyl ether": 1.0}).amounts["100-66-3"] == 2.0
 
 
 @pytest.mark.parametrize(

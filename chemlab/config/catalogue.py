@@ -215,12 +215,22 @@ def keep_material(key: str, text: str, names: Iterable[str]) -> Path:
         DataError: the list of names there is malformed.
         OSError: the folder cannot be written to.
     """
-    path, listed = user_folder() / f"{key}.toml", user_folder() / "names.csv"
+    path = user_folder() / f"{key}.toml"
     write_text(path, text)
-    made = dict.fromkeys(names, key)
-    rows = [(spelling, of) for spelling, of in _rows(listed, 2) if of != key and spelling not in made]
-    write_text(listed, names_text([*rows, *made.items()]))
+    keep_names(key, names)
     return path
+
+
+def keep_names(key: str, names: Iterable[str]) -> None:
+    """Write further spellings of a key into the user's folder.
+
+    Raises:
+        DataError: the list of names there is malformed.
+        OSError: the folder cannot be written to.
+    """
+    listed, made = user_folder() / "names.csv", dict.fromkeys(names, key)
+    rows = [(spelling, of) for spelling, of in _rows(listed, 2) if spelling not in made]
+    write_text(listed, names_text([*rows, *made.items()]))
 
 
 def keep_pairs(rows: Iterable[CataloguePair]) -> None:
