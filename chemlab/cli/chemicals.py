@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..config.catalogue import IDEAL_PAIR, SOURCES, catalogue_material
 from ..config.files import check_apart, check_new, check_target, write_text, write_texts
 from .options import ForceOption, JsonOption, app
 from .screen import counting, err, out, plain, show_table
@@ -107,6 +106,8 @@ def _made_pairs(
 
 def _show_ideal(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the pairs treated as ideal mixtures."""
+    from ..config.catalogue import IDEAL_PAIR, SOURCES
+
     guessed = [" with ".join(row["of"]) for row in rows if row["source"] == SOURCES[IDEAL_PAIR]]
     if guessed:
         out.print(f"treated as ideal mixtures, because UNIFAC does not describe them: {plain(', '.join(guessed))}")
@@ -237,6 +238,7 @@ def pairs(
 
     Bundled pairs are left out, because a file of yours would replace them, even measured ones.
     """
+    from ..config.catalogue import catalogue_material
     from ..config.pairs import shipped_pairs
 
     _free(output, force, *(materials or ()))
