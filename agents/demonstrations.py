@@ -218,7 +218,7 @@ def write_datasets(
     try:
         minari.dataset.minari_dataset.parse_dataset_id(f"{name}/agent-v0")
     except ValueError as error:
-        parts = "letters, digits, - and _, in parts separated by /"
+        parts = "two or more letters, digits, - and _, in parts separated by /"
         raise ValueError(f"--name: a dataset's name has {parts}; given {name!r:.100}") from error
     twice = [path for number, path in enumerate(paths) if path.resolve() in [one.resolve() for one in paths[:number]]]
     if twice:

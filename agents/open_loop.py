@@ -10,6 +10,7 @@ from __future__ import annotations
 import importlib.resources
 import itertools
 import json
+import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -132,7 +133,7 @@ class ConstantPlan(Playback):
         if lacking:
             raise ValueError(
                 f"plan: {scenario.name} may draw the goals {', '.join(lacking[0])}, which have no plan; "
-                f"search for plans: chemlab audit plan {scenario.name}"
+                f"search for plans: chemlab audit plan {scenario.argument}"
             )
         super().__init__(actions, [plans[context] for context in contexts])
         slices = channel_slices(channels)
@@ -251,8 +252,8 @@ def plan_for(laboratories: Laboratories, benches: str = "scripted", file: str | 
             known = ", ".join(file.stem for file in stored_plans()) or "none"
             raise ValueError(
                 f"plan: none is stored for {labs.scenario.name} with benches {benches!r} (stored: {known}); "
-                f"search for one: chemlab audit plan {labs.scenario.name} --benches {benches} --out FILE.json, and "
-                f"play it: --policy {benches},manager=plan:FILE.json"
+                f"search for one: chemlab audit plan {labs.scenario.argument} --benches {shlex.quote(benches)} --out "
+                f"FILE.json, and play it: --policy {shlex.quote(benches)},manager=plan:FILE.json"
             )
     plans = load_plans(path)
     try:

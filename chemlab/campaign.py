@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ import numpy as np
 from .agents.scripted.screening import catalysts
 from .config.loading import load_scenario
 from .config.scenario import Scenario
+from .kernels.rng import checked_seed
 from .lab.engine import Laboratories
 from .roles.manager_state import RUNNING
 from .roles.reaction_bench import ReactionBench
@@ -93,7 +95,7 @@ class Campaign:
             )
         self.scenario = spec
         self._labs = Laboratories(spec, 1, split=split)
-        self._labs.begin(seed)
+        self._labs.begin(checked_seed(seed) or 0)
         (self._goal, *_), (self._instrument,), (self._reagent,) = spec.lab_goals, spec.instruments, others
         bench = self._labs.benches[0]
         assert isinstance(bench, ReactionBench), "checked above"
@@ -166,6 +168,8 @@ class Campaign:
 
     def true_values(self, recipes: Sequence[Mapping[str, float | str]]) -> Any:
         """Return [n] values without noise; see :meth:`true_value`."""
+        if not recipes:
+            return np.zeros(0)
         labs = Laboratories(self.scenario, len(recipes))
         labs.reset(labs.members, world=self._labs.worlds.values(0))
         return self.values_in(labs, recipes)
@@ -209,7 +213,7 @@ class Campaign:
             if isinstance(allowed, Choice):
                 if value not in allowed.options:
                     raise ValueError(f"{where}{name}: choose from {', '.join(allowed.options)}; given {value!r}")
-            elif isinstance(value, str) or not allowed.low - _TRACE <= value <= allowed.high + _TRACE:
+            elif not isinstance(value, Real) or not allowed.low - _TRACE <= value <= allowed.high + _TRACE:
                 raise ValueError(f"{where}{name}: from {allowed.low:g} to {allowed.high:g}; given {value!r}")
             elif allowed.step and value != round(value):
                 raise ValueError(f"{where}{name}: a whole number; given {value!r}")

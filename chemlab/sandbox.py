@@ -23,7 +23,7 @@ import os.path
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, NamedTuple, ParamSpec, TypeVar, cast
 
@@ -39,7 +39,9 @@ from .config.catalogue import (
     catalogue_pairs,
     closest,
     keep_material,
+    keep_names,
     keep_pairs,
+    key_of,
     matches,
     normalized,
     salts,
@@ -819,33 +821,25 @@ class Flask:
             ImportError: the extra ``chem`` is not installed, which looks things up.
             OSError: the folder of what is kept (:func:`chemlab.config.catalogue.user_folder`) cannot be written to.
         """
-        known = shipped_materials()
-        for key in (name, *matches(name)):
-            if key in known:
-                return known[key]
-            if found := catalogue_material(key):
-                return found[1]
-            if key in REAGENTS:
-                ions = " and ".join(REAGENTS[key])
-                raise DataError(f"{name!r} is known as its ions in water only: see the materials {ions}")
-        from .openchem.compounds import known_as, material_tables
+        if found := _named(name):
+            return found[1]
+        from .openchem.compounds import checked_materials, known_as, material_tables
         from .openchem.identity import compound_of
         from .openchem.writing import material_text
 
         compound = compound_of(name)
-        if same := known_as(compound, known):
-            return known[same]
-        if compound.key in known or (catalogue_material(compound.key) is not None and not matches(compound.key)):
-            raise DataError(
-                f"{name!r}: would be called {compound.key!r}, which another material is; give its CAS number"
-            )
-        texts = [name, compound.key, compound.name, compound.cas, compound.common_name, compound.formula]
-        spelled = [normalized(spelling) for spelling in texts if spelling]
-        text = material_text(material_tables([compound]), f"Flask.material({name!r})")
-        keep_material(compound.key, text, [*spelled, *([compound.smiles] if len(compound.smiles) > 2 else [])])
-        made = catalogue_material(compound.key)
-        assert made is not None
-        return made[1]
+        known_name = "" if compound.name == compound.formula else compound.name
+        for spelling in (known_as(compound, shipped_materials()), compound.cas, compound.smiles):
+            if spelling and (found := _named(spelling)):
+                keep_names(found[0], filter(None, (name.strip(), normalized(known_name))))
+                return found[1]
+        key = key_of(known_name or compound.common_name, compound.inchi_key)
+        tables = material_tables([replace(compound, key=key)])
+        names = [normalized(text) for text in (key, known_name, compound.cas, compound.common_name) if text]
+        structure = [compound.smiles] if len(compound.smiles) > 2 else []  # CO is a formula, too
+        text = material_text(tables, f"Flask.material({name!r})")
+        keep_material(key, text, [*names, name.strip(), *structure])
+        return checked_materials(tables)[key]
 
     # -- display ------------------------------------------------------------------------------------------------------
 
@@ -960,8 +954,10 @@ class Flask:
         if name in known and known[name].role != "gas":
             return name
         keys = matches(name) or _of_structure(name)
+        keys = (name,) if name in keys else keys
         kept = catalogue_material(keys[0]) if len(keys) == 1 else None
-        gas = keys[0] if kept and kept[1].role == "gas" else ""
+        only = kept[1] if kept else known.get(keys[0]) if len(keys) == 1 else None
+        gas = keys[0] if only is not None and only.role == "gas" else ""
         if not keys:  # bundled gases
             called = (key for key, m in known.items() if m.role == "gas" and normalized(name) == normalized(m.name))
             gas = name if name in known else next(called, "")
@@ -971,7 +967,7 @@ class Flask:
         if len(keys) == 1:
             return keys[0]
         if keys:
-            raise DataError(f"{name!r} may be {' or '.join(map(repr, keys))}; give one of these names")
+            raise _several(name, keys)
         if wrong_cas(name):
             raise DataError(f"{name!r} is no CAS number: its check digit is wrong; correct it, or give a name")
         near = list(dict.fromkeys([*difflib.get_close_matches(name, known, 1, 0.9), *closest(name)]))[:3]
@@ -1128,6 +1124,30 @@ class Flask:
             more = spilled - self._spilled
             warnings.warn(f"{more:.4g} L ran over the rim of {self.capacity_l:g} L", SpillWarning, stacklevel=4)
             self._spilled = spilled
+
+
+def _named(name: str) -> tuple[str, Material] | None:
+    """Key and material of what is called so, None if nothing is.
+
+    Raises:
+        DataError: several are, or it is known as its ions only.
+    """
+    keys = matches(name)
+    for key in (name, *keys):
+        if key != name and len(keys) > 1:
+            raise _several(name, keys)
+        if found := shipped_materials().get(key):
+            return key, found
+        if kept := catalogue_material(key):
+            return key, kept[1]
+        if key in REAGENTS:
+            ions = " and ".join(REAGENTS[key])
+            raise DataError(f"{name!r} is known as its ions in water only: see the materials {ions}")
+    return None
+
+
+def _several(name: str, keys: Iterable[str]) -> DataError:
+    return DataError(f"{name!r} may be {' or '.join(map(repr, keys))}; give one of these names")
 
 
 def _of_structure(text: str) -> tuple[str, ...]:

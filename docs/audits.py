@@ -111,7 +111,8 @@ if __name__ == "__main__":
     for name in () if given.make is None else given.make or stale():
         print(f"audit of {name}", flush=True)
         budget = given.budget or ("full" if load_scenario(name).world.draws else "small")
-        command = ["chemlab", "audit", name, "--budget", budget, "--out", str(FOLDER / f"{name}.json")]
+        command = ["chemlab", "audit", name, "--budget", budget, "--force"]
+        command += ["--out", str(FOLDER / f"{name}.json")]
         if given.keep is not None:
             (given.keep / name).mkdir(parents=True, exist_ok=True)
             command += ["--keep", str(given.keep / name)]

@@ -146,8 +146,8 @@ def _play(results: Path, scenarios: list[str], budget: str) -> None:
         if managers and benches:
             sides = {"--manager": [*_WITH, *managers], "--benches": [*_WITH, *benches]}
             words = [word for option, names in sides.items() for name in names for word in (option, name)]
-            keep, out = f"benchmark/parts/{scenario}", (CROSSPLAY / f"{scenario}.json").resolve()
-            _chemlab(results, "crossplay", scenario, *words, "--budget", budget, "--keep", keep, "--out", str(out))
+            words += ["--keep", f"benchmark/parts/{scenario}", "--out", str((CROSSPLAY / f"{scenario}.json").resolve())]
+            _chemlab(results, "crossplay", scenario, *words, "--budget", budget, "--force")
     write_text(LEADERBOARD, own.read_text(encoding="utf-8"))
 
 

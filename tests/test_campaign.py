@@ -114,6 +114,9 @@ def test_a_seed_is_a_world_and_its_noise() -> None:
     one, same, other = (Campaign(seed=seed).run(**GOOD) for seed in (1, 1, 2))
     assert one == same
     assert one.value != other.value
+    assert Campaign(seed=1).true_values([]).shape == (0,)
+    with pytest.raises(ValueError, match="seed: must be an integer of at least 0"):
+        Campaign(seed=-1)
 
 
 @pytest.mark.parametrize(
@@ -124,6 +127,8 @@ def test_a_seed_is_a_world_and_its_noise() -> None:
         ({"percent": float("nan")}, "percent: from 0.5 to 2.5; given nan"),
         ({"minutes": 2.5}, "minutes: a whole number; given 2.5"),
         ({"minutes": "2"}, "minutes: from 1 to 20; given '2'"),
+        ({"percent": None}, "percent: from 0.5 to 2.5; given None"),
+        ({"percent": [1.0]}, r"percent: from 0.5 to 2.5; given \[1.0\]"),
         ({"pressure": 1.0}, "takes the parameters catalyst, .*; given catalyst, "),
     ],
 )

@@ -15,8 +15,17 @@ import numpy as np
 import pytest
 from helpers import script
 
-from chemlab.config.catalogue import FAMILY, FOLDER, acids_and_bases, catalogue_pairs, matches, spellings
-from chemlab.config.datafile import read_toml
+from chemlab.config.catalogue import (
+    FAMILY,
+    FOLDER,
+    CataloguePair,
+    acids_and_bases,
+    catalogue_pairs,
+    keep_pairs,
+    matches,
+    spellings,
+)
+from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import load_materials, shipped_materials
 from chemlab.config.pairs import shipped_pairs
 from chemlab.sandbox import Flask
@@ -32,6 +41,7 @@ BOILS_ELSEWHERE = {
     "benzyl_chloride": "452 K by three compilations",
     "N-methylpyrrolidone": "475 K by the equation of its vapour pressure",
     "3-chlorohexane": "the bundled material's own source",
+    "succinic_acid": "it loses water at 508 K; 591 K by Yaws and by DIPPR's vapour pressure",
 }
 """Molecules that boil 1.5 K or more from the CRC Handbook, 95th ed."""
 
@@ -97,6 +107,7 @@ def test_other_names_find_an_amount() -> None:
         (lambda: Flask({"acetone": 1.0}, physics="paper"), "has no polarity.*choose physics = 'real'"),
         (lambda: Flask({"water": 1.0}).plot(), "there is no history yet"),
         (lambda: Flask.material("sulfuric acid"), "known as its ions in water only"),
+        (lambda: Flask.material("C8H10"), "may be .*'o-xylene'.*give one of these names"),
     ],
 )
 def test_mistakes_are_answered(made: Callable[[], object], message: str) -> None:
@@ -171,6 +182,19 @@ def test_azeotropes_are_where_they_were_measured() -> None:
         assert re.search(rf"\| {re.escape(names)} \|.*\| {'yes' if row.met else 'no'} \|", page), names
 
 
+def test_what_mixes_with_water_is_one_liquid() -> None:
+    """Those that are not say so."""
+    mixes = ["pyridine", "tetrahydrofuran", "acetonitrile", "tert-butanol", "acetone", "1,4-dioxane", "2-propanol"]
+    for name in mixes:
+        for mol in (0.5, 1.0, 2.0, 4.0):
+            flask = Flask({name: mol, "water": 4.0}, temperature_k=300.0)
+            assert [layer.name for layer in flask.layers if layer.volume_l > 0.01] in (["aqueous"], ["organic"]), name
+    for name in ("benzylamine", "butyric_acid", "gamma-butyrolactone"):
+        flask = Flask({name: 1.0, "water": 4.0})
+        assert len(flask.layers) == 2
+        assert "two layers at room temperature although the liquids mix" in flask.report()
+
+
 def test_every_two_molecules_are_a_pair() -> None:
     pairs = {frozenset(two) for two in itertools.combinations([*MOLECULES, "water", "ethanol", "toluene"], 2)}
     found = {**catalogue_pairs(pairs), **shipped_pairs()}
@@ -195,7 +219,10 @@ def test_salts_dissolve_as_listed() -> None:
 def test_acids_ionize() -> None:
     """Ostwald's law with Davies' coefficients."""
     acids = {acid["species"][0]: acid["pka"][0] for acid in read_toml(FAMILY)["acid"]}
-    assert set(acids) < acids_and_bases()
+    assert set(acids) - acids_and_bases() == {"ethanol"}  # weaker than water
+    base = Flask({"water": 55.5, "sodium ethoxide": 0.1}, capacity_l=2.0)
+    assert float(base.measure("ph_meter")) == pytest.approx(13.0, abs=0.2)
+    assert base.amounts["ethanol"] == pytest.approx(0.1, rel=0.01)
     flask = Flask({"water": 55.509, "acetic acid": 0.1}, capacity_l=2.0, temperature_k=298.15)
     ions = math.sqrt(10.0 ** -acids["acetic_acid"] * 0.1)
     root = math.sqrt(ions)
@@ -278,3 +305,52 @@ def test_other_compounds_are_looked_up_once(tmp_path: Path) -> None:
     assert (tmp_path / "kept" / "pairs.csv").read_text(encoding="utf-8").splitlines() == rows
     with pytest.raises(ValueError, match="a mixture of hydrocarbons"):
         Flask.material("petroleum ether")
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rdkit") is None, reason="needs the extra chem")
+def test_what_is_added_is_one_compound_and_changes_no_other(tmp_path: Path) -> None:
+    def of(text: str) -> str | None:
+        return Flask.material(text).smiles
+
+    unlisted = "CCCCC(C)OC(CC)CCCC", "CCCCC(C)OC(CCC)CCC"
+    assert [of(text) for text in unlisted] == [of(text) for text in unlisted] == list(unlisted)  # isomers
+    assert sum(mol == 1.0 for mol in Flask(dict.fromkeys(unlisted, 1.0)).amounts.values()) == 2
+    assert of("benzo[a]pyrene") == of("50-32-8")
+    assert of("2,2'-bipyridine") == of("2,2'-Bipyridine") == "c1ccc(-c2ccccn2)nc1"
+    assert of("C1CCCCC1C") == "CC1CCCCC1"
+    assert of("c1ccccc1C") == of("toluene")
+    assert of("C1CCSC1") != of("thiophene")
+    of("propanal")
+    assert of("C3H6O") == of("acetone")
+    assert of("hydrogen") == of("H2")
+    with pytest.raises(DataError, match=r"'hydrogen'.* is a gas"):
+        Flask({"hydrogen": 0.1, "water": 10.0})
+    # One compound by any of its names, whichever came first.
+    files = len(list((tmp_path / "kept").glob("*.toml")))
+    for text in ("phenyl methyl ether", "anisole", "COc1ccccc1", "100-66-3"):
+        assert of(text) == "COc1ccccc1"
+    assert len(list((tmp_path / "kept").glob("*.toml"))) == files + 1
+    assert Flask({"Anisole": 1.0, "Phenyl methyl ether": 1.0}).amounts["100-66-3"] == 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("names.csv", "anisole\n", "the line 'anisole' has 1 cells, not 2"),
+        ("pairs.csv", "acetone,butanone,UNIFAC\n", "the line .* has 3 cells, not 11"),
+        ("pairs.csv", "acetone,own,UNIFAC,x,0,0,0,0,0,0,0\n", "the line .* has numbers that are none"),
+        ("names.csv", "\xff", "is no list of 2 columns"),
+    ],
+)
+def test_a_line_of_ones_own_that_is_malformed_is_named(name: str, text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / name).write_bytes(text.encode("latin-1"))
+    with pytest.raises(DataError, match=f"{re.escape(name)}: {message}"):
+        catalogue_pairs([frozenset(("acetone", "own"))]) if name == "pairs.csv" else matches("x")
+
+
+def test_a_row_of_pairs_begins_its_own_line(tmp_path: Path) -> None:
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / "pairs.csv").write_text("a,b,UNIFAC,0.3,0,0,0,0,0,0,0")
+    keep_pairs([CataloguePair("a", "c", "UNIFAC", 0.3, 0.0, (0.0,) * 6)])
+    assert len(catalogue_pairs([frozenset("ab"), frozenset("ac")])) == 2

@@ -177,6 +177,9 @@ def test_compare_updates_a_file(tmp_path: Path) -> None:
     page.write_text(text.replace("<!-- results: end -->", f"{rest}\n<!-- results: end -->"))
     assert runner.invoke(app, arguments).exit_code == 0
     assert page.read_text() == text.replace("<!-- results: end -->", f"{rest}\n<!-- results: end -->")
+    page.write_bytes(b"\xff")
+    done = runner.invoke(app, arguments)
+    assert (done.exit_code, "is not a text file" in done.output.replace("\n", "")) == (2, True)
     page.write_text("no marks")
     assert runner.invoke(app, arguments).exit_code == 2
     assert page.read_text() == "no marks"
@@ -286,6 +289,19 @@ def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatc
     assert "fictitious: its recorded vessels come with chemlab" in " ".join(done.output.split())
     assert load_scenario("fictitious").argument == "fictitious"
     assert load_scenario(mapping("fictitious")).argument == "FILE.toml"
+    done = runner.invoke(app, ["generate", "made", "-o", "a folder"])
+    assert "chemlab run 'a folder/made.toml'" in " ".join(done.output.split())
+    if find_spec("ugropy"):
+        new = ["new", "made", "--reactions", "a folder/made_reactions.toml", "-o", "a folder/made_reactions.toml"]
+        assert "is an input of this command" in " ".join(runner.invoke(app, new).output.split())
+    done = runner.invoke(app, ["describe", "fictitious", "--trust"])
+    assert "chemlab describe fictitious --agent NAME --trust" in " ".join(done.output.split())
+    plan = ["audit", "plan", "salt_from_oil", "--budget", "200", "--episodes", "1", "--trust", "-o"]
+    done = runner.invoke(app, [*plan, "plan.json"])
+    assert "manager=plan:plan.json --trust" in " ".join(done.output.split())
+    for name in ("a,b.json", "a=b.json", "a@1.json"):
+        done = runner.invoke(app, [*plan, name])
+        assert (done.exit_code, "has a meaning in --policy" in " ".join(done.output.split())) == (2, True)
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------
@@ -592,6 +608,8 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
     assert runner.invoke(app, ["generate", "lab"]).exit_code == 0
     assert runner.invoke(app, ["run", "fictitious", "--record", "a.jsonl", "--json"]).exit_code == 0
     Path("link.json").symlink_to("lab.toml")
+    Path("based.toml").write_text('base = "lab.toml"\n')
+    Path("mine.json").write_text("{}")
     Path("plan.json").write_text("{}")
     run = Path("run", "checkpoints", "best-1")
     run.mkdir(parents=True)
@@ -611,7 +629,10 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         ["run", "lab.toml", "--record", "link.json", "--force"],
         ["play", "lab.toml", "--record", "lab.toml", "--force"],
         ["run", "fictitious", "--policy", "scripted,manager=plan:plan.json", "--record", "plan.json", "--force"],
+        ["run", "based.toml", "--record", "lab_reactions.toml", "--force"],
         ["evaluate", "lab.toml", "--out", "lab.toml"],
+        ["evaluate", "based.toml", "--out", "lab.toml", "--force"],
+        ["evaluate", "based.toml@3", "--out", "lab_materials.toml", "--force"],
         ["evaluate", "fictitious", "--policy", "plan.json", "--out", "plan.json"],
         ["audit", "lab.toml", "--out", "lab.toml"],
         ["crossplay", "lab.toml", "--out", "lab.toml"],
@@ -624,13 +645,20 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
         ["data", "pairs", "hexane", "water", "-o", "lab.toml", "--materials", *lab],
         ["data", "reactions", "--smarts", "C>>C", "--reactants", "water", "-o", "lab.toml", "--materials", *lab],
         ["export", "run", "--out", "run/config.json"],
+        ["export", "run", "--out", "mine"],
+        ["export", "starts", "lab.toml", "--out", "mine.json"],
+        ["evaluate", "fictitious", "--out", "mine.json"],
+        ["audit", "fictitious", "--out", "mine.json"],
+        ["audit", "plan", "fictitious", "--out", "mine.json"],
+        ["crossplay", "fictitious", "--out", "mine.json"],
     ):
         if not find_spec({"export": "torch", "data": "ugropy"}.get(words[0], "chemlab")):
             continue  # that is what is said
         done = runner.invoke(app, words)
         assert isinstance(done.exception, SystemExit), (words, done.exception)
         assert done.exit_code == 2
-        assert "is an input of this command" in done.output.replace("\n", ""), (words, done.output)
+        said = "already exists" if words[-1].startswith("mine") else "is an input of this command"
+        assert said in done.output.replace("\n", ""), (words, done.output)
         assert {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()} == before
 
 

@@ -19,6 +19,7 @@ else:
     import tomli as tomllib
 
 from chemlab.cli import app
+from chemlab.config.catalogue import catalogue_pairs
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import Material, load_materials, shipped_materials
@@ -32,12 +33,14 @@ for package in ("rdkit", "chemicals", "thermo", "ugropy"):
 import chemicals  # noqa: E402
 import numpy as np  # noqa: E402
 
+from chemlab.openchem.activity import make_pairs  # noqa: E402
 from chemlab.openchem.compounds import compounds, material_tables  # noqa: E402
 from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of  # noqa: E402
 from chemlab.openchem.properties import Properties, Value, fitted_vapor_pressure  # noqa: E402
 from chemlab.openchem.templates import Rate, Template, expand, family_tables, heat_of_reaction  # noqa: E402
 from chemlab.openchem.writing import family_text, material_text, toml, toml_tables  # noqa: E402
+from chemlab.sandbox import Flask  # noqa: E402
 
 WURTZ = "[C:1][Cl:3].[C:2][Cl:4].[Na:5].[Na:6]>>[C:1][C:2].([Na+:5].[Cl-:3]).([Na+:6].[Cl-:4])"
 CHLOROHEXANES = ["1-chlorohexane", "2-chlorohexane", "3-chlorohexane"]
@@ -311,6 +314,17 @@ def test_what_is_not_found_is_asked_for_and_can_be_given(tmp_path: Path) -> None
     assert "already exists" in run("data", "material", "diphenyl sulfone", "-o", path, fails=True).output
 
 
+def test_own_values_far_from_the_compilations_are_named(tmp_path: Path) -> None:
+    """Such as one in another unit."""
+    values = tmp_path / "own.toml"
+    for field, number, right in (("boiling_point_k", 153.7, 427.0), ("density_kg_l", 989.0 / 100, 0.99)):
+        values.write_text(f'[anisole]\n{field} = {number}\nsource.{field} = "a label"\n')
+        words = ("data", "material", "anisole", "--values", values, "--force", "-o", tmp_path / "m.toml")
+        assert f"check anisole: {field} = {number}: doubtful: compilations say" in " ".join(run(*words).output.split())
+        values.write_text(values.read_text().replace(str(number), str(right)))
+        assert "check anisole" not in run(*words).output
+
+
 def test_values_of_ones_own_are_never_left_out_in_silence(tmp_path: Path) -> None:
     """Of a file that is not there, and of materials that are not written: shipped ones have theirs already."""
     path, values = tmp_path / "m.toml", tmp_path / "own.toml"
@@ -330,6 +344,8 @@ def test_a_result_never_replaces_another(tmp_path: Path) -> None:
     assert "is given for two outputs" in " ".join(done.output.split())
     done = run("data", "material", "--name", "toluene=CCCCCCCCCCCCO", *words[3:], fails=True)
     assert "id of another bundled material" in " ".join(done.output.split())
+    done = run("data", "material", "--name", "x=anisole", "--name", "x=cumene", *words[3:], fails=True)
+    assert "'x' is given for 'anisole' and for 'cumene'" in " ".join(done.output.split())
     assert not list(tmp_path.iterdir())
 
 
@@ -485,6 +501,10 @@ def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path
     (step,) = load_reactions(str(path), materials).reaction
     assert step.words == "acetic_anhydride + 1-butanol -> butyl_acetate + acetic_acid"
     assert "already exists" in run(*words, fails=True).output
+    done = run(*words, "--rate", 1e-3, "--activation", 55, "--source", "a notebook", "--json", "--force")
+    assert "55 J/mol of" in done.stderr
+    assert json.loads(done.stdout)
+    run(*words, "--rate", 1e-3, "--activation", 55000, "--source", "a notebook", "--force")
     # What the file says it was made by makes it again.
     again = tmp_path / "again" / "ester.toml"
     run(*shlex.split(read_toml(path)["lock"]["command"])[1:], "-o", again)
@@ -520,6 +540,16 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
         assert pair.tau(330.0) == (0.0, 0.0)  # NRTL without parameters: all activity coefficients are 1
         assert pair.source.startswith("estimate: ideal mixture")
     assert "--ideal" in read_toml(path)["lock"]["command"]
+
+
+def test_pairs_take_the_form_that_a_flask_takes(tmp_path: Path) -> None:
+    """Catalogue's liquids are known by their key, and a form that extrapolates too far is no one's."""
+    run("data", "pairs", "acetone", "cyclohexane", "-o", tmp_path / "a.toml")
+    two = [("1,2-dichlorobenzene", "acetic_acid"), ("1,2-dichlorobenzene", "glycerol"), ("pyridine", "glycerol")]
+    known = {name: Flask.material(name) for names in two for name in names}
+    forms = [row["source"] for row in make_pairs(two, known, ideal=True)]
+    assert forms == [catalogue_pairs([frozenset(names)])[frozenset(names)].source for names in two]
+    assert forms[:2] == ["UNIFAC", "UNIFAC"]
 
 
 def test_pairs_that_are_shipped_are_not_made_again(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from dataclasses import asdict
 from pathlib import Path
@@ -15,6 +16,7 @@ from .options import (
     AddressOption,
     DefaultGroup,
     EpisodesOption,
+    ForceOption,
     JsonOption,
     ProcessesOption,
     ScenarioArgument,
@@ -54,6 +56,7 @@ def measures(
     processes: ProcessesOption = None,
     address: AddressOption = None,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the results as JSON.")] = None,
+    force: ForceOption = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -73,7 +76,7 @@ def measures(
     if keep is not None:
         check_folder(keep)
     if output is not None:
-        check_result(output, scenario)
+        check_result(output, force, scenario)
     with resumable(keep), counting() as progress, executor(address, processes) as jobs:
         task = progress.add_task("parts", total=job_count(spec, chosen))
         found = measure(spec, budget, keep, jobs, lambda _: progress.advance(task), turns)
@@ -107,6 +110,7 @@ def plan(
         Path | None,
         typer.Option("--out", "-o", help="Also write the plans; play them with --policy BENCHES,manager=plan:FILE."),
     ] = None,
+    force: ForceOption = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -120,21 +124,25 @@ def plan(
 
     spec = load_scenario(scenario)
     if output is not None:
-        check_result(output, scenario, benches)
+        if found := re.search("[,=@]", str(output)):
+            raise ValueError(f"--out: {output}: {found[0]} has a meaning in --policy plan:FILE; give another name")
+        check_result(output, force, scenario, benches)
     with counting() as progress:
         task = progress.add_task("plans", total=budget)
         search = search_plan(spec, benches, budget, seed, watch=lambda n: progress.advance(task, n))
     words = ["chemlab", "audit", "plan", scenario, "--benches", benches, "--budget", str(budget), "--seed", str(seed)]
-    words += ["--episodes", str(episodes)]
-    found = search.as_file(shlex.join(words), episodes)
+    trusting = ["--trust"] if trust else []
+    words += ["--episodes", str(episodes), *trusting]
+    plans = search.as_file(shlex.join(words), episodes)
     if as_json:
-        typer.echo(json.dumps(found.model_dump()))
+        typer.echo(json.dumps(plans.model_dump()))
     else:
-        _tell(search, found)
+        _tell(search, plans)
     if output is not None:
-        found.save(output)
+        plans.save(output)
         if not as_json:
-            run = shlex.join(["chemlab", "run", scenario, "--policy", f"{benches},manager=plan:{output}"])
+            words = ["chemlab", "run", scenario, "--policy", f"{benches},manager=plan:{output}"]
+            run = shlex.join([*words, *trusting])
             out.print(f"wrote {plain(output)}; play it: {plain(run)}")
 
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..config.files import check_apart, check_new, check_target, write_text, write_texts
-from .options import JsonOption, app
+from .options import ForceOption, JsonOption, app
 from .screen import counting, err, out, plain, show_table
 
 if TYPE_CHECKING:
@@ -35,12 +35,11 @@ ValuesOption = Annotated[
 NameOption = Annotated[
     list[str] | None, typer.Option(help="KEY=WHAT: id KEY for the compound WHAT (CAS number, name, SMILES).")
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
 IdealOption = Annotated[
     bool,
-    typer.Option("--ideal", help="Treat pairs without UNIFAC groups as ideal mixtures; their source states it."),
+    typer.Option("--ideal", help="Treat pairs that UNIFAC does not describe as ideal mixtures; their source says so."),
 ]
 RateOption = Annotated[
     list[str] | None,
@@ -55,18 +54,19 @@ def _free(path: Path, force: bool, *read: Path) -> None:
     """Check that an output path is free, or may be overwritten and is not one of the input files."""
     if path.suffix != ".toml":
         raise ValueError(f"{path}: must end with .toml")
-    check_new(path, force)
     check_apart([path], read)
+    check_new(path, force)
     check_target(path)
 
 
 def _named(options: Iterable[str] | None) -> dict[str, str]:
-    found = {}
+    found: dict[str, str] = {}
     for option in options or ():
         key, equals, what = option.partition("=")
         if not (key and equals and what):
             raise ValueError(f"--name: must be KEY=WHAT, given {option!r}")
-        found[key] = what
+        if found.setdefault(key, what) != what:
+            raise ValueError(f"--name: {key!r} is given for {found[key]!r} and for {what!r}; give each its own")
     return found
 
 
@@ -100,17 +100,17 @@ def _made_pairs(
         err.print(f"fitting {_count(len(two), 'pair')} of liquids")
     with counting() as progress:
         task = progress.add_task("pairs", total=len(two))
-        rows = make_pairs(two, known, lambda _: progress.advance(task), ideal)
+        rows = make_pairs(two, known, lambda done: progress.update(task, completed=done), ideal)
     return pair_text(rows, command), rows
 
 
 def _show_ideal(rows: Sequence[Mapping[str, Any]]) -> None:
     """Print the pairs treated as ideal mixtures."""
-    from ..config.catalogue import IDEAL
+    from ..config.catalogue import IDEAL_PAIR, SOURCES
 
-    guessed = [" with ".join(row["of"]) for row in rows if row["source"] == IDEAL]
+    guessed = [" with ".join(row["of"]) for row in rows if row["source"] == SOURCES[IDEAL_PAIR]]
     if guessed:
-        out.print(f"treated as ideal mixtures, because UNIFAC has no groups for them: {plain(', '.join(guessed))}")
+        out.print(f"treated as ideal mixtures, because UNIFAC does not describe them: {plain(', '.join(guessed))}")
 
 
 @data.command()
@@ -238,12 +238,14 @@ def pairs(
 
     Bundled pairs are left out, because a file of yours would replace them, even measured ones.
     """
+    from ..config.catalogue import catalogue_material
     from ..config.pairs import shipped_pairs
 
     _free(output, force, *(materials or ()))
     if len(names) < 2:
         raise ValueError("a pair needs two materials; name one more")
     known = _known(materials)
+    known |= {name: found[1] for name in names if name not in known and (found := catalogue_material(name))}
     every = list(itertools.combinations(names, 2))
     two = [pair for pair in every if frozenset(pair) not in shipped_pairs()]
     if not two:
@@ -340,6 +342,13 @@ def reactions(
     if strangers:
         results[beside] = material_text(tables, command)
     write_texts(results)
+    for step in found:
+        energy = step.template.rate.activation_j_mol
+        if energy is not None and 0.0 < energy < _SMALLEST_ACTIVATION:
+            err.print(
+                f"warning: --activation: {energy:g} J/mol of {plain(step.words)} is next to nothing; were "
+                f"{energy:g} kJ/mol meant, give {1000.0 * energy:g}"
+            )
     if as_json:
         typer.echo(json.dumps({"reactions": family, "materials": tables}))
         return
@@ -362,13 +371,6 @@ def reactions(
         )
     if strangers:
         out.print(f"{plain(beside)}: {_count(len(strangers), 'material')}")
-    for step in found:
-        energy = step.template.rate.activation_j_mol
-        if energy is not None and 0.0 < energy < _SMALLEST_ACTIVATION:
-            err.print(
-                f"warning: --activation: {energy:g} J/mol of {plain(step.words)} is next to nothing; were "
-                f"{energy:g} kJ/mol meant, give {1000.0 * energy:g}"
-            )
     guesses = "; rate constants that were not given are guessed" if any("guess" in row[2] for row in rows) else ""
     out.print(f"{plain(output)}: {_count(len(found), 'reaction')}{guesses}")
 
@@ -471,8 +473,6 @@ def new(
 
     _check_name(name)
     path = output or Path(f"{name}.toml")
-    read = [*(materials or ()), *(pairs or ())]
-    _free(path, force, *read)
     own = path.parent / f"{path.stem}_pairs.toml"
     asking = sys.stdin.isatty()
     reactions = reactions or (typer.prompt("reaction file") if asking else "")
@@ -481,8 +481,8 @@ def new(
     file = Path(reactions)
     files = list(materials or ())
     made = file.parent / f"{file.stem}_materials.toml"
-    read += [file, made] if file.suffix == ".toml" else []
-    check_apart([path], read)
+    read = [*(materials or ()), *(pairs or ()), *([file, made] if file.suffix == ".toml" else ())]
+    _free(path, force, *read)
     if made.exists() and made not in files:
         files.append(made)
     known = _known(files)
@@ -566,5 +566,5 @@ def generate(
     made.scenario()
     path = made.write(output, force)
     out.print(plain(made.tables["summary"]))
-    words = f"play it: chemlab run {plain(path)}; measure its difficulty: chemlab audit difficulty {plain(path)}"
-    out.print(f"{plain(path)} and {len(made.files()) - 1} files beside it; {words}")
+    words = f"play it: {_command('run', path)}; measure its difficulty: {_command('audit', 'difficulty', path)}"
+    out.print(f"{plain(path)} and {len(made.files()) - 1} files beside it; {plain(words)}")

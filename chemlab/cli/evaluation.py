@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from ..config.files import check_marks, replace_between, write_text
-from .options import AddressOption, JsonOption, SeedOption, SplitOption, TrustOption, app, check_result
+from .options import AddressOption, ForceOption, JsonOption, SeedOption, SplitOption, TrustOption, app, check_result
 from .screen import counting, out, plain, show_table
 
 RESULT_COLUMNS: tuple[str, ...] = (
@@ -71,6 +71,7 @@ def evaluate(
         Path | None,
         typer.Option("--out", "-o", help="Also write all results, with each episode's return, as JSON lines."),
     ] = None,
+    force: ForceOption = False,
     update: Annotated[
         Path | None, typer.Option(help="Write the rows of laboratories into the table of this Markdown file.")
     ] = None,
@@ -89,10 +90,10 @@ def evaluate(
 
     policies = policy or ["scripted", "random"]
     if output is not None:
-        check_result(output, *(targets or ()), baseline, *policies)
+        check_result(output, force, *(targets or ()), baseline, *policies)
     if update is not None:
         check_marks(update, "results")
-        check_result(update, *(targets or ()), baseline, *policies)
+        check_result(update, True, *(targets or ()), baseline, *policies)
     chosen = [find_target(name, bench, starts, split) for name in targets or scenario_names()]
     for target in chosen if len(chosen) > 1 else ():
         for name in (baseline, *policies):

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from ..config.files import check_apart, check_target
 from .options import (
     DefaultGroup,
+    ForceOption,
     JsonOption,
     ScenarioArgument,
     SeedOption,
@@ -35,6 +35,7 @@ def policy(
     run: Annotated[Path, typer.Argument(help="Folder of a training run; :greedy or :sampled after it.")],
     to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; the file name is the policy's name.")],
     role: Annotated[str | None, typer.Option(help="Role, if several learned together.")] = None,
+    force: ForceOption = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -48,8 +49,7 @@ def policy(
 
     for ending in (".json", ".safetensors"):
         target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")
-        check_target(target)
-        check_apart([target], (file for file in Path(split_way(str(run))[0]).rglob("*") if file.is_file()))
+        check_result(target, force, *(file for file in Path(split_way(str(run))[0]).rglob("*") if file.is_file()))
     card = export_run(run, to, role)
     if as_json:
         typer.echo(json.dumps(card.model_dump()))
@@ -66,7 +66,7 @@ def demos(
     files: Annotated[list[Path], typer.Argument(help="Records of one scenario (see `chemlab play --record`).")],
     name: Annotated[str, typer.Option("--name", "-o", help="Name of the datasets NAME/AGENT-v0.")],
     agent: Annotated[list[str] | None, typer.Option(help="An agent; repeatable. Default: all.")] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite existing datasets.")] = False,
+    force: ForceOption = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -96,6 +96,7 @@ def starts(
     output: Annotated[
         Path | None, typer.Option("--out", "-o", help="Output file (default: the file that environments read).")
     ] = None,
+    force: ForceOption = False,
     trust: TrustOption = False,
 ) -> None:
     """Record the vessels that reach each bench in laboratory episodes, for environments with starts='lab'."""
@@ -107,7 +108,7 @@ def starts(
         path = output or starts_file(spec)
         if output is None and spec.shipped and path.exists():
             raise ValueError(f"{spec.name}: its recorded vessels come with chemlab; for others give --out FILE")
-        check_result(path, scenario)
+        check_result(path, force or output is None, scenario)  # the default is renewed as often as asked
         task = progress.add_task("episodes", total=episodes * len(spec.goals))
         vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))
         write_starts(path, spec, vessels)

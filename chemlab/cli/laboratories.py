@@ -89,7 +89,7 @@ def describe(
         for name in agents:
             _show_agent(labs, name)
     else:
-        _show_scenario(labs)
+        _show_scenario(labs, trust)
 
 
 def _show(title: str, facts: FactTable) -> None:
@@ -99,7 +99,7 @@ def _show(title: str, facts: FactTable) -> None:
     show_table(title, facts.head, [[cell.replace("`", "") for cell in row] for row in facts.rows], facts.right)
 
 
-def _show_scenario(labs: Laboratories) -> None:
+def _show_scenario(labs: Laboratories, trust: bool) -> None:
     """Print everything except the agents' spaces."""
     from ..lab import describe as facts
 
@@ -108,7 +108,8 @@ def _show_scenario(labs: Laboratories) -> None:
     page.print(plain(" ".join(facts.goal_words(spec)).replace("`", "")))
     page.print()
     _show(
-        f"Agents (observations and actions of one: chemlab describe {spec.argument} --agent NAME)",
+        f"Agents (observations and actions of one: chemlab describe {spec.argument} --agent NAME"
+        f"{' --trust' if trust else ''})",
         facts.agent_table(labs),
     )
     _show("Benches", facts.bench_table(labs))

@@ -16,7 +16,8 @@ from typer.core import TyperGroup
 
 from .. import __version__
 from ..config.datafile import DataError
-from ..config.files import check_apart, check_target, write_text
+from ..config.files import check_apart, check_new, check_target, write_text
+from ..config.inherit import files_of, split_level
 from ..config.parts import strangers_code
 from .screen import err, page, plain
 
@@ -201,6 +202,7 @@ AddressOption = Annotated[
     ),
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print only JSON on standard output.")]
+ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite existing files.")]
 
 
 @app.callback(invoke_without_command=True)
@@ -267,7 +269,7 @@ def _path_of(word: str) -> str:
 
 
 def check_apart_from(path: Path, *read: str | Path) -> None:
-    """Check that a result overwrites none of the files that a command reads.
+    """Check that a result overwrites no file that a command reads, nor one that its scenario names.
 
     Args:
         path: path of the result.
@@ -278,17 +280,20 @@ def check_apart_from(path: Path, *read: str | Path) -> None:
     """
     words = [word for one in read for word in ([str(one)] if isinstance(one, Path) else re.split("[,=]", one))]
     # A word without a suffix is a name, even if such a file exists.
-    check_apart([path], [file for word in words if (file := Path(_path_of(word))).suffix])
+    named = [file for word in words if (file := Path(split_level(_path_of(word))[0])).suffix]
+    check_apart([path], [one for file in named for one in (files_of(file) if file.suffix == ".toml" else [file])])
 
 
-def check_result(path: Path, *read: str | Path) -> None:
-    """Check that a result can be written and overwrites none of the files that the command reads.
+def check_result(path: Path, force: bool, *read: str | Path) -> None:
+    """Check that a result can be written, and overwrites nothing but, with ``force``, a file that the command does not
+    read.
 
     Raises:
-        ValueError: it cannot be written, or would overwrite one (see :func:`check_apart_from`).
+        ValueError: it cannot be written, or would overwrite a file (see :func:`check_apart_from`).
         OSError: the name is not possible.
     """
     check_apart_from(path, *read)
+    check_new(path, force)
     check_target(path)
 
 

@@ -10,6 +10,7 @@ import typer
 from ..config.files import check_folder
 from .options import (
     AddressOption,
+    ForceOption,
     JsonOption,
     ProcessesOption,
     ScenarioArgument,
@@ -46,6 +47,7 @@ def crossplay(
     processes: ProcessesOption = None,
     address: AddressOption = None,
     output: Annotated[Path | None, typer.Option("--out", "-o", help="Also write the results as JSON.")] = None,
+    force: ForceOption = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -67,7 +69,7 @@ def crossplay(
     if keep is not None:
         check_folder(keep)
     if output is not None:
-        check_result(output, scenario, *(manager or ()), *(benches or ()))
+        check_result(output, force, scenario, *(manager or ()), *(benches or ()))
     managers, crews = find_players(spec, manager or PARTNERS, benches or PARTNERS)
     with resumable(keep), counting() as progress, executor(address, processes) as jobs:
         task = progress.add_task("parts", total=crossplay_count(managers, crews, chosen, split))

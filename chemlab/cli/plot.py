@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ..config.files import check_folder, check_new
-from .options import TrustOption, app, check_result
+from ..config.files import check_folder
+from .options import ForceOption, TrustOption, app, check_result
 from .screen import counting, out, plain
 
 plot = typer.Typer(help="Draw training runs and records (needs the extra `plot`).", no_args_is_help=True)
@@ -20,7 +20,6 @@ OutputOption = Annotated[
     Path | None,
     typer.Option("--output", "-o", help="Output file, .png, .svg or .pdf (default: FILE-KIND.png beside the file)."),
 ]
-ForceOption = Annotated[bool, typer.Option("--force", help="Overwrite an existing figure.")]
 
 
 def _save(path: Path, force: bool, draw: Callable[[], Any], *read: Path) -> None:
@@ -28,8 +27,7 @@ def _save(path: Path, force: bool, draw: Callable[[], Any], *read: Path) -> None
     from ..render.figure import SETTINGS, check_format, import_matplotlib, save_figure
 
     check_format(path)
-    check_new(path, force)
-    check_result(path, *read)
+    check_result(path, force, *read)
     with import_matplotlib().rc_context(SETTINGS):
         save_figure(draw(), path)
     out.print(plain(path))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import JsonOption, TrustOption, app, check_result
+from .options import ForceOption, JsonOption, TrustOption, app, check_result
 from .screen import counting, err, out, plain
 
 if TYPE_CHECKING:
@@ -108,20 +108,19 @@ def replay(
             "extra `plot`) or a protocol of its procedure (.md). Default: the record's name with .html.",
         ),
     ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Overwrite an existing page.")] = False,
+    force: ForceOption = False,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     trust: TrustOption = False,
 ) -> None:
     """Make an interactive HTML page, an animation or a protocol of a record; the page needs no network."""
-    from ..config.files import check_new, write_bytes
+    from ..config.files import write_bytes
     from ..record import read_record
 
     path = output or files[0].with_name(f"{'-'.join(file.stem for file in files)}.html")
     animated, written = path.suffix in (".gif", ".webp", ".mp4"), path.suffix == ".md"
     if len(files) > (1 if animated or written else 2):
         raise ValueError(f"a page shows at most two records, an animation or a protocol one, given {len(files)}")
-    check_new(path, force)
-    check_result(path, *files)
+    check_result(path, force, *files)
     if not animated and not written and path.suffix not in (".html", ".htm"):
         raise ValueError(f"{path}: unknown suffix {path.suffix or 'none'}; choose from .html, .gif, .webp, .mp4, .md")
     records = [read_record(file) for file in files]

@@ -18,21 +18,20 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from .datafile import read_toml
+from .datafile import DataError, read_toml
 from .files import write_text
-from .materials import Material, load_materials
+from .materials import Material, load_materials, shipped_materials
 from .pairs import Pair
 
 FOLDER = Path(__file__).parent.parent / "data" / "catalogue"
 SALTS, FAMILY = FOLDER / "_salts.toml", FOLDER / "_reactions.toml"
 IDEAL_PAIR = "ideal"
 """Form of a pair without UNIFAC groups or interactions: all activity coefficients are 1."""
-IDEAL = "estimate: ideal mixture; no form of UNIFAC has the groups of both"
-"""Source of such a pair."""
-_SOURCES = {
-    IDEAL_PAIR: IDEAL,
+SOURCES = {
+    IDEAL_PAIR: "estimate: ideal mixture, all activity coefficients 1; no form of UNIFAC describes both",
     "azeotrope": "through the azeotrope at 101.325 kPa, Gmehling et al. (2004) (as remembered, not looked up)",
 }
+_PAIR_CELLS, _WATER_PKA = 11, 14.0
 LOW_K, HIGH_K = 270.0, 480.0
 """Range of temperatures of the fits."""
 
@@ -47,9 +46,17 @@ REAGENTS: dict[str, dict[str, float]] = {
 
 @functools.lru_cache(maxsize=1)
 def acids_and_bases() -> frozenset[str]:
-    """Return the acids of ``_reactions.toml``, their bases, and the salts of these."""
+    """Return the acids of ``_reactions.toml``, their bases, and the salts of these.
+
+    An acid weaker than water (ethanol) is none; its base is one.
+    """
     family = read_toml(FAMILY)
-    species = {name for acid in family["acid"] for name in acid["species"]}
+    species = {
+        name
+        for acid in family["acid"]
+        for name, pka in zip(acid["species"], [*acid["pka"], 0.0], strict=True)
+        if pka < _WATER_PKA
+    }
     return frozenset(species | {salt["solid"] for salt in family["salt"] if salt["anion"] in species})
 
 
@@ -84,7 +91,7 @@ class CataloguePair(NamedTuple):
             low_k=LOW_K,
             high_k=HIGH_K,
             error=self.error,
-            source=_SOURCES.get(self.form, self.form),
+            source=SOURCES.get(self.form, self.form),
         )
 
 
@@ -101,30 +108,69 @@ def normalized(name: str) -> str:
 
 
 def spellings() -> dict[str, tuple[str, ...]]:
-    """Keys by spelling: of names and formulas :func:`normalized`, of structures as they are written."""
+    """Keys by spelling: of names and formulas :func:`normalized`, of structures as they are written.
+
+    What was added on this machine changes no bundled spelling.
+
+    Raises:
+        DataError: the list of what was added is malformed.
+    """
     own = user_folder() / "names.csv"
-    return {**_spellings(FOLDER / "names.csv", 0), **_spellings(own, own.stat().st_mtime_ns if own.is_file() else 0)}
+    return {**_spellings(own, own.stat().st_mtime_ns if own.is_file() else 0), **_spellings(FOLDER / "names.csv", 0)}
 
 
 @functools.lru_cache(maxsize=4)
 def _spellings(path: Path, _changed: int) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = {}
-    for spelling, key in _rows(path):
+    for spelling, key in _rows(path, 2):
         found[spelling] = (*found.get(spelling, ()), key)
     return found
 
 
-def _rows(path: Path) -> list[list[str]]:
+def _rows(path: Path, width: int, begin: tuple[str, ...] = ("",)) -> Iterator[list[str]]:
+    """The rows of a list, of lines that begin with one of some texts; none without a file.
+
+    Raises:
+        DataError: a row has not ``width`` cells, or the file is not UTF-8.
+    """
     if not path.is_file():
-        return []
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.reader(file))
+        return
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            for row in csv.reader(line for line in file if line.startswith(begin)):
+                if len(row) != width:
+                    raise _malformed(path, row, f"has {len(row)} cells, not {width}")
+                yield row
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: is no list of {width} columns: {error}; correct it, or delete it") from error
+
+
+def _malformed(path: Path, row: list[str], what: str) -> DataError:
+    return DataError(f"{path}: the line {','.join(row)!r:.100} {what}; correct it, or delete it")
 
 
 def matches(text: str) -> tuple[str, ...]:
-    """Keys of what a text may mean: a name, a formula, a CAS number or a structure (SMILES)."""
-    known = spellings()
-    return known.get(text.strip()) or known.get(normalized(text), ())
+    """Keys of what a text may mean: a name, a formula, a CAS number or a structure (SMILES).
+
+    Raises:
+        DataError: the list of what was added on this machine is malformed.
+    """
+    known, folded = spellings(), normalized(text)
+    # C1CCSC1 is another structure than c1ccsc1.
+    return known.get(text.strip()) or (() if _AROMATIC.fullmatch(folded) else known.get(folded, ()))
+
+
+_AROMATIC = re.compile(r"[cnos()=\d]*[cnos]1[cnos()=\d]*")
+
+
+def key_of(name: str, inchi_key: str) -> str:
+    """A free key for a new compound: its name without characters that files do not have, else its InChIKey."""
+    key = re.sub(r"[^\w,.+()-]", "", re.sub(r"\s+", "_", name.strip().lower().translate(_BRACKETS))).lstrip("_.")
+    taken = not key or key in shipped_materials() or matches(key) or (user_folder() / f"{key}.toml").exists()
+    return inchi_key if taken else key
+
+
+_BRACKETS = str.maketrans("[]{}", "()()")
 
 
 def closest(text: str) -> list[str]:
@@ -166,13 +212,25 @@ def keep_material(key: str, text: str, names: Iterable[str]) -> Path:
     """Write a material file and its names into the user's folder, and return the file's path.
 
     Raises:
+        DataError: the list of names there is malformed.
         OSError: the folder cannot be written to.
     """
-    path, listed = user_folder() / f"{key}.toml", user_folder() / "names.csv"
+    path = user_folder() / f"{key}.toml"
     write_text(path, text)
-    rows = [(spelling, of) for spelling, of in _rows(listed) if of != key]
-    write_text(listed, names_text([*rows, *((name, key) for name in dict.fromkeys(names))]))
+    keep_names(key, names)
     return path
+
+
+def keep_names(key: str, names: Iterable[str]) -> None:
+    """Write further spellings of a key into the user's folder.
+
+    Raises:
+        DataError: the list of names there is malformed.
+        OSError: the folder cannot be written to.
+    """
+    listed, made = user_folder() / "names.csv", dict.fromkeys(names, key)
+    rows = [(spelling, of) for spelling, of in _rows(listed, 2) if spelling not in made]
+    write_text(listed, names_text([*rows, *made.items()]))
 
 
 def keep_pairs(rows: Iterable[CataloguePair]) -> None:
@@ -183,34 +241,29 @@ def keep_pairs(rows: Iterable[CataloguePair]) -> None:
     """
     path = user_folder() / "pairs.csv"
     before = path.read_text(encoding="utf-8") if path.is_file() else ""
-    write_text(path, before + pairs_text(rows))
+    write_text(path, before + ("" if before.endswith("\n") or not before else "\n") + pairs_text(rows))
 
 
 def catalogue_pairs(wanted: Iterable[frozenset[str]]) -> dict[frozenset[str], Pair]:
-    """Those of some pairs that the catalogue has."""
+    """Those of some pairs that the catalogue has.
+
+    Raises:
+        DataError: the list of what was added on this machine is malformed.
+    """
     left = set(wanted)
-    names = set[str]().union(*left)
+    begin = tuple(f"{_cell(name)}," for name in set[str]().union(*left))
     found: dict[frozenset[str], Pair] = {}
     for path in (FOLDER / "pairs.csv", user_folder() / "pairs.csv"):
-        for one, other, form, alpha, error, *parameters in _pair_rows(path, names) if left else ():
-            if frozenset((one, other)) in left:
-                numbers = tuple(map(float, parameters))
-                found[frozenset((one, other))] = CataloguePair(
-                    one, other, form, float(alpha), float(error), numbers
-                ).pair()
+        for row in _rows(path, _PAIR_CELLS, begin) if left else ():
+            if frozenset(row[:2]) in left:
+                try:
+                    alpha, off, *parameters = map(float, row[3:])
+                    made = CataloguePair(row[0], row[1], row[2], alpha, off, tuple(parameters)).pair()
+                except ValueError as error:
+                    raise _malformed(path, row, "has numbers that are none or out of bounds") from error
+                found[frozenset(row[:2])] = made
         left -= set(found)
     return found
-
-
-def _pair_rows(path: Path, names: set[str]) -> Iterator[list[str]]:
-    """The rows of two of some names: lines are parsed only where they begin with one of them."""
-    if not path.is_file():
-        return
-    first = tuple(f"{_cell(name)}," for name in names)
-    with path.open(encoding="utf-8", newline="") as file:
-        for row in csv.reader(line for line in file if line.startswith(first)):
-            if row[1] in names:
-                yield row
 
 
 def pairs_text(rows: Iterable[CataloguePair]) -> str:
@@ -229,4 +282,4 @@ def names_text(rows: Iterable[tuple[str, str]]) -> str:
 
 
 def _cell(text: str) -> str:
-    return f'"{text}"' if "," in text else text
+    return '"{}"'.format(text.replace('"', '""')) if "," in text or '"' in text else text

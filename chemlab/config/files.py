@@ -263,7 +263,10 @@ def check_marks(path: Path, mark: str) -> tuple[str, int, int]:
     begin, end = f"<!-- {mark}: begin -->", f"<!-- {mark}: end -->"
     if not path.is_file():
         raise ValueError(f"{path}: no such file; it needs the lines {begin} and {end} around the part to be replaced")
-    text = path.read_text(encoding="utf-8")
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path}: is not a text file: {error}; give a Markdown file") from error
     start, stop = text.find(begin), text.find(end)
     if start < 0 or stop < start:
         raise ValueError(f"{path}: needs the lines {begin} and {end} around the part to be replaced")

@@ -10,7 +10,7 @@ import functools
 import importlib.resources
 import os.path
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,35 @@ def shipped_file(name: object) -> Path | None:
         if name in names:
             return scenario_folder() / folder / f"{name}.toml"
     return None
+
+
+def files_of(path: Path) -> list[Path]:
+    """Return a scenario's file and the existing files that it names: bases, materials, pairs, reactions and parts.
+
+    Raises:
+        DataError: one of them is malformed.
+    """
+    found: list[Path] = []
+    left = [path]
+    while left:
+        file = Path(os.path.normpath(left.pop()))
+        if os.path.isfile(file) and file not in found:
+            found.append(file)
+            texts = _texts(read_toml(file)) if file.suffix == ".toml" else ()
+            left += [file.parent / name[0] for text in texts if (name := _FILE.match(text))]
+    return found
+
+
+_FILE = re.compile(r".+\.toml$|.+\.py(?=:)")
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All texts in a parsed file."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, (list, Mapping)):
+        for item in value.values() if isinstance(value, Mapping) else value:
+            yield from _texts(item)
 
 
 @functools.cache

@@ -106,6 +106,11 @@ class VaporPressure(DataModel):
         slope = (self._log(at_end + inward) - self._log(at_end)) / (1.0 / (at_end + inward) - 1.0 / at_end)
         return np.asarray(np.exp(self._log(at_end) + slope * (1.0 / temperature - 1.0 / at_end)))
 
+    def heat(self, temperature_k: float) -> float:
+        """Return the heat of vaporization in J/mol to an ideal gas by the slope of the curve (Clausius-Clapeyron)."""
+        low, high = 0.999 * temperature_k, 1.001 * temperature_k
+        return float(_GAS_CONSTANT * np.log(self.pascal(high) / self.pascal(low)) / (1.0 / low - 1.0 / high))
+
 
 class Dimerization(DataModel):
     """Dimers in a vapour, 2 A = A2.
@@ -167,6 +172,10 @@ class RealProperties(DataModel):
 
 _BOILING_ERROR = 0.1
 """Allowed relative deviation of a vapour pressure from 101.325 kPa at the boiling point, equivalent to 3 K."""
+
+
+_HEAT_ERROR = 0.3
+"""Allowed relative deviation of the slope of a vapour pressure from the heat of vaporization, at the boiling point."""
 
 
 class Material(DataModel):
@@ -245,6 +254,13 @@ class Material(DataModel):
                 raise ValueError(
                     f"real.vapor_pressure is {boiling:.4g} kPa at boiling_point_k = {self.boiling_point_k}; "
                     f"must be {_ATMOSPHERE_KPA} kPa within {_BOILING_ERROR:.0%}"
+                )
+            heat = real.vapor_pressure.heat(self.boiling_point_k)
+            if real.dimerization is None and abs(heat / self.vaporization_enthalpy_j_mol - 1.0) > _HEAT_ERROR:
+                raise ValueError(
+                    f"vaporization_enthalpy_j_mol = {self.vaporization_enthalpy_j_mol:g}, and real.vapor_pressure "
+                    f"rises at boiling_point_k = {self.boiling_point_k} as by {heat:.0f} J/mol; must agree within "
+                    f"{_HEAT_ERROR:.0%}; give a boiling point, a heat and a vapour pressure that belong together"
                 )
 
 

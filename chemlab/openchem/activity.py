@@ -1,7 +1,8 @@
 """Binary NRTL parameters from UNIFAC.
 
-The Dortmund form of UNIFAC is used if it has all groups and interactions (except for water with hydrocarbons and their
-chlorides), else the original, else the Dortmund form with interactions completed by machine learning. Parameters are
+The Dortmund form of UNIFAC is used if it has all groups and interactions and does not extrapolate them too far (except
+for water with hydrocarbons and their chlorides), else the original, else the Dortmund form with interactions completed
+by machine learning. Parameters are
 fitted to ln gamma from 270 to 480 K at all compositions that do not split into two liquids, infinite dilution included.
 Groups come from thermo's list for a CAS number, else from ugropy for the structure. ``studies/tools/pairs.py`` fits
 measured pairs to the measurements instead.
@@ -14,11 +15,11 @@ import itertools
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..config.catalogue import IDEAL, IDEAL_PAIR, CataloguePair
+from ..config.catalogue import IDEAL_PAIR, SOURCES, CataloguePair
 from ..config.datafile import DataError
 from ..config.extras import needs
 from ..config.materials import Material
@@ -31,8 +32,9 @@ with needs("activity coefficients need thermo", "chem"):
 
 _WIDEST, _LEAST = 6.0, -8.0
 """Largest change of ln gamma at infinite dilution from 270 to 480 K, and least ln gamma. Beyond either, a form's group
-parameters are extrapolated too far in temperature, and everyday chemicals use the next form."""
-_CHUNK = 100
+parameters are extrapolated too far in temperature, and the next form is used."""
+_CHUNK = 20
+"""Pairs that are fitted side by side."""
 
 GROUPS: dict[str, dict[str, int]] = {
     # Groups of an isomer, for molecules that neither form of UNIFAC can represent.
@@ -145,19 +147,12 @@ def nrtl(parameters: Array, alpha: float, temperatures: Array, fractions: Array)
     return log_activity_coefficients(mixtures, np.broadcast_to(tau, (*mixtures.shape, 2)), np.array(alpha))
 
 
-@dataclass(frozen=True)
-class Fit:
-    """NRTL parameters and their errors."""
+class Fit(NamedTuple):
+    """NRTL parameters a12, a21, b12, b21, c12, c21, and the largest error of ln gamma."""
 
     parameters: Array
     alpha: float
     error: float
-
-
-def fit(log_gamma: Array) -> Fit:
-    """Return NRTL parameters of ln gamma [T, X, 2] on the fine grid, see :func:`chemlab.openchem.fits.fits`."""
-    parameters, alpha, error = fits(log_gamma[None], FINE)
-    return Fit(parameters[0], float(alpha[0]), float(error[0]))
 
 
 def _apart(names: tuple[str, str], materials: Mapping[str, Material], form: Model) -> bool:
@@ -179,8 +174,30 @@ def _forms(names: tuple[str, str], materials: Mapping[str, Material]) -> Iterato
 
 
 def best_form(names: tuple[str, str], materials: Mapping[str, Material]) -> tuple[Model, list[Groups]] | None:
-    """Return the form of UNIFAC for two materials, and their groups in it; None if no form has all groups."""
-    return next(_forms(names, materials), None)
+    """Return the form of UNIFAC for two materials, and their groups in it.
+
+    None if no form has all groups and interactions, and coefficients that are not extrapolated too far.
+    """
+    return next(((form, groups) for form, groups in _forms(names, materials) if _is_sound(form, groups)), None)
+
+
+def _is_sound(form: Model, groups: list[Groups]) -> bool:
+    """Return False if ln gamma by a form's group parameters is extrapolated too far."""
+    curve = _curve(form.name, *map(_sorted, groups))
+    ends = np.stack([curve[:, 0, 0], curve[:, -1, 1]])
+    return bool(curve.min() >= _LEAST and np.ptp(ends, axis=1).max() <= _WIDEST)
+
+
+def _sorted(groups: Groups) -> tuple[tuple[int, int], ...]:
+    return tuple(sorted(groups.items()))
+
+
+@functools.cache
+def _curve(form: str, *groups: tuple[tuple[int, int], ...]) -> Array:
+    """ln gamma by a form of UNIFAC on the quick grid."""
+    (model,) = (model for model in models() if model.name == form)
+    with np.errstate(divide="ignore"):
+        return model.log_gamma([dict(found) for found in groups], QUICK)
 
 
 def pair_row(names: Sequence[str], found: Fit, low_k: float, high_k: float, source: str) -> dict[str, Any]:
@@ -192,23 +209,25 @@ def pair_row(names: Sequence[str], found: Fit, low_k: float, high_k: float, sour
     }  # fmt: skip
 
 
-_IDEAL_FIT = Fit(np.zeros(6), 0.3, 0.0)
-
-
-def _described(names: tuple[str, str], materials: Mapping[str, Material], known: dict[Any, Fit]) -> dict[str, Any]:
-    """Return a row of the pair file; an ideal mixture if no form of UNIFAC has the groups of both."""
-    span = float(FINE.temperatures_k[0]), float(FINE.temperatures_k[-1])
-    chosen = best_form(names, materials)
-    if chosen is None:
-        return pair_row(names, _IDEAL_FIT, *span, IDEAL)
-    form, both = chosen
-    source = form.name
-    borrowed = [name for name in names if name in GROUPS]
-    if borrowed:
-        source += f", {' and '.join(borrowed)} by the groups of an isomer"
-    key = (form.name, *(tuple(sorted(g.items())) for g in both))
-    found = known[key] = known.get(key) or fit(form.log_gamma(both))
-    return pair_row(names, found, *span, source)
+def _fitted(
+    pairs: Sequence[tuple[str, str]], materials: Mapping[str, Material], grid: Grid, progress: Callable[[int], None]
+) -> list[tuple[str, Fit]]:
+    """Return the form and the fit of each pair; :data:`~chemlab.config.catalogue.IDEAL_PAIR` where no form is sound."""
+    keys: list[Any] = []
+    curves: dict[Any, tuple[Model, list[Groups]]] = {}
+    for two in pairs:
+        chosen = best_form(two, materials)
+        keys.append(None if chosen is None else (chosen[0].name, *map(_sorted, chosen[1])))
+        curves |= {} if chosen is None else {keys[-1]: chosen}
+    made: dict[Any, tuple[str, Fit]] = {None: (IDEAL_PAIR, Fit(np.zeros(6), 0.3, 0.0))}
+    for at in range(0, len(curves), _CHUNK):
+        part = list(curves.items())[at : at + _CHUNK]
+        log_gamma = [_curve(*key) if grid is QUICK else form.log_gamma(groups, grid) for key, (form, groups) in part]
+        found = fits(np.array(log_gamma), grid)
+        for (key, (form, _)), parameters, alpha, error in zip(part, *found, strict=True):
+            made[key] = form.name, Fit(parameters, float(alpha), float(error))
+        progress(sum(key in made for key in keys))
+    return [made[key] for key in keys]
 
 
 def is_molecule(material: Material) -> bool:
@@ -219,7 +238,7 @@ def is_molecule(material: Material) -> bool:
 def make_pairs(
     pairs: Sequence[tuple[str, str]],
     materials: Mapping[str, Material],
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[int], None] = lambda _: None,
     ideal: bool = False,
 ) -> list[dict[str, Any]]:
     """Return the rows of a pair file.
@@ -227,12 +246,12 @@ def make_pairs(
     Args:
         pairs: pairs of materials.
         materials: materials by id.
-        progress: called with the name of every finished pair.
-        ideal: whether pairs without UNIFAC groups become ideal mixtures, as their source then states.
+        progress: called with the number of finished pairs.
+        ideal: whether pairs that UNIFAC does not describe become ideal mixtures, as their source then states.
 
     Raises:
-        DataError: a material is unknown, not a molecule, or paired with itself; or ``ideal`` is False and UNIFAC lacks
-            the groups of some pairs, all of which are named.
+        DataError: a material is unknown, not a molecule, or paired with itself; or ``ideal`` is False and no form of
+            UNIFAC describes some pairs, all of which are named.
     """
     for name in (name for two in pairs for name in two):
         if name not in materials:
@@ -253,15 +272,18 @@ def make_pairs(
         strange = [name for name in named if all(form.groups(name, materials[name]) is None for form in models())]
         groups = f" (without groups: {', '.join(map(repr, strange))})" if strange else ""
         raise DataError(
-            f"pairs: no form of UNIFAC in thermo has the groups and interactions of {listed}{groups}; write measured "
+            f"pairs: no form of UNIFAC in thermo describes {listed}{groups}: it lacks groups or interactions, or "
+            "extrapolates them too far; write measured "
             "parameters into your own pair file and name it with --pairs (docs: Write a material or a reaction), "
             "or treat these pairs as ideal mixtures with --ideal"
         )
-    known: dict[Any, Fit] = {}
+    span = float(FINE.temperatures_k[0]), float(FINE.temperatures_k[-1])
     rows = []
-    for two in pairs:
-        rows.append(_described(two, materials, known))
-        progress(f"{two[0]}, {two[1]}")
+    for two, (form, found) in zip(pairs, _fitted(pairs, materials, FINE, progress), strict=True):
+        borrowed = [name for name in two if name in GROUPS and form != IDEAL_PAIR]
+        source = SOURCES.get(form, form)
+        source += f", {' and '.join(borrowed)} by the groups of an isomer" if borrowed else ""
+        rows.append(pair_row(two, found, *span, source))
     return rows
 
 
@@ -275,45 +297,13 @@ def quick_pairs(
     Args:
         pairs: of two materials each.
         materials: what they are, by id.
-        progress: is called with the number of pairs that are done.
+        progress: called with the number of finished pairs.
 
     Returns:
-        A row for each pair; pairs that UNIFAC has no groups or interactions for are ideal, which their form says.
+        A row for each pair; pairs that no form of UNIFAC describes are ideal, which their form says.
     """
-    curves: dict[Any, tuple[str, Array]] = {}
-    keys = [_curve(two, materials, curves) for two in pairs]
-    wanted = [key for key in curves if key is not None]
-    made: dict[Any, tuple[Array, float, float]] = {}
-    for at in range(0, len(wanted), _CHUNK):
-        part = wanted[at : at + _CHUNK]
-        found = fits(np.array([curves[key][1] for key in part]), QUICK)
-        made |= {key: (p, float(a), float(e)) for key, p, a, e in zip(part, *found, strict=True)}
-        progress(at + len(part))
     rows = []
-    for two, key in zip(pairs, keys, strict=True):
-        if key is None:
-            rows.append(CataloguePair(*two, IDEAL_PAIR, 0.3, 0.0, (0.0,) * 6))
-            continue
-        parameters, alpha, error = made[key]
-        rounded = tuple(float(f"{value:.5g}") for value in parameters.tolist())
-        rows.append(CataloguePair(*two, curves[key][0], alpha, float(f"{error:.2g}"), rounded))
+    for two, (form, found) in zip(pairs, _fitted(pairs, materials, QUICK, progress), strict=True):
+        rounded = tuple(float(f"{value:.5g}") for value in found.parameters.tolist())
+        rows.append(CataloguePair(*two, form, found.alpha, float(f"{found.error:.2g}"), rounded))
     return rows
-
-
-def _curve(two: tuple[str, str], materials: Mapping[str, Material], curves: dict[Any, tuple[str, Array]]) -> Any:
-    """Put ln gamma of a pair by the best form of UNIFAC that is sound into ``curves``.
-
-    Returns:
-        Its key there, None where no form is sound.
-    """
-    for form, groups in _forms(two, materials):
-        key = (form.name, *(tuple(sorted(found.items())) for found in groups))
-        if key in curves:
-            return key
-        with np.errstate(divide="ignore"):
-            log_gamma = form.log_gamma(groups, QUICK)
-        ends = np.stack([log_gamma[:, 0, 0], log_gamma[:, -1, 1]])
-        if log_gamma.min() >= _LEAST and np.ptp(ends, axis=1).max() <= _WIDEST:
-            curves[key] = form.name, log_gamma
-            return key
-    return None

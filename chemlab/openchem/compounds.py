@@ -129,7 +129,7 @@ def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[di
 
     def put(into: dict[str, Any], where: dict[str, str], field: str, value: Value | None, needed: bool = True) -> None:
         if value is not None:
-            into[field], where[field] = significant(value.number, 6), value.source
+            into[field], where[field] = significant(value.number, 6), found.doubt(field) + value.source
         elif needed:
             missing.append(field)
 
@@ -224,7 +224,8 @@ def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
 
 
 def doubts(tables: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return a line for each number contradicted by compilations or an estimate, and for each rejected number."""
+    """Return a line for each number, own ones included, that compilations or an estimate contradict, and for each
+    rejected number."""
     return [
         f"{key}: {field} = {table.get(field, table['real'].get(field))}: {source}"
         for key, table in tables.items()

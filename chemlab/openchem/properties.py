@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -344,6 +345,26 @@ class Properties:
         doubt = _against(found, method, 2.0 * share, lambda value: f"{100.0 * (value / number - 1.0):+.0f} %")
         return Value(number, f"{doubt}{_CITATIONS.get(method, method)} [{method}]")
 
+    def _constant_of(self, field: str) -> str | None:
+        """Return the constant of a field, None for a field that depends on temperature."""
+        constants = {"boiling_point": "Tb", "melting_point": "Tm", "critical_temperature": "Tc"}
+        return (constants | {"fusion_enthalpy": "Hfus", "formation_enthalpy": f"Hf{self.state}"}).get(field)
+
+    def doubt(self, field: str) -> str:
+        """Return the prefix of the source of an own value far from the compilations; else an empty string.
+
+        Args:
+            field: the field of a material.
+        """
+        name = re.sub("_(k|kg_l|j_mol|j_mol_k)$", "", field)
+        found = list(self.compilations(name).values()) if field in self.given else []
+        if not found:
+            return ""
+        middle = float(np.median(found))
+        tolerance = _AGREE.get(self._constant_of(name) or "", _AGREE_SHARE * middle)
+        near = abs(self.given[field].number - middle) <= tolerance
+        return "" if near else f"{DOUBTFUL}compilations say {middle:.5g}; "
+
     def compilations(self, field: str) -> dict[str, float]:
         """Return measured values of a field by compilation, in the material's units.
 
@@ -352,10 +373,8 @@ class Properties:
         Args:
             field: the name of one of the properties below.
         """
-        constants = {"boiling_point": "Tb", "melting_point": "Tm", "critical_temperature": "Tc"}
-        constants |= {"fusion_enthalpy": "Hfus", "formation_enthalpy": f"Hf{self.state}"}
-        if field in constants:
-            return self._listed(constants[field])
+        if constant := self._constant_of(field):
+            return self._listed(constant)
         boils = self.boiling_point.number if self.boiling_point else ROOM_K
         state, kelvin = self._handled
         if field == "vaporization_enthalpy":

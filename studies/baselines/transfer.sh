@@ -21,7 +21,7 @@ remember() { # SCENARIO BENCH ALGORITHM TURNS ROUNDS STEPS
         --bc-steps "$4" --bc-rounds "$5" --steps "$6" --evaluations 4 --eval-episodes 40 --final-episodes 100 --envs 64 \
         --rollout 64 --batch-size 1024 --epochs 4 --learning-rate 1e-4 --clip-range 0.1 --ent-coef 0 \
         --out "$results/$1-$2-memory" --quiet
-    chemlab export "$results/$1-$2-memory" --out "agents/models/$1_$2"
+    chemlab export "$results/$1-$2-memory" --out "agents/models/$1_$2" --force
 }
 
 remember wurtz_real rxn recurrent-ppo 60000 10 8000
@@ -36,5 +36,5 @@ learn wurtz_real 200000 10 40 --background scripted,rxn=wurtz_real_rxn --roles e
     --net-arch 128 --net-arch 128 --epochs 6 --learning-rate 1e-4 --batch-size 1024 --rollout 64 --ent-coef 0
 for learned in fictitious:dit wurtz_real:ext wurtz_real:dit wurtz_any:ext wurtz_any:dit wurtz_dodecane_direct:dit wurtz_scarce:ext wurtz_scarce:dit; do
     scenario=${learned%:*} role=${learned#*:}
-    chemlab export "$results/$scenario-transfer" --role "$role" --out "agents/models/${scenario}_${role}"
+    chemlab export "$results/$scenario-transfer" --role "$role" --out "agents/models/${scenario}_${role}" --force
 done

@@ -55,6 +55,7 @@ EVERYDAY = (
     "water",
 )  # fmt: skip
 """Bundled molecules that have pairs with the catalogue's; the others are products of single scenarios."""
+PARTED = "; two layers at room temperature although the liquids mix"
 SULFURIC = 98.079 / 1.83 / 1000.0, 138.9
 """L/mol and J/mol/K of liquid sulfuric acid (CRC)."""
 
@@ -224,7 +225,10 @@ def tables_of_molecules(tables: Mapping[str, dict[str, Any]]) -> dict[str, dict[
 
 
 def through_azeotrope(row: Mapping[str, Any], materials: Mapping[str, Material]) -> CataloguePair:
-    """NRTL parameters, tau = b / T, by which a pair has a measured azeotrope: gamma of each is p / p_pure there."""
+    """NRTL parameters by which a pair has a measured azeotrope: gamma of each is p / p_pure there.
+
+    tau is the same at all temperatures: by b / T, what mixes at the azeotrope would have two layers when it is cold.
+    """
     temperature, x = float(row["temperature_k"]), np.array([row["fraction"], 1.0 - row["fraction"]])
     curves: list[Any] = [materials[name].real for name in row["of"]]
     pure = [float(curve.vapor_pressure.pascal(temperature)) for curve in curves]
@@ -234,7 +238,7 @@ def through_azeotrope(row: Mapping[str, Any], materials: Mapping[str, Material])
         return log_activity_coefficients(x, matrix, np.array(row["alpha"])) - np.log(101325.0 / np.array(pure))
 
     tau = fsolve(off, [1.0, 1.0])
-    numbers = (0.0, 0.0, *(float(f"{t * temperature:.5g}") for t in tau), 0.0, 0.0)
+    numbers = (*(float(f"{t:.5g}") for t in tau), 0.0, 0.0, 0.0, 0.0)
     one, other = row["of"]
     return CataloguePair(one, other, "azeotrope", float(row["alpha"]), 0.0, numbers)
 
@@ -250,6 +254,8 @@ def write_pairs(made: Mapping[str, Material], given: Mapping[str, Any]) -> None:
     print(file=sys.stderr)
     better = {frozenset(row["of"]): through_azeotrope(row, known) for row in given["azeotrope"]}
     rows = [better.get(frozenset(row[:2]), row) for row in rows]
+    parted = [{"water", name} for name in given["mixes"]["with_water"]]
+    rows = [row._replace(form=f"{row.form}{PARTED}") if set(row[:2]) in parted else row for row in rows]
     (FOLDER / "pairs.csv").write_text(pairs_text(rows), encoding="utf-8")
     ideal = sum(row.form == "ideal" for row in rows)
     print(f"{len(rows)} pairs, {ideal} of them ideal; largest error of ln gamma {max(row.error for row in rows):.2f}")

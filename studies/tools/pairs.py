@@ -4,7 +4,9 @@
     python studies/tools/pairs.py toluene cumene --materials my_materials.toml --output my_pairs.toml
 
 Needs the extra ``chem``. The method is described in :mod:`chemlab.openchem.activity`; ``chemlab data pairs`` makes
-pairs of your own materials. Measured pairs are fitted to the measurements instead.
+pairs of your own materials. Measured pairs are fitted to the measurements instead. Ten rows of the bundled file, of
+acetanilide with alkanes and salicylic acid, and of pyrrolidine with acids, are older than the check of how far a form
+extrapolates; their form fails it, and making the file anew changes them.
 """
 
 from __future__ import annotations
@@ -169,13 +171,13 @@ def main() -> None:
     names = arguments.names or sorted(name for name, m in shipped_materials().items() if is_molecule(m))
     pairs = list(itertools.combinations(names, 2))
 
-    def tell(done: str) -> None:
-        print(f"\r{done}{' ' * 30}", end="", file=sys.stderr, flush=True)
+    def tell(done: int) -> None:
+        print(f"\r{done} of {len(pairs)} pairs", end="", file=sys.stderr, flush=True)
 
     measured = measured_pairs(SOLUBILITIES)
     rows = [
         measured_row(row, measured[frozenset(row["of"])], materials) if frozenset(row["of"]) in measured else row
-        for row in make_pairs(pairs, materials, tell)
+        for row in make_pairs(pairs, materials, tell, ideal=True)
     ]
     print(file=sys.stderr)
     output = arguments.output or SHIPPED

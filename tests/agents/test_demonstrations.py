@@ -259,7 +259,7 @@ def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
     assert "already there" in again.output
     spaced = runner.invoke(app, ["export", "demos", str(scripted), "--name", "chem lab"])
     assert (spaced.exit_code, spaced.output.split(";")[1].strip()) == (2, "given 'chem lab'")
-    assert "error: --name: a dataset's name has letters" in spaced.output
+    assert "error: --name: a dataset's name has two or more letters" in spaced.output
     assert runner.invoke(app, [*arguments, "--force"]).exit_code == 0
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -256,7 +257,7 @@ def test_damaged_files_are_refused(tmp_path: Path, text: str | None, words: list
     assert all(word in str(error.value) for word in [str(file), *words])
 
 
-def test_a_plan_that_does_not_fit_is_refused() -> None:
+def test_a_plan_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     """Another laboratory's plan names actions that are not there, or goals that it has no plan for."""
     with pytest.raises(ValueError, match="does not fit this laboratory"):
         plan_for(Laboratories("salt_from_oil"), file=str(plan_file("wurtz_dodecane", "scripted")))
@@ -264,6 +265,9 @@ def test_a_plan_that_does_not_fit_is_refused() -> None:
         plan_for(Laboratories("wurtz_any"), file=str(plan_file("wurtz_dodecane", "scripted")))
     with pytest.raises(ValueError, match="chemlab audit plan wurtz_dodecane --benches scripted:unsafe --out"):
         plan_for(Laboratories("wurtz_dodecane"), "scripted:unsafe")
+    (tmp_path / "own.toml").write_text('base = "wurtz_dodecane"\n')
+    with pytest.raises(ValueError, match=re.escape(f"chemlab audit plan {tmp_path / 'own.toml'} --benches scripted")):
+        plan_for(Laboratories(tmp_path / "own.toml"))
 
 
 def test_the_command(tmp_path: Path) -> None:
