@@ -117,9 +117,12 @@ def test_another_seed_is_another_experiment() -> None:
 def test_a_first_reset_without_a_seed_draws_one() -> None:
     name = "chemlab/WurtzExtraction-v0"
     assert len({beginnings(single(name), None) for _ in range(4)}) == 4
-    vector = batch(name, 4)
-    rows = [vector.reset()[0] for _ in range(20)]
-    assert len({b"".join(row[i].tobytes() for row in rows) for i in range(4)}) == 4
+    for first in (None, [0, None, None, None]):
+        vector, other = batch(name, 4), batch(name, 4)
+        rows = [np.hstack([env.reset(seed=seed)[0] for env in (vector, other)]) for seed in [first, *[None] * 19]]
+        half = rows[0].shape[1] // 2
+        seen = {b"".join(row[i, at].tobytes() for row in rows) for i in range(4) for at in (np.s_[:half], np.s_[half:])}
+        assert len(seen) == (8 if first is None else 7), "members without a seed get one each"
 
 
 # -- copies and states ------------------------------------------------------------------------------------------------
