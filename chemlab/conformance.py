@@ -27,6 +27,7 @@ from .config.scenario import Scenario
 from .envs.aec import raw_env
 from .envs.batch import BatchedLaboratory
 from .envs.parallel import parallel_env
+from .envs.role_env import RoleEnv
 from .physics.chemistry import element_matrix
 from .record import Play, Recorder, read_record, verify_record
 
@@ -196,6 +197,18 @@ def _check_end(scenario: Scenario) -> None:
         raise _Fault(f"the episode goes on after {most} rounds, beyond limits.manager_actions and limits.ticks")
 
 
+def _experiments(env: RoleEnv) -> list[Any]:
+    """Return what two experiments of a bench alone show, by random legal actions."""
+    rng, shown = np.random.default_rng(1), []
+    for seed in (1, None):
+        shown.append(env.reset(seed=seed))
+        for _ in range(env.max_episode_steps):
+            shown.append(env.step(_legal(env.action_space, shown[-1][-1].get("action_mask"), rng)))
+            if shown[-1][2]:
+                break
+    return shown
+
+
 def _check_seeds(scenario: Scenario) -> None:
     env = parallel_env(scenario)
     first, again = _Episode(env, 1), _Episode(parallel_env(scenario), 1)
@@ -204,6 +217,12 @@ def _check_seeds(scenario: Scenario) -> None:
         raise _Fault("the same seed gives another episode in a second environment")
     if not _same(shown, _Episode(env, 1).play(_ROUNDS)):
         raise _Fault("the same seed gives another episode when an environment is used again")
+    for key in scenario.benches:
+        alone = RoleEnv(scenario, bench=key)
+        if not _same(_experiments(alone), _experiments(alone)):
+            raise _Fault(
+                f"benches.{key} alone: the same seed gives another experiment when an environment is used again"
+            )
 
 
 def _check_copies(scenario: Scenario) -> None:

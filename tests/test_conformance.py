@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers import FEATURED, mapping, slow_but
 from typer.testing import CliRunner
@@ -15,6 +16,7 @@ from chemlab.cli import app
 from chemlab.config.inherit import scenario_names, synthesis_names
 from chemlab.config.loading import load_scenario
 from chemlab.conformance import CHECKS, check_scenario, doubts
+from chemlab.lab.experiments import ExperimentBatch
 
 PARTS = Path(__file__).parent / "parts"
 FAULTS = {
@@ -65,6 +67,40 @@ def test_a_fault_is_found(check: str, tmp_path: Path) -> None:
     errors = {result.name: result.error or "" for result in check_scenario(written(tmp_path, old, new))}
     with pytest.raises(AssertionError, match=message):
         raise AssertionError(errors[check])
+
+
+CLOGGED = """
+import numpy as np
+from clogging_bench import CloggingBench
+
+
+class Bench(CloggingBench):
+    def see(self, shelf, experiments, members, out):
+        super().see(shelf, experiments, members, out)
+        out[:, 0] = np.minimum(experiments.clogged[members] / 10.0, 1.0)
+"""
+
+
+def test_a_bench_alone_carries_nothing_into_the_next_experiment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(PARTS.parent / "bench"))
+    (tmp_path / "clogged.py").write_text(CLOGGED)
+    file = tmp_path / "clogged.toml"
+    bench = '[benches.fil]\nkind = "clogged.py:Bench"\nstep_limit = 5\nstart = { contents = { water = 1.0 } }\n'
+    file.write_text(f'base = "wurtz_dodecane"\n{bench}')
+    spec = load_scenario(file)
+    CHECKS["seeds"][1](spec)
+    reset = ExperimentBatch.reset
+
+    def carried(batch: ExperimentBatch, *arguments: Any, **more: Any) -> None:
+        kept = getattr(batch.experiments, "clogged", np.zeros(1)).copy()
+        reset(batch, *arguments, **more)
+        getattr(batch.experiments, "clogged", np.zeros(1))[:] = kept
+
+    monkeypatch.setattr(ExperimentBatch, "reset", carried)
+    with pytest.raises(Exception, match=r"benches\.fil alone: the same seed"):
+        CHECKS["seeds"][1](spec)
 
 
 @pytest.mark.parametrize("name", FEATURED)

@@ -169,6 +169,7 @@ class ExperimentBatch:
         self.worlds.begin(members, world)
         goals = self._goals if goal is None else np.array([goal])
         shelf, experiments = self.shelf, self.experiments
+        experiments.table.reset(members)
         _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, experiments.handle, shelf.handle)
         if self.bench.grades.names:
             _draw_grades(members, len(self.bench.grades.names), self.start_stream, experiments.grade)
