@@ -178,6 +178,9 @@ class ChemlabVecEnv(Guarded, VecEnv):
             legal = self.batch.action_masks().astype(np.int8)
             observations = self._advisor.shown(observations, legal, self._lengths, np.arange(self.num_envs))
             self._advice = observations[:, -self._advice.shape[1] :]
+        return self._with_masks(observations)
+
+    def _with_masks(self, observations: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         if self._show_masks:
             return np.concatenate([observations, self.batch.action_masks()], axis=1, dtype=np.float32)
         # SB3 still uses the last observations after the next step.
@@ -190,7 +193,7 @@ class ChemlabVecEnv(Guarded, VecEnv):
     def get_state(self) -> list[npt.NDArray[Any]]:
         """Return copies of everything that changes, for :meth:`set_state`."""
         memory = np.empty(1, dtype=object)
-        memory[0] = None if self._advisor is None else self._advisor.get_memory()
+        memory[0] = None if self._advisor is None else (self._advisor.get_memory(), self._advice.copy())
         return [*self.batch.get_state(), self._returns.copy(), self._lengths.copy(), memory]
 
     def set_state(self, state: list[npt.NDArray[Any]]) -> npt.NDArray[np.float32]:
@@ -198,9 +201,12 @@ class ChemlabVecEnv(Guarded, VecEnv):
         *batch, self._returns[:], self._lengths[:], memory = state
         self._reset_seeds()
         self._reset_options()
-        if self._advisor is not None:
-            self._advisor.set_memory(memory[0])
-        return self._kept(self.batch.set_state(batch))
+        observations = self.batch.set_state(batch)
+        if self._advisor is not None:  # which is not asked again: it may draw
+            own, self._advice = memory[0]
+            self._advisor.set_memory(own)
+            observations = np.concatenate([observations, self._advice], axis=1, dtype=np.float32)
+        return self._with_masks(observations)
 
     def action_masks(self) -> npt.NDArray[np.bool_]:
         """Return [N, actions] the current legal actions.

@@ -211,16 +211,12 @@ class ScriptedManager(Generic[M]):
                 self._take_note(advice.seen, action, i)
 
     def get_memory(self) -> Any:
-        """See :class:`chemlab.envs.players.Policy`; unconfirmed advice is not part of the memory."""
-        before = {i: pickle.loads(advice.before) for i, advice in self._advised.items()}
-        return copy.deepcopy(
-            [{**memory, **{i: own[n] for i, own in before.items()}} for n, memory in enumerate(self._memories)]
-        )
+        """See :class:`chemlab.envs.players.Policy`; advice that waits for :meth:`played` is part of the memory."""
+        return copy.deepcopy([*self._memories, self._advised])
 
     def set_memory(self, memory: Any) -> None:
         """See :class:`chemlab.envs.players.Policy`."""
-        self._advised.clear()
-        for own, kept in zip(self._memories, copy.deepcopy(memory), strict=True):
+        for own, kept in zip([*self._memories, self._advised], copy.deepcopy(memory), strict=True):
             own.clear()
             own.update(kept)
 

@@ -178,7 +178,7 @@ class LaboratoryTask(Task):
         scenario: a bundled name, a path, or a loaded scenario.
         agent: name of the learning agent.
         background: policies of the others, by name.
-        goals: laboratory goals to evaluate (default: all).
+        goals: laboratory goals of its episodes (default: all).
         splits: splits of worlds for training and for evaluation.
 
     Raises:
@@ -201,16 +201,15 @@ class LaboratoryTask(Task):
         self.goals = known if goals is None else tuple(goals)
         if set(self.goals) - set(known) or not self.goals:
             raise ValueError(f"goals: {self.scenario.name} asks for {', '.join(known)}, given {', '.join(self.goals)}")
-        env = self.batch(1)
-        self._number = env.focal
-        self.workplace = env.laboratories.roles[env.focal].workplace
+        self._number = self.batch(1).focal
+        self.workplace = Laboratories(self.scenario, 1).roles[self._number].workplace
         self._labs: dict[int, Laboratories] = {}
 
     def batch(self, members: int) -> RoleVectorEnv:
         """See :class:`Task`."""
         return role_vector_env(
             members,
-            self.scenario,
+            self.scenario.model_copy(update={"lab_goals": self.goals}),
             self.agent,
             self._background,
             autoreset_mode=AutoresetMode.SAME_STEP,
