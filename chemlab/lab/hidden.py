@@ -361,8 +361,7 @@ class Worlds:
             raise ValueError(f"world: a number must be from 0 to 2**64 - 1, given {number!r:.100}")
         if number & 3 != self.split.number:
             of = [*SPLITS, "private"][number & 3]
-            name = self.split.name.partition(":")[0]
-            raise ValueError(f"world: number {number} is of split {of} and must be of {name}")
+            raise ValueError(f"world: number {number} is of split {of} and must be of {self.split.public}")
 
     def _set_parameters(self, members: IntArray) -> None:
         parameters, rows = self._shelf.chemistry.parameters, 1 + members

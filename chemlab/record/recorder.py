@@ -81,7 +81,7 @@ class Witness:
         hidden: dict[str, Any] = {}
         if labs.worlds.active:
             # The salt of a private split is secret; its worlds are identified by their numbers.
-            split = {"split": labs.worlds.split.name.partition(":")[0]}
+            split = {"split": labs.worlds.split.public}
             hidden["world"] = {"number": labs.worlds.number(self._m), "values": labs.worlds.values(self._m)}
         hidden |= self._hidden()
         positions = [f"slot_{s}" for s in range(labs.scenario.shelf.slots)]
