@@ -199,7 +199,8 @@ def _check_end(scenario: Scenario) -> None:
 
 def _experiments(env: RoleEnv) -> list[Any]:
     """Return what two experiments of a bench alone show, by random legal actions."""
-    rng, shown = np.random.default_rng(1), []
+    rng = np.random.default_rng(1)
+    shown: list[Any] = []
     for seed in (1, None):
         shown.append(env.reset(seed=seed))
         for _ in range(env.max_episode_steps):

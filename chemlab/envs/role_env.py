@@ -281,8 +281,7 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
             if member_seed is not None:
                 own.seed(int(member), member_seed)
         own.pending[mask] = False
-        own.costs[mask], own.events[mask], own.illegal[mask] = 0.0, 0.0, False
-        own.scores[mask] = np.nan
+        own.clear(slice(None))  # of the others, too: in a reset nothing happens to them
         own.begin(np.flatnonzero(mask), None if goal is None else own.goals.index(goal), world)
         found = self._returned(own.observations), self._infos()
         self._begun = True

@@ -181,8 +181,10 @@ def test_seeds_of_members() -> None:
     name = "chemlab/WurtzExtraction-v0"
     env, goes_on = batch(name, 4, autoreset_mode="Disabled"), single(name)
     first, _ = env.reset(seed=0)
+    env.episodes.scores[:] = 0.5  # as if every experiment had just ended
     mask = np.array([True, True, True, False])
-    observations, _ = env.reset(seed=[9, None, 2, 6], options={"reset_mask": mask})
+    observations, infos = env.reset(seed=[9, None, 2, 6], options={"reset_mask": mask})
+    assert not infos["experiment_over"].any(), "a reset ends no experiment, nor one that is not reset"
     goes_on.reset(seed=1)
     expected = [single(name).reset(seed=9)[0], goes_on.reset()[0], single(name).reset(seed=2)[0], first[3]]
     np.testing.assert_array_equal(observations, expected)
