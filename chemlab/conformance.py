@@ -22,6 +22,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from .config.inherit import declared_levels
 from .config.loading import load_scenario, reachable_materials
 from .config.scenario import Scenario
 from .envs.aec import raw_env
@@ -60,9 +61,12 @@ def doubts(scenario: Scenario) -> list[str]:
     """Return a line about everything in a valid scenario that can hardly be meant, beginning with its key.
 
     Raises:
-        DataError: the scenario, or a part that it names, cannot be loaded.
+        DataError: the scenario, another level of its file, or a part that it names cannot be loaded.
     """
     raw_env(scenario)  # checks the keys of benches
+    file = Path(scenario.origin)
+    for level in declared_levels(file) if file.suffix == ".toml" else ():
+        raw_env(f"{file}@{level}")
     at_hand = {name: mol for name, mol in scenario.stock.items() if mol > 0.0}
     for vessel in scenario.shelf.vessel:
         for name, mol in vessel.contents.items():

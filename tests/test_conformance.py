@@ -13,6 +13,7 @@ from helpers import FEATURED, mapping, slow_but
 from typer.testing import CliRunner
 
 from chemlab.cli import app
+from chemlab.config.datafile import DataError
 from chemlab.config.inherit import scenario_names, synthesis_names
 from chemlab.config.loading import load_scenario
 from chemlab.conformance import CHECKS, check_scenario, doubts
@@ -121,6 +122,12 @@ def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
     tables = mapping("wurtz_dodecane_direct")
     (tables["benches"]["rxn"] if key == "temperature_k" else tables)[key].update(value)
     assert re.search(words, "\n".join(doubts(load_scenario(tables))))
+
+
+def test_every_level_of_a_file_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('base = "wurtz_dodecane"\n[levels.1.limits]\nticks = -3\n')
+    with pytest.raises(DataError, match=r"a\.toml: limits\.ticks: .*greater than or equal to 1"):
+        doubts(load_scenario(tmp_path / "a.toml"))
 
 
 def test_the_command(tmp_path: Path) -> None:
