@@ -31,6 +31,7 @@ from .envs.parallel import parallel_env
 from .envs.role_env import RoleEnv
 from .physics.chemistry import element_matrix
 from .record import Play, Recorder, read_record, verify_record
+from .roles.kinds import BENCH_KINDS
 
 _ROUNDS = 300
 """Most rounds of an episode that a check plays."""
@@ -73,10 +74,12 @@ def doubts(scenario: Scenario) -> list[str]:
             if mol > 0.0:
                 at_hand[name] = at_hand.get(name, 0.0) + mol
     drawn = {name for draw in scenario.world.draws.values() for name in draw.materials}
-    own = any(".py:" in f"{bench.kind}{bench.model}" for bench in scenario.benches.values())
+    own = any(bench.kind not in BENCH_KINDS or bench.model for bench in scenario.benches.values())
     possible = reachable_materials(scenario, [*at_hand, *drawn])
     found = []
     for key, bench in scenario.benches.items():
+        if bench.kind not in BENCH_KINDS:
+            continue  # its options may mean anything
         extra = bench.model_extra or {}
         fed = [*extra.get("reagents", ()), *(part.get("material") for part in extra.get("process", ()))]
         for name in dict.fromkeys(name for name in fed if name):

@@ -124,6 +124,16 @@ def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
     assert re.search(words, "\n".join(doubts(load_scenario(tables))))
 
 
+def test_options_of_a_bench_of_ones_own_mean_what_it_says(tmp_path: Path) -> None:
+    bench = "from pydantic import BaseModel\nfrom filtration_bench import FiltrationBench\n\n\n"
+    bench += "class Options(BaseModel):\n    temperature_k: float\n    process: list[str]\n\n\n"
+    bench += "class Bench(FiltrationBench):\n    options_model = Options\n"
+    (tmp_path / "own.py").write_text(f"import sys\n\nsys.path.append({str(PARTS.parent / 'bench')!r})\n{bench}")
+    entry = 'kind = "own.py:Bench"\nstep_limit = 5\ntemperature_k = 90.0\nprocess = ["settle"]\n'
+    (tmp_path / "a.toml").write_text(f'base = "wurtz_dodecane"\n[benches.fil]\n{entry}')
+    assert doubts(load_scenario(tmp_path / "a.toml")) == []
+
+
 def test_every_level_of_a_file_is_loaded(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_text('base = "wurtz_dodecane"\n[levels.1.limits]\nticks = -3\n')
     with pytest.raises(DataError, match=r"a\.toml: limits\.ticks: .*greater than or equal to 1"):
