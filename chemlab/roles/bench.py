@@ -18,7 +18,7 @@ from ..config.datafile import DataError
 from ..config.datamodel import validated
 from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.parts import Part, PartError, blamed, checked_numbers, load_part
-from ..config.scenario import BenchSpec, OrderSpec, Scenario, WearSpec
+from ..config.scenario import BenchSpec, ProductSpec, Scenario, WearSpec
 from ..kernels.arrays import (
     BoolArray,
     Field,
@@ -165,7 +165,7 @@ class Goals:
                     counted = role != "solvent" or name == goal
                     absolute[g, i] = 0.5 if role == "ion" else 1.0
                     solute[g, i] = ion if role == "ion" else 2.0 * ion if name in salts else float(counted)
-        among = [scenario.specifications.get(goal, OrderSpec()).purity_among or names for goal in scenario.goals]
+        among = [scenario.specifications.get(goal, ProductSpec()).purity_among or names for goal in scenario.goals]
         weighed = np.array([[name in own for name in names] for own in among], dtype=np.float64)
         return cls(tuple(scenario.goals), parts, solute, absolute, absolute * weighed)
 
