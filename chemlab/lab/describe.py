@@ -290,7 +290,7 @@ def wear_words(spec: Scenario) -> list[str]:
             parts += [f"drifting by a factor of e^{wear.drift:g} in a tick of work"] if wear.drift else []
             parts += [f"until it breaks after {wear.life:g} ticks of work in the mean"] if wear.life else []
             repair = f" A repair costs {wear.repair_price:g} and takes {wear.repair_ticks} ticks."
-            found.append(f"{', '.join(parts)}.{repair if wear.repair_ticks else ''}")
+            found.append(f"{', '.join(parts)}.{repair if wear.repair_price or wear.repair_ticks else ''}")
     return found
 
 
