@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -116,6 +116,20 @@ def load_observations(names: Sequence[str], scenario: Scenario, key: str) -> dic
 def load_terms(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Callable[..., FloatArray]]:
     """Load the reward terms that a scenario names under a key, by name."""
     return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Callable) for name in names}
+
+
+def distinct_channels(channels: Iterable[Channel], where: str) -> tuple[Channel, ...]:
+    """Return the channels of a role.
+
+    Raises:
+        DataError: two have the same name; the message begins with ``where``.
+    """
+    found: dict[str, Channel] = {}
+    for channel in channels:
+        if channel.name in found:
+            raise DataError(f"{where}: two observation channels are named {channel.name!r}; rename one of your own")
+        found[channel.name] = channel
+    return tuple(found.values())
 
 
 def channel_slices(channels: Sequence[Channel]) -> dict[str, slice]:
@@ -506,7 +520,9 @@ class Bench(ABC):
         self._errors = self._channel_errors(channels)
         self._graded_from = sum(channel.size for channel in (*channels, goal))
         self._added_from = self._graded_from + sum(channel.size for channel in graded)
-        self.channels = (*channels, goal, *graded, *(part.declared(name, self) for name, part in self._added.items()))
+        added = [part.declared(name, self) for name, part in self._added.items()]
+        where = f"{self.scenario.origin}: benches.{self.key}"
+        self.channels = distinct_channels((*channels, goal, *graded, *added), where)
         size = sum(channel.size for channel in self.channels)
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space = action_space
