@@ -115,11 +115,11 @@ def _tell(record: Record, trust: bool) -> _Story:
     story = _Story(labs, {agent: [] for agent in labs.agents})
     running: dict[str, tuple[int, str]] = {}
     earned = np.zeros(len(labs.agents))
-    unit, tick = 0, 0
+    unit, tick, costs = 0, 0, list(labs.costs().values())
 
     def note() -> None:
         story.ticks.append(tick)
-        story.costs.append(list(labs.costs().values()))
+        story.costs.append(costs)
         story.rewards.append(earned.tolist())
 
     note()
@@ -129,7 +129,8 @@ def _tell(record: Record, trust: bool) -> _Story:
         if open_tick and (by_manager or move.tick != tick):  # the open tick has ended
             unit, open_tick = unit + 1, False
             tick = move.tick
-            note()
+            note()  # of before this move
+        costs = list(labs.costs().values())
         for play in move.plays:
             agent = labs.agents[play.agent]
             _add(story.strips[agent], unit, _doing(labs, play.agent, play.action), agent in move.lost, by_manager)
@@ -146,7 +147,7 @@ def _tell(record: Record, trust: bool) -> _Story:
         unit, tick = unit + 1, int(labs.state.ticks[0])
         note()
     # Rewards and costs may have been booked after the last turn was noted.
-    story.costs[-1], story.rewards[-1] = list(labs.costs().values()), earned.tolist()
+    story.costs[-1], story.rewards[-1] = costs, earned.tolist()
     story.experiments += [(agent, start, unit, goal, None) for agent, (start, goal) in running.items()]
     story.over = replay.over
     return story
