@@ -35,6 +35,8 @@ from .roles.kinds import BENCH_KINDS
 
 _ROUNDS = 300
 """Most rounds of an episode that a check plays."""
+_MOST = 5000
+"""Largest limit of actions or ticks that a check plays up to; a scenario's higher one is lowered for it."""
 _ROUNDING = 1e-9
 """Largest relative change of an element's amount, or of the charge in mol, that counts as rounding."""
 
@@ -199,8 +201,10 @@ def _check_spaces(scenario: Scenario) -> None:
 
 
 def _check_end(scenario: Scenario) -> None:
-    most = scenario.limits.manager_actions + scenario.limits.ticks + 1
-    if not _played(scenario, 0, most).over:
+    lower = {key: min(number, _MOST) for key, number in dict(scenario.limits).items() if key != "budget"}
+    limits = scenario.limits.model_copy(update=lower)
+    most = limits.manager_actions + limits.ticks + 1
+    if not _played(scenario.model_copy(update={"limits": limits}), 0, most).over:
         raise _Fault(f"the episode goes on after {most} rounds, beyond limits.manager_actions and limits.ticks")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import types
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from helpers import FEATURED, mapping, slow_but
 from typer.testing import CliRunner
 
+from chemlab import conformance
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
 from chemlab.config.inherit import scenario_names, synthesis_names
@@ -132,6 +134,16 @@ def test_options_of_a_bench_of_ones_own_mean_what_it_says(tmp_path: Path) -> Non
     entry = 'kind = "own.py:Bench"\nstep_limit = 5\ntemperature_k = 90.0\nprocess = ["settle"]\n'
     (tmp_path / "a.toml").write_text(f'base = "wurtz_dodecane"\n[benches.fil]\n{entry}')
     assert doubts(load_scenario(tmp_path / "a.toml")) == []
+
+
+def test_the_highest_limits_take_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = mapping("wurtz_dodecane")
+    tables["limits"] |= {"ticks": 100_000, "manager_actions": 100_000}
+    rounds: list[int] = []
+    over = types.SimpleNamespace(over=True)
+    monkeypatch.setattr(conformance, "_played", lambda spec, seed, most: rounds.append(most) or over)
+    CHECKS["end"][1](load_scenario(tables))
+    assert rounds[0] <= 10_001
 
 
 def test_every_level_of_a_file_is_loaded(tmp_path: Path) -> None:

@@ -577,6 +577,16 @@ def test_a_file_has_one_writer(tmp_path: Path) -> None:
     second.begin(1)
     assert verify_record(path).status == "ok"
     second.close()
+    # Lines held in memory are kept until they can be written.
+    held = Recorder(tmp_path / "b.jsonl", labs, held=True)
+    env.reset(seed=1)
+    held.begin(1)
+    held.part.write_text("of another process")
+    with pytest.raises(FileExistsError):
+        held.close()
+    held.part.unlink()
+    held.close()
+    assert held.part.read_text().startswith("{")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -332,4 +333,17 @@ def test_draws_that_exclude_each_other(one: dict[str, Any], other: dict[str, Any
     high = {"kind": "uniform", "low": 0.9, "high": 1.0}
     tables["world"] = {"draws": {"one": {"distribution": high, **one}, "other": {"distribution": high, **other}}}
     with pytest.raises(DataError, match=message):
+        Laboratories(load_scenario(tables))
+
+
+def test_a_draw_of_one_of_two_reactions_of_the_same_equation(tmp_path: Path) -> None:
+    from chemlab.lab.engine import Laboratories
+
+    step = '[[reaction]]\nreactants = { "1-chlorohexane" = 1 }\nproducts = { "2-chlorohexane" = 1 }\n'
+    step += 'pre_exponential = 1.0\nactivation_energy_j_mol = 0\nsource = "A test."\n'
+    (tmp_path / "twice.toml").write_text(f'name = "twice"\n{2 * step}')
+    tables = file(**RATE | {"of": ["1-chlorohexane -> 2-chlorohexane"]}) | {"base": "wurtz_dodecane_direct"}
+    tables |= {"reactions": str(tmp_path / "twice.toml"), "goals": ["1-chlorohexane"], "lab_goals": ["1-chlorohexane"]}
+    tables |= {"theoretical_maximum_mol": {"1-chlorohexane": 1.0}, "remove": ["theoretical_maximum_mol"]}
+    with pytest.raises(DataError, match=r"x\.of: several reactions are '1-chlorohexane -> .*say which one"):
         Laboratories(load_scenario(tables))

@@ -351,12 +351,12 @@ class Recorder:
 
     def _release(self) -> None:
         """Write the lines held in memory."""
-        held, self._held = self._held, None
-        if held:
+        if self._held:
             self._file = self._opened()
             with naming(self.part):
-                self._file.write(b"".join(held))
+                self._file.write(b"".join(self._held))
                 self._file.flush()
+        self._held = None  # not before: what cannot be written now is written by close()
 
     def _write(self, line: dict[str, Any]) -> None:
         try:
