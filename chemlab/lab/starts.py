@@ -46,7 +46,7 @@ class Start(NamedTuple):
     last_position: int = 0
     """Its position at that bench."""
     declared: bool = False
-    """Whether the scenario declares it; hidden contents replace those of declared vessels only."""
+    """True if the scenario declares it; hidden contents replace those of declared vessels only."""
 
 
 class _Vessel(DataModel):

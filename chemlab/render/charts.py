@@ -18,7 +18,7 @@ from ..kernels.arrays import FloatArray
 from ..lab.engine import Laboratories
 from ..lab.text import action_words
 from ..physics.chemistry import WAVELENGTHS_NM
-from ..record import Record, RecordError
+from ..record import Record, RecordError, recorded_scenario
 from ..roles.bench import channel_slices
 from ..roles.manager_state import COST_ITEMS
 from .draw import FAINT, INK, SOFT
@@ -472,7 +472,7 @@ def draw_moles(record: Record, trust: bool = False, only: Sequence[str] = ()) ->
     rows = -(-len(groups) // columns)
     width, height = 8.2 * columns, 0.95 + 3.3 * rows
     figure = new_figure(width, height)
-    scenario = RecordReplay(record, trust).laboratories.scenario
+    scenario = recorded_scenario(record)
     for i, group in enumerate(groups):
         left, top = 8.2 * (i % columns), 0.95 + 3.3 * (i // columns)
         axes = figure.add_axes(((left + 1.95) / width, 1.0 - (top + 2.75) / height, 4.1 / width, 2.4 / height))
