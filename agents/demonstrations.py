@@ -37,7 +37,7 @@ from gymnasium.envs.registration import EnvSpec
 from chemlab import __version__
 from chemlab.config.extras import needs
 from chemlab.config.loading import plain_scenario
-from chemlab.config.scenario import MANAGER_AGENT, Scenario
+from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.lab.engine import Laboratories
 from chemlab.record import Record, read_record, recorded_scenario, scenario_hash, verify_record
 from chemlab.render.history import Look, Move, RecordReplay
@@ -200,6 +200,8 @@ def write_datasets(
 ) -> list[Dataset]:
     """Write a dataset ``NAME/AGENT-v0`` for each agent to Minari's folder (``MINARI_DATASETS_PATH``).
 
+    A dataset's environment has the split of the records if they are all of one, without a private one's salt.
+
     Args:
         paths: records of one scenario with equal content.
         name: name of the datasets.
@@ -253,11 +255,13 @@ def write_datasets(
     return [_write(minari, id, agent, episodes, labs) for id, (agent, episodes) in zip(ids, chosen, strict=True)]
 
 
-def _environment(scenario: Scenario, agent: str, labs: Laboratories) -> EnvSpec:
-    """Return the spec of the environment whose spaces and episodes a dataset has."""
+def _environment(agent: str, labs: Laboratories, split: str | None) -> EnvSpec:
+    """Return the spec of the environment whose spaces and episodes a dataset has, of a split (None: ``train``)."""
     manager = agent == MANAGER_AGENT
     spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v1" if manager else "chemlab/Bench-v1"))
-    spec.kwargs["scenario"] = plain_scenario(scenario)
+    spec.kwargs["scenario"] = plain_scenario(labs.scenario)
+    if split is not None:
+        spec.kwargs["split"] = split
     if not manager:
         spec.kwargs["bench"] = labs.roles[labs.agents.index(agent)].key
     return spec
@@ -267,7 +271,8 @@ def _write(
     minari: Any, id: str, agent: str, episodes: Sequence[tuple[Record, Demonstration]], labs: Laboratories
 ) -> Dataset:
     number = labs.agents.index(agent)
-    spec = _environment(labs.scenario, agent, labs)
+    splits = {record.header.get("split") for record, _ in episodes}
+    spec = _environment(agent, labs, splits.pop() if len(splits) == 1 else None)
     buffers = [_buffer(minari, record, demonstration) for record, demonstration in episodes]
     players = sorted({str(record.header["policies"].get(agent, "unknown")) for record, _ in episodes})
     path = minari.storage.get_dataset_path(id)

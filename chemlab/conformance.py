@@ -22,17 +22,22 @@ from typing import Any
 import gymnasium
 import numpy as np
 
+from .config.inherit import declared_levels
 from .config.loading import load_scenario, reachable_materials
 from .config.materials import atoms_of
 from .config.scenario import Scenario
 from .envs.aec import raw_env
 from .envs.batch import BatchedLaboratory
 from .envs.parallel import parallel_env
+from .envs.role_env import RoleEnv
 from .physics.chemistry import element_matrix
 from .record import Play, Recorder, read_record, verify_record
+from .roles.kinds import BENCH_KINDS
 
 _ROUNDS = 300
 """Most rounds of an episode that a check plays."""
+_MOST = 5000
+"""Largest limit of actions or ticks that a check plays up to; a scenario's higher one is lowered for it."""
 _ROUNDING = 1e-9
 """Largest relative change of an element's amount, or of the charge in mol, that counts as rounding."""
 
@@ -60,19 +65,24 @@ def doubts(scenario: Scenario) -> list[str]:
     """Return a line about everything in a valid scenario that can hardly be meant, beginning with its key.
 
     Raises:
-        DataError: the scenario, or a part that it names, cannot be loaded.
+        DataError: the scenario, another level of its file, or a part that it names cannot be loaded.
     """
     raw_env(scenario)  # checks the keys of benches
+    file = Path(scenario.origin)
+    for level in declared_levels(file) if file.suffix == ".toml" else ():
+        raw_env(f"{file}@{level}")
     at_hand = {name: mol for name, mol in scenario.stock.items() if mol > 0.0}
     for vessel in scenario.shelf.vessel:
         for name, mol in vessel.contents.items():
             if mol > 0.0:
                 at_hand[name] = at_hand.get(name, 0.0) + mol
     drawn = {name for draw in scenario.world.draws.values() for name in draw.materials}
-    own = any(".py:" in f"{bench.kind}{bench.model}" for bench in scenario.benches.values())
+    own = any(bench.kind not in BENCH_KINDS or bench.model for bench in scenario.benches.values())
     possible = reachable_materials(scenario, [*at_hand, *drawn])
     found = []
     for key, bench in scenario.benches.items():
+        if bench.kind not in BENCH_KINDS:
+            continue  # its options may mean anything
         extra = bench.model_extra or {}
         fed = [*extra.get("reagents", ()), *(part.get("material") for part in extra.get("process", ()))]
         for name in dict.fromkeys(name for name in fed if name):
@@ -189,9 +199,24 @@ def _check_spaces(scenario: Scenario) -> None:
 
 
 def _check_end(scenario: Scenario) -> None:
-    most = scenario.limits.manager_actions + scenario.limits.ticks + 1
-    if not _played(scenario, 0, most).over:
+    lower = {key: min(number, _MOST) for key, number in dict(scenario.limits).items() if key != "budget"}
+    limits = scenario.limits.model_copy(update=lower)
+    most = limits.manager_actions + limits.ticks + 1
+    if not _played(scenario.model_copy(update={"limits": limits}), 0, most).over:
         raise _Fault(f"the episode goes on after {most} rounds, beyond limits.manager_actions and limits.ticks")
+
+
+def _experiments(env: RoleEnv) -> list[Any]:
+    """Return what two experiments of a bench alone show, by random legal actions."""
+    rng = np.random.default_rng(1)
+    shown: list[Any] = []
+    for seed in (1, None):
+        shown.append(env.reset(seed=seed))
+        for _ in range(env.max_episode_steps):
+            shown.append(env.step(_legal(env.action_space, shown[-1][-1].get("action_mask"), rng)))
+            if shown[-1][2]:
+                break
+    return shown
 
 
 def _check_seeds(scenario: Scenario) -> None:
@@ -202,6 +227,12 @@ def _check_seeds(scenario: Scenario) -> None:
         raise _Fault("the same seed gives another episode in a second environment")
     if not _same(shown, _Episode(env, 1).play(_ROUNDS)):
         raise _Fault("the same seed gives another episode when an environment is used again")
+    for key in scenario.benches:
+        alone = RoleEnv(scenario, bench=key)
+        if not _same(_experiments(alone), _experiments(alone)):
+            raise _Fault(
+                f"benches.{key} alone: the same seed gives another experiment when an environment is used again"
+            )
 
 
 def _check_copies(scenario: Scenario) -> None:

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import json
 import re
+import types
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from helpers import FEATURED, mapping, slow_but
 from typer.testing import CliRunner
 
+from chemlab import conformance
 from chemlab.cli import app
+from chemlab.config.datafile import DataError
 from chemlab.config.inherit import scenario_names, synthesis_names
 from chemlab.config.loading import load_scenario
 from chemlab.conformance import CHECKS, check_scenario, doubts
+from chemlab.lab.experiments import ExperimentBatch
 
 PARTS = Path(__file__).parent / "parts"
 FAULTS = {
@@ -67,6 +72,40 @@ def test_a_fault_is_found(check: str, tmp_path: Path) -> None:
         raise AssertionError(errors[check])
 
 
+CLOGGED = """
+import numpy as np
+from clogging_bench import CloggingBench
+
+
+class Bench(CloggingBench):
+    def see(self, shelf, experiments, members, out):
+        super().see(shelf, experiments, members, out)
+        out[:, 0] = np.minimum(experiments.clogged[members] / 10.0, 1.0)
+"""
+
+
+def test_a_bench_alone_carries_nothing_into_the_next_experiment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(PARTS.parent / "bench"))
+    (tmp_path / "clogged.py").write_text(CLOGGED)
+    file = tmp_path / "clogged.toml"
+    bench = '[benches.fil]\nkind = "clogged.py:Bench"\nstep_limit = 5\nstart = { contents = { water = 1.0 } }\n'
+    file.write_text(f'base = "wurtz_dodecane"\n{bench}')
+    spec = load_scenario(file)
+    CHECKS["seeds"][1](spec)
+    reset = ExperimentBatch.reset
+
+    def carried(batch: ExperimentBatch, *arguments: Any, **more: Any) -> None:
+        kept = getattr(batch.experiments, "clogged", np.zeros(1)).copy()
+        reset(batch, *arguments, **more)
+        getattr(batch.experiments, "clogged", np.zeros(1))[:] = kept
+
+    monkeypatch.setattr(ExperimentBatch, "reset", carried)
+    with pytest.raises(Exception, match=r"benches\.fil alone: the same seed"):
+        CHECKS["seeds"][1](spec)
+
+
 @pytest.mark.parametrize("name", FEATURED)
 def test_bundled_scenarios_leave_no_doubt(name: str) -> None:
     assert doubts(load_scenario(name)) == []
@@ -85,6 +124,32 @@ def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
     tables = mapping("wurtz_dodecane_direct")
     (tables["benches"]["rxn"] if key == "temperature_k" else tables)[key].update(value)
     assert re.search(words, "\n".join(doubts(load_scenario(tables))))
+
+
+def test_options_of_a_bench_of_ones_own_mean_what_it_says(tmp_path: Path) -> None:
+    bench = "from pydantic import BaseModel\nfrom filtration_bench import FiltrationBench\n\n\n"
+    bench += "class Options(BaseModel):\n    temperature_k: float\n    process: list[str]\n\n\n"
+    bench += "class Bench(FiltrationBench):\n    options_model = Options\n"
+    (tmp_path / "own.py").write_text(f"import sys\n\nsys.path.append({str(PARTS.parent / 'bench')!r})\n{bench}")
+    entry = 'kind = "own.py:Bench"\nstep_limit = 5\ntemperature_k = 90.0\nprocess = ["settle"]\n'
+    (tmp_path / "a.toml").write_text(f'base = "wurtz_dodecane"\n[benches.fil]\n{entry}')
+    assert doubts(load_scenario(tmp_path / "a.toml")) == []
+
+
+def test_the_highest_limits_take_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
+    tables = mapping("wurtz_dodecane")
+    tables["limits"] |= {"ticks": 100_000, "manager_actions": 100_000}
+    rounds: list[int] = []
+    over = types.SimpleNamespace(over=True)
+    monkeypatch.setattr(conformance, "_played", lambda spec, seed, most: rounds.append(most) or over)
+    CHECKS["end"][1](load_scenario(tables))
+    assert rounds[0] <= 10_001
+
+
+def test_every_level_of_a_file_is_loaded(tmp_path: Path) -> None:
+    (tmp_path / "a.toml").write_text('base = "wurtz_dodecane"\n[levels.1.limits]\nticks = -3\n')
+    with pytest.raises(DataError, match=r"a\.toml: limits\.ticks: .*greater than or equal to 1"):
+        doubts(load_scenario(tmp_path / "a.toml"))
 
 
 def test_the_command(tmp_path: Path) -> None:

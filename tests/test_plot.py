@@ -15,6 +15,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, read_record
 from chemlab.render.mole_balance import PLACES, mole_balance
+from chemlab.roles.manager_state import INSTRUMENTS
 
 runner = CliRunner()
 
@@ -171,6 +172,10 @@ def test_timeline_has_every_decision_and_experiment(scripted: Path) -> None:
     assert [(agent, score) for agent, _, _, _, score in story.experiments] == ended
     assert dict(zip(found.header["agents"], story.rewards[-1], strict=True)) == pytest.approx(end["rewards"])
     assert sum(story.costs[-1]) == pytest.approx(sum(end["costs"].values()))
+    measured = [unit for unit, words in story.decisions if words.startswith("measure")]
+    paid = np.diff(np.array(story.costs)[:, INSTRUMENTS])
+    assert measured
+    assert measured == np.flatnonzero(paid).tolist(), "a measurement costs when it is taken"
     texts = "\n".join(text.get_text() for text in draw_timeline(found).texts)
     assert "1  start rxn_0 on slot 0, goal dodecane" in texts
 

@@ -164,6 +164,7 @@ def test_streams_that_went_on(tmp_path: Path) -> None:
 
 
 def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
+    """Some actions of a box are given as integers."""
     path = tmp_path / "a.jsonl"
     env = parallel_env("wurtz_dodecane")
     labs: Laboratories = env.unwrapped.laboratories
@@ -184,6 +185,8 @@ def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
                 actions[agent] = rng.choice(legal, p=weights / weights.sum())
             else:
                 actions[agent] = rng.random(env.action_space(agent).shape) if legal is None else rng.choice(legal)
+                if legal is None and together % 2:
+                    actions[agent] = np.rint(actions[agent]).astype(np.int64)
         shown = [Play(labs.agents.index(a), observations[a], infos[a].get("action_mask"), actions[a]) for a in acting]
         observations, _, _, _, infos = env.step(actions)
         recorder.turn(shown)
@@ -574,6 +577,16 @@ def test_a_file_has_one_writer(tmp_path: Path) -> None:
     second.begin(1)
     assert verify_record(path).status == "ok"
     second.close()
+    # Lines held in memory are kept until they can be written.
+    held = Recorder(tmp_path / "b.jsonl", labs, held=True)
+    env.reset(seed=1)
+    held.begin(1)
+    held.part.write_text("of another process")
+    with pytest.raises(FileExistsError):
+        held.close()
+    held.part.unlink()
+    held.close()
+    assert held.part.read_text().startswith("{")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes")

@@ -550,15 +550,19 @@ def test_a_file_with_a_base_says_only_what_is_different(tmp_path: Path) -> None:
     assert list(dear.instruments) == list(base.instruments), "and the order is the base's"
 
 
-def test_pair_files_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
+def test_files_and_parts_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
     names = min(load_scenario("crude").pairs, key=sorted)
     rest = 'a = [0, 0], b = [7, 7], alpha = 0.3, low_k = 270, high_k = 400, error = 0, source = "made up"'
     row = f"{{ of = {sorted(names)}, {rest} }}"
     (tmp_path / "p.toml").write_text(f'pairs = [{row}]\n[lock]\nmade = "up"\n')
-    (tmp_path / "first.toml").write_text('base = "crude"\nname = "first"\npair_files = ["p.toml"]\n')
+    key = min(load_scenario("crude").benches)
+    model = f'[benches.{key}]\nmodel = "parts.py:Slow"\n'
+    (tmp_path / "first.toml").write_text(f'base = "crude"\nname = "first"\npair_files = ["p.toml"]\n{model}')
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "second.toml").write_text('base = "../first.toml"\nname = "second"\n')
-    assert load_scenario(tmp_path / "below" / "second.toml").pairs[names].b == (7.0, 7.0)
+    second = load_scenario(tmp_path / "below" / "second.toml")
+    assert second.pairs[names].b == (7.0, 7.0)
+    assert second.benches[key].model == "../parts.py:Slow"
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -294,3 +295,55 @@ def test_errors_name_file_key_and_bound(draw: dict[str, Any], message: str) -> N
     with pytest.raises(DataError, match=message) as caught:
         Laboratories(load_scenario(file(**draw)))
     assert str(caught.value).startswith("(scenario given as a mapping): world")
+
+
+FEED = {"of": ["slot_0"], "material": "1-chlorohexane"}
+RATE = {"what": "pre_exponential", "of": [WURTZ], "distribution": {"kind": "uniform", "low": 0.5, "high": 1.5}}
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "message"),
+    [
+        (
+            {"what": "titre", "inert": "dodecane", **FEED},
+            {"what": "titre", "inert": "water", **FEED},
+            "world.draws.other: slot_0: world.draws.one draws the titre of '1-chlorohexane' in it already; remove one",
+        ),
+        (
+            {"what": "amount", **FEED, "distribution": {"kind": "choice", "options": [3.0]}},
+            {
+                "what": "amount",
+                **FEED,
+                "material": "diethyl_ether",
+                "distribution": {"kind": "choice", "options": [1.5]},
+            },
+            r"world.draws.other: slot_0: 6 to 6 mol, up to 1\.\d+ L with all else .* fit in capacity_l = 1",
+        ),
+        (
+            {**RATE, "group": "g", "test": [[0.5, 1.0]]},
+            {**RATE, "what": "activation_energy", "group": "g", "test": [[1.0, 1.5]]},
+            "the test regions of one, other, which are correlated, leave about 0 of all worlds to training",
+        ),
+    ],
+)
+def test_draws_that_exclude_each_other(one: dict[str, Any], other: dict[str, Any], message: str) -> None:
+    from chemlab.lab.engine import Laboratories
+
+    tables = file()
+    high = {"kind": "uniform", "low": 0.9, "high": 1.0}
+    tables["world"] = {"draws": {"one": {"distribution": high, **one}, "other": {"distribution": high, **other}}}
+    with pytest.raises(DataError, match=message):
+        Laboratories(load_scenario(tables))
+
+
+def test_a_draw_of_one_of_two_reactions_of_the_same_equation(tmp_path: Path) -> None:
+    from chemlab.lab.engine import Laboratories
+
+    step = '[[reaction]]\nreactants = { "1-chlorohexane" = 1 }\nproducts = { "2-chlorohexane" = 1 }\n'
+    step += 'pre_exponential = 1.0\nactivation_energy_j_mol = 0\nsource = "A test."\n'
+    (tmp_path / "twice.toml").write_text(f'name = "twice"\n{2 * step}')
+    tables = file(**RATE | {"of": ["1-chlorohexane -> 2-chlorohexane"]}) | {"base": "wurtz_dodecane_direct"}
+    tables |= {"reactions": str(tmp_path / "twice.toml"), "goals": ["1-chlorohexane"], "lab_goals": ["1-chlorohexane"]}
+    tables |= {"theoretical_maximum_mol": {"1-chlorohexane": 1.0}, "remove": ["theoretical_maximum_mol"]}
+    with pytest.raises(DataError, match=r"x\.of: several reactions are '1-chlorohexane -> .*say which one"):
+        Laboratories(load_scenario(tables))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from .datafile import DataError
 from .datamodel import validated
@@ -31,18 +31,31 @@ def mentioned_materials(spec: Scenario) -> list[tuple[str, str]]:
     return found
 
 
+def _vessels(spec: Scenario) -> dict[str, tuple[str, VesselSpec | StartSpec]]:
+    """Return the declared vessels by their name in draws (``slot_0``, ``rxn``), each with its key in the file."""
+    shelf: dict[str, tuple[str, VesselSpec | StartSpec]] = {
+        f"slot_{i}": (f"shelf.vessel.{i}", vessel) for i, vessel in enumerate(spec.shelf.vessel)
+    }
+    return shelf | {key: (f"benches.{key}.start", bench.start) for key, bench in spec.benches.items()}
+
+
+def _filled(
+    vessel: VesselSpec | StartSpec, changed: Mapping[str, float], goals: Sequence[str], known: Mapping[str, Material]
+) -> float:
+    """Return the most litres that a vessel may hold, with ``changed`` mol of some of its contents."""
+    filled = litres_of({**vessel.contents, **changed}, known)
+    if isinstance(vessel, StartSpec):
+        filled += max(litres_of({goal: vessel.goal_mol}, known) for goal in goals)
+        also = vessel.companion
+        if also is not None:
+            filled += max(litres_of({name: also.mol}, known) for name in (also.material, also.if_goal))
+    return filled
+
+
 def check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
     """Check that contents fit their vessels."""
-    vessels: list[tuple[str, VesselSpec | StartSpec, float]]
-    vessels = [(f"shelf.vessel.{i}", vessel, 0.0) for i, vessel in enumerate(spec.shelf.vessel)]
-    for key, bench in spec.benches.items():
-        start, also = bench.start, bench.start.companion
-        more = max(litres_of({goal: start.goal_mol}, known) for goal in spec.goals)
-        if also is not None:
-            more += max(litres_of({name: also.mol}, known) for name in (also.material, also.if_goal))
-        vessels.append((f"benches.{key}.start", start, more))
-    for key, vessel, more in vessels:
-        filled = more + litres_of(vessel.contents, known)
+    for key, vessel in _vessels(spec).values():
+        filled = _filled(vessel, {}, spec.goals, known)
         if filled > vessel.capacity_l:
             raise DataError(
                 f"{where}: {key}: contents of {filled:.4g} L do not fit in capacity_l = {vessel.capacity_l:g}"
@@ -61,10 +74,7 @@ def check_charges(spec: Scenario, known: Mapping[str, Material], family: Reactio
 
     for name in spec.stock:
         alone("stock", name)
-    vessels: list[tuple[str, VesselSpec | StartSpec]]
-    vessels = [(f"shelf.vessel.{i}", vessel) for i, vessel in enumerate(spec.shelf.vessel)]
-    vessels += [(f"benches.{key}.start", bench.start) for key, bench in spec.benches.items()]
-    for key, vessel in vessels:
+    for key, vessel in _vessels(spec).values():
         charge = sum(mol * known[name].charge for name, mol in vessel.contents.items())
         if abs(charge) > _NEUTRAL * sum(mol * abs(known[name].charge) for name, mol in vessel.contents.items()):
             raise DataError(
@@ -93,9 +103,10 @@ def check_charges(spec: Scenario, known: Mapping[str, Material], family: Reactio
 
 
 def check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
-    """Check that drawn vessels exist and drawn contents fit."""
-    starts: dict[str, VesselSpec | StartSpec] = {f"slot_{s}": vessel for s, vessel in enumerate(spec.shelf.vessel)}
-    starts |= {key: bench.start for key, bench in spec.benches.items()}
+    """Check that drawn vessels exist, that nothing of them is drawn twice, and that drawn contents fit."""
+    starts = {name: vessel for name, (_, vessel) in _vessels(spec).items()}
+    drawn: dict[tuple[str, str, str], str] = {}
+    most: dict[str, dict[str, float]] = {}
     for key, draw in spec.world.draws.items():
         here = f"{where}: world.draws.{key}"
         if draw.what in DEVICE_QUANTITIES:
@@ -115,7 +126,24 @@ def check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> No
                 raise DataError(
                     f"{here}.material: {draw.material!r} is not in {name}, which has {', '.join(contents) or 'no'} only"
                 )
-            _check_limits(draw, starts[name], known, f"{here}: {name}")
+            material = str(draw.material)
+            other = drawn.setdefault((name, material, draw.what), key)
+            if other != key:
+                raise DataError(
+                    f"{here}: {name}: world.draws.{other} draws the {draw.what} of {material!r} in it already; "
+                    "remove one"
+                )
+            _check_titre(draw, f"{here}: {name}")
+            if draw.what == "amount":
+                least, highest = changed_limits(draw, starts[name].contents[material])
+                most.setdefault(name, {})[material] = highest
+                filled = _filled(starts[name], most[name], spec.goals, known)
+                if not (least >= 0.0 and filled <= starts[name].capacity_l):
+                    raise DataError(
+                        f"{here}: {name}: {least:g} to {highest:g} mol, up to {filled:.4g} L with all else that it may "
+                        f"hold, must be at least 0 and fit in capacity_l = {starts[name].capacity_l:g}; give low and "
+                        "high"
+                    )
 
 
 def _check_bottle(spec: Scenario, draw: Draw, where: str) -> None:
@@ -176,20 +204,6 @@ def _check_titre(draw: Draw, where: str) -> None:
     low, high = draw_limits(draw)
     if draw.what == "titre" and not 0.0 <= low <= high <= 1.0:
         raise DataError(f"{where}: a titre must be from 0 to 1, and may be from {low:g} to {high:g}; give low and high")
-
-
-def _check_limits(draw: Draw, start: VesselSpec | StartSpec, known: Mapping[str, Material], where: str) -> None:
-    _check_titre(draw, where)
-    if draw.what != "amount":
-        return  # litre for litre
-    mol = start.contents[str(draw.material)]
-    least, most = changed_limits(draw, mol)
-    filled = litres_of({**start.contents, str(draw.material): most}, known)
-    if not (least >= 0.0 and filled <= start.capacity_l):
-        raise DataError(
-            f"{where}: {least:g} to {most:g} mol, {filled:.4g} L in all, must be at least 0 and fit in capacity_l = "
-            f"{start.capacity_l:g}; give low and high"
-        )
 
 
 def check_materials(named: list[tuple[str, str]], known: Mapping[str, Material], where: str) -> None:

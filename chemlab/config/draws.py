@@ -254,6 +254,11 @@ class Split:
     test: bool
     key: tuple[int, ...]
 
+    @property
+    def public(self) -> str:
+        """Its name without a salt, which is secret."""
+        return self.name.partition(":")[0]
+
     @classmethod
     def of(cls, name: str) -> Split:
         """Return a split by name.

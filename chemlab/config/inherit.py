@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from .datafile import DataError, dotted_key, read_toml
+from .datafile import DataError, dotted_key, read_toml, shown
 
 _BENCHES = Path(__file__).resolve().parent.parent / "data" / "benches"
 _LONGEST_CHAIN = 16
@@ -136,7 +136,11 @@ def _at_level(content: dict[str, Any], where: str, level: int | None) -> dict[st
     levels = content.pop("levels", {})
     known = {str(number) for number in range(1, _TOP)}
     if not isinstance(levels, Mapping) or not set(levels) <= known:
-        raise DataError(f"{where}: levels: must be tables [levels.1] and [levels.2], given {list(levels)!r:.200}")
+        raise DataError(f"{where}: levels: must be tables [levels.1] and [levels.2], given {shown(levels)}")
+    for number, own in levels.items():
+        if not isinstance(own, Mapping):
+            raise DataError(f"{where}: levels.{number}: must be a table, given {shown(own)}")
+        _check_remove(own.get("remove", []), f"{where}: levels.{number}")
     if level is None or (level == _TOP and levels):
         return content
     if str(level) not in levels:
@@ -149,6 +153,20 @@ def _at_level(content: dict[str, Any], where: str, level: int | None) -> dict[st
             content = _without(content, dotted_key(entry, f"{here}.remove"), entry, f"{here}.remove", where)
         content = _merged(content, own, here, ())
     return {**content, "name": f"{content.get('name')}@{level}"}
+
+
+def declared_levels(path: Path) -> list[int]:
+    """Return the levels of a scenario file besides its own.
+
+    Raises:
+        DataError: the file, or a base of it, cannot be read.
+    """
+    return sorted(int(number) for number in _inherited(read_toml(path), str(path), path.parent, ()).get("levels", {}))
+
+
+def _check_remove(remove: Any, where: str) -> None:
+    if not isinstance(remove, (list, tuple)):
+        raise DataError(f'{where}: remove: must be a list of keys, as ["benches.ext"], given {shown(remove)}')
 
 
 def _whole(bench: Mapping[str, Any], where: str) -> dict[str, Any]:
@@ -183,8 +201,7 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
         if key not in own and key in under:
             under[key] = _absolute(under[key], path.parent)
     under = _parts_from(under, folder, path.parent)
-    if not isinstance(remove, (list, tuple)):
-        raise DataError(f'{where}: remove: must be a list of keys, as ["benches.ext"], given {remove!r:.200}')
+    _check_remove(remove, where)
     for entry in remove:
         under = _without(under, dotted_key(entry, f"{where}: remove"), entry, f"{where}: remove", str(base))
     return _merged(under, own, where, ())
@@ -196,7 +213,7 @@ def _absolute(files: Any, folder: Path) -> Any:
     return str(folder / files) if str(files).endswith(".toml") else files
 
 
-_PARTS = ("kind", "observe", "reward")
+_PARTS = ("kind", "model", "observe", "reward")
 """Keys whose values name parts, anywhere in the file."""
 
 

@@ -325,6 +325,11 @@ class OrderSpec(DataModel):
     """Minimum share of the goal in the vessel."""
     amount_at_least_mol: Mol = 0.0
     """Minimum mol of the goal."""
+
+
+class ProductSpec(OrderSpec):
+    """Requirements of every submission of a goal, and what its purity counts."""
+
     purity_among: tuple[Key, ...] = Field(default=(), max_length=64)
     """Materials among which the purity is computed, as in a chromatogram of products without solvents and salts.
 
@@ -461,7 +466,7 @@ class Scenario(DataModel):
     """Weights and price of safety events."""
     rewards: Annotated[RewardSpec, BeforeValidator(_reward_mix)] = RewardSpec()
     """Reward mix: numbers, or a mix's name."""
-    specifications: dict[Key, OrderSpec] = Field(default={}, max_length=64)
+    specifications: dict[Key, ProductSpec] = Field(default={}, max_length=64)
     """Minimum requirements of submissions by laboratory goal."""
     grades: dict[Key, GradeSpec] = Field(default={}, max_length=16)
     """Quality requirements by name that the manager may set for an experiment, in addition to its goal."""

@@ -191,7 +191,9 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         if manages and labs.state.begun.item(0) >= 0:  # an experiment may start with a safety event
             for other, cost in enumerate(labs.cost[0].tolist()):
                 if cost:
-                    infos[self.possible_agents[other]] = self._info(other)
+                    name = self.possible_agents[other]
+                    unread = {key: infos[name][key] for key in ("experiment_over", "score")}
+                    infos[name] = {**self._info(other), **unread}
         status = labs.state.status.item(0)
         if labs.experiment_ended or status != RUNNING:
             self._add_scores(list(infos.values()))

@@ -241,8 +241,8 @@ class BatchedLaboratory:
         return {agent: array.copy() if self.copy else array for agent, array in pairs}
 
     def _told(self, over: IntArray, begun: bool = False) -> list[Arrays]:
-        """Return every agent's infos of the round before the episodes of ``over`` restart, or of episodes that have
-        ``begun``.
+        """Return every agent's infos of the round before the episodes of ``over`` restart, or after a reset, when some
+        have ``begun`` and nothing has happened in any.
         """
         labs, state = self.laboratories, self.laboratories.state
         acted = np.zeros_like(self._turns) if begun else self._turns
@@ -258,7 +258,7 @@ class BatchedLaboratory:
             few: list[Arrays] = [{"experiment_over": ended[a], "score": scores[a]} for a in range(len(scores))]
             few[labs.manager.index] |= {"paid": paid, "partial": partial}
             return few
-        cost = state.cost.copy()
+        cost = np.zeros_like(state.cost) if begun else state.cost.copy()
         # An experiment may start with a safety event in a round in which its agent has not acted.
         eventful = acted | (cost > 0.0)
         elapsed = state.ticks - self._last_turn

@@ -112,7 +112,7 @@ def parsed_reset(
 
     Args:
         seed: s seeds member i with s + i; a sequence gives each member its own (None: the next episode of its series);
-            without a seed, members that have never been seeded get one from ``random``.
+            members without one get one from ``random`` at the first reset.
         options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}``.
         count: number of members N.
         goals: possible goals.
@@ -139,9 +139,10 @@ def parsed_reset(
         seeds = [checked_seed(own, f"seed[{i}]") for i, own in enumerate(seed)]
         if len(seeds) != count:
             raise ValueError(f"seed: needs one for each of {count} members, given {len(seeds)}")
-    elif seed is None and not begun:
-        seeds = [int(s) for s in random.integers(2**63, size=count)]
     else:
         first = checked_seed(seed)
         seeds = [None if first is None else first + i for i in range(count)]
+    if not begun and None in seeds:
+        drawn = random.integers(2**63, size=count).tolist()
+        seeds = [one if own is None else own for own, one in zip(seeds, drawn, strict=True)]
     return mask, seeds, options.get("goal"), options.get("world")

@@ -109,10 +109,12 @@ class _OneRole:
     scenario, so it cannot be in Gymnasium's registry. It is one more than the longest episode, so that time limits of
     clients or of ``gymnasium.make`` never truncate one. With plain arguments ``spec.to_json()`` works, in which Minari
     stores a dataset's environment: a path becomes text; a loaded scenario its name or path, or its content if neither
-    gives the same scenario.
+    gives the same scenario, and its split. The salt of a private split is left out (``split="private"``): such a spec
+    makes no environment until the salt is given again, by ``gymnasium.make(spec, split="private:SALT")``.
     """
 
     episodes: RoleEpisodes
+    scenario: Scenario
     max_episode_steps: int
     """One more than the maximum number of steps of an episode."""
     _spec: EnvSpec | None = None
@@ -127,6 +129,8 @@ class _OneRole:
         if spec is not None:
             spec = copy.copy(spec)
             spec.kwargs = {name: _plain(argument) for name, argument in spec.kwargs.items()}
+            if self.scenario.split.name != "train":
+                spec.kwargs["split"] = self.scenario.split.public
             if spec.max_episode_steps is None:
                 spec.max_episode_steps = self.max_episode_steps
         self._spec = spec
@@ -277,8 +281,7 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
             if member_seed is not None:
                 own.seed(int(member), member_seed)
         own.pending[mask] = False
-        own.costs[mask], own.events[mask], own.illegal[mask] = 0.0, 0.0, False
-        own.scores[mask] = np.nan
+        own.clear(slice(None))  # of the others, too: in a reset nothing happens to them
         own.begin(np.flatnonzero(mask), None if goal is None else own.goals.index(goal), world)
         found = self._returned(own.observations), self._infos()
         self._begun = True

@@ -112,6 +112,11 @@ class RoleEpisodes(ABC):
     def play(self, actions: npt.NDArray[Any]) -> Ended:
         """Play checked actions in every member with autoreset, and update the arrays; return the ended members."""
 
+    def clear(self, members: IntArray | slice) -> None:
+        """Forget what the last step of ``members`` [B] led to."""
+        self.rewards[members], self.costs[members], self.events[members] = 0.0, 0.0, 0.0
+        self.illegal[members], self.scores[members] = False, np.nan
+
     def play_one(self, action: npt.NDArray[Any]) -> None:
         """Play the checked action of the only member without autoreset."""
         self.play(action)
@@ -272,9 +277,7 @@ class BenchEpisodes(RoleEpisodes):
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
                 batch.reset(members[waiting], None, bench)
             acting = members[~waiting]
-            self.rewards[members[waiting]] = 0.0
-            self.costs[members[waiting]], self.illegal[members[waiting]] = 0.0, False
-            self.events[members[waiting]] = 0.0
+            self.clear(members[waiting])
             waiting[:] = False
         rows: Any = slice(low, high) if len(acting) == len(members) else acting
         batch.act(actions[rows], acting, bench)
@@ -424,13 +427,13 @@ class LaboratoryEpisodes(RoleEpisodes):
     def _restart(self, members: IntArray, goal: str | None, world: World | None = None) -> None:
         """Start new episodes and play up to the agent's first turn; earlier rewards do not count."""
         self._players.begin(members, lambda waiting: self.laboratories.reset(waiting, goal, world))
-        self._clear(members)
+        self.clear(members)
         self._last_turn[members] = self.laboratories.state.ticks[members]
 
-    def _clear(self, members: IntArray) -> None:
-        self.rewards[members], self.costs[members], self._lab_costs[members] = 0.0, 0.0, 0.0
-        self.events[members], self._elapsed[members] = 0.0, 0
-        self.illegal[members], self.scores[members] = False, np.nan
+    def clear(self, members: IntArray | slice) -> None:
+        """See :class:`RoleEpisodes`."""
+        super().clear(members)
+        self._lab_costs[members], self._elapsed[members] = 0.0, 0
 
     def play(self, actions: npt.NDArray[Any]) -> Ended:
         """See :class:`RoleEpisodes`."""
@@ -441,7 +444,7 @@ class LaboratoryEpisodes(RoleEpisodes):
             if self.autoreset_mode is AutoresetMode.NEXT_STEP:
                 self._restart(members[self.pending], None)
             self.pending[:] = False
-        self._clear(acting)
+        self.clear(acting)
         before = labs.safety_totals[acting]
         labs.act(self.focal, acting, actions[acting])
         self.illegal[acting] = labs.illegal(self.focal)[acting]

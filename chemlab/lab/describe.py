@@ -13,7 +13,7 @@ from typing import Any
 
 import gymnasium
 
-from ..config.scenario import DemandSpec, InstrumentSpec, OrderSpec, Scenario
+from ..config.scenario import DemandSpec, InstrumentSpec, ProductSpec, Scenario
 from ..roles.bench import Channel
 from .engine import Laboratories
 
@@ -180,13 +180,13 @@ def order_table(spec: Scenario) -> FactTable:
     return _facts(head, rows, range(1, 6), note="draws below may change these" if spec.world.draws else "")
 
 
-def needed_words(goal: str, wanted: OrderSpec) -> str:
+def needed_words(goal: str, wanted: ProductSpec) -> str:
     """Describe the amount and the purity that a goal needs in order to be worth anything."""
     amount = f"{wanted.amount_at_least_mol:g} mol and " if wanted.amount_at_least_mol else ""
     return f"at least {amount}a purity of {wanted.purity_at_least:g}{_among(goal, wanted)}"
 
 
-def _among(goal: str, wanted: OrderSpec) -> str:
+def _among(goal: str, wanted: ProductSpec) -> str:
     others = [one for one in wanted.purity_among if one != goal]
     return f" among {codes(others)} and itself" if others else ""
 
@@ -290,7 +290,7 @@ def wear_words(spec: Scenario) -> list[str]:
             parts += [f"drifting by a factor of e^{wear.drift:g} in a tick of work"] if wear.drift else []
             parts += [f"until it breaks after {wear.life:g} ticks of work in the mean"] if wear.life else []
             repair = f" A repair costs {wear.repair_price:g} and takes {wear.repair_ticks} ticks."
-            found.append(f"{', '.join(parts)}.{repair if wear.repair_ticks else ''}")
+            found.append(f"{', '.join(parts)}.{repair if wear.repair_price or wear.repair_ticks else ''}")
     return found
 
 

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ..config.datafile import DataError
 from ..config.loading import load_scenario
 from ..config.scenario import Scenario
-from ..kernels.arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
+from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
 from ..kernels.rng import seed_streams, uniform
 from ..physics.shelf import Shelf, ShelfArrays
@@ -34,13 +34,18 @@ def _draw_starts(
     first_stock: FloatArray,
     experiment: Handle,
     shelf: Handle,
+    declared: BoolArray,
 ) -> None:
-    """Draw a goal of ``goals`` and one of its initial states for every member, from two random numbers each."""
+    """Draw a goal of ``goals`` and one of its initial states for every member, from two random numbers each.
+
+    ``declared`` [B] receives whether the scenario declares the state.
+    """
     state, arrays, pool = opened(ExperimentState, experiment), opened(ShelfArrays, shelf), opened(StartPool, starts)
     for b in range(members.shape[0]):
         m = members[b]
         state.goal[m] = goals[int(uniform(stream[m]) * goals.shape[0])]
         t = draw_start(pool, state.goal[m], stream[m])
+        declared[b] = pool.declared[t]
         for p in range(state.places.shape[1]):
             arrays.rows[state.places[m, p], :] = 0.0
         for i in range(arrays.rows.shape[1]):
@@ -93,7 +98,6 @@ class ExperimentBatch:
         places = np.arange(members * positions).reshape(members, positions)
         self.shelf = Shelf(chemistry, members, positions)
         self.worlds = Worlds(self.scenario, self.shelf)
-        self._fresh = starts == "paper"
         self.experiments = Experiments(f"{bench}_0", self.bench, places)
         self.start_stream: StreamArray = np.zeros((members, 1), dtype=np.uint64)
         self.members: IntArray = np.arange(members)
@@ -136,9 +140,9 @@ class ExperimentBatch:
             if companion is not None and chance > 0.0:
                 other = companion.if_goal if goal == companion.material else companion.material
                 together = {**contents, other: contents.get(other, 0.0) + companion.mol}
-                vessels.append(Start(goal, chance, start.capacity_l, together))
+                vessels.append(Start(goal, chance, start.capacity_l, together, declared=True))
             if chance < 1.0:
-                vessels.append(Start(goal, 1.0 - chance, start.capacity_l, contents))
+                vessels.append(Start(goal, 1.0 - chance, start.capacity_l, contents, declared=True))
         return vessels
 
     def seed(self, member: int, seed: int) -> None:
@@ -169,13 +173,24 @@ class ExperimentBatch:
         self.worlds.begin(members, world)
         goals = self._goals if goal is None else np.array([goal])
         shelf, experiments = self.shelf, self.experiments
-        _draw_starts(members, goals, self.pool.handle, self.start_stream, self._stock, experiments.handle, shelf.handle)
+        experiments.table.reset(members)
+        declared = np.zeros(len(members), dtype=np.bool_)
+        _draw_starts(
+            members,
+            goals,
+            self.pool.handle,
+            self.start_stream,
+            self._stock,
+            experiments.handle,
+            shelf.handle,
+            declared,
+        )
         if self.bench.grades.names:
             _draw_grades(members, len(self.bench.grades.names), self.start_stream, experiments.grade)
         if self.bench.told:
             experiments.told[members] = self.worlds.told(members)[self.bench.key]
-        if self.worlds.active and self._fresh:  # recorded vessels keep their recorded contents
-            self.worlds.fill(members, self.bench.key)
+        if self.worlds.active:  # recorded vessels keep their recorded contents
+            self.worlds.fill(members[declared], self.bench.key)
         equip(bench or self.bench, experiments, members, self.worlds, 0, self.bench.key)
         (bench or self.bench).begin(shelf, experiments, members)
 

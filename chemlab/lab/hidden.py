@@ -260,6 +260,12 @@ class Worlds:
         if unknown or bool(draw.of) != bool(axis):
             of = f"some of {', '.join(names)}" if axis else "left out"
             raise DataError(f"{where}.of: must be {of}; given {', '.join(unknown or draw.of) or 'nothing'}")
+        twice = [name for name in draw.of if names.count(name) > 1]
+        if twice:
+            raise DataError(
+                f"{where}.of: several reactions are {twice[0]!r}, and a draw cannot say which one; make them one, "
+                "or leave it out"
+            )
         entries = np.array([names.index(name) for name in draw.of], dtype=np.int64)
         own = chemistry.parameters[draw.what][0]
         base = own[entries] if axis else own
@@ -361,8 +367,7 @@ class Worlds:
             raise ValueError(f"world: a number must be from 0 to 2**64 - 1, given {number!r:.100}")
         if number & 3 != self.split.number:
             of = [*SPLITS, "private"][number & 3]
-            name = self.split.name.partition(":")[0]
-            raise ValueError(f"world: number {number} is of split {of} and must be of {name}")
+            raise ValueError(f"world: number {number} is of split {of} and must be of {self.split.public}")
 
     def _set_parameters(self, members: IntArray) -> None:
         parameters, rows = self._shelf.chemistry.parameters, 1 + members

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
 from collections.abc import Mapping, Sequence
@@ -29,6 +30,8 @@ from ..kernels.tables import Table
 _TRIES = 10_000
 _LEAST_KEPT = 0.05
 """Minimum probability of the prior outside test regions; training worlds inside them are redrawn."""
+_SAMPLE = 2000
+"""Number of worlds by which that of correlated draws is estimated."""
 
 
 class Variables(NamedTuple):
@@ -109,7 +112,7 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
                 f"world.draws.{name}.test: leaves {kept:.2g} of all worlds to training; at least {_LEAST_KEPT:g}"
             )
     columns = np.array(rows, dtype=np.float64).reshape(len(rows), 8).T
-    return Table(
+    table = Table(
         Variables(
             kind=columns[0].astype(np.int64),
             a=columns[1].copy(),
@@ -126,6 +129,25 @@ def compile_draws(spec: WorldSpec, materials: Sequence[str]) -> Table[Variables]
             regions=np.array([pair for own in regions for pair in own]).reshape(-1, 2),
         )
     )
+    correlated = [name for name, draw in spec.draws.items() if draw.group is not None and draw.test]
+    if len(correlated) > 1 and (share := _outside(table)) < _LEAST_KEPT:
+        raise ValueError(
+            f"world.draws: the test regions of {', '.join(correlated)}, which are correlated, leave about {share:.2g} "
+            f"of all worlds to training; at least {_LEAST_KEPT:g}"
+        )
+    return table
+
+
+def _outside(variables: Table[Variables]) -> float:
+    """Return the share of worlds outside every test region, from a sample."""
+    sample = world_draws(_SAMPLE, variables)
+    sample.arrays.work[:, 0] = np.arange(_SAMPLE)
+    draw_worlds(np.arange(_SAMPLE), variables.handle, sample.handle, True)
+    outside = np.ones(_SAMPLE, dtype=np.bool_)
+    for k, (first, last) in enumerate(itertools.pairwise(variables.arrays.first_region.tolist())):
+        for low, high in variables.arrays.regions[first:last]:
+            outside &= ~((low <= sample.arrays.values[:, k]) & (sample.arrays.values[:, k] <= high))
+    return float(outside.mean())
 
 
 def _reserved(

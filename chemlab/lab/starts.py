@@ -19,7 +19,7 @@ from ..config.datafile import DataError, read_json
 from ..config.datamodel import DataModel, validated
 from ..config.files import write_text
 from ..config.scenario import Scenario
-from ..kernels.arrays import Field, FloatArray, IntArray, StreamArray
+from ..kernels.arrays import BoolArray, Field, FloatArray, IntArray, StreamArray
 from ..kernels.jit import inner
 from ..kernels.rng import uniform
 from ..kernels.tables import Table
@@ -45,6 +45,8 @@ class Start(NamedTuple):
     """Last bench of the vessel, as observed by the manager."""
     last_position: int = 0
     """Its position at that bench."""
+    declared: bool = False
+    """True if the scenario declares it; hidden contents replace those of declared vessels only."""
 
 
 class _Vessel(DataModel):
@@ -88,6 +90,8 @@ class StartPool(NamedTuple):
     """[T] 0 for none, else 1 + index of the bench"""
     last_position: Annotated[IntArray, Field("T")]
     """[T] position there"""
+    declared: Annotated[BoolArray, Field("T")]
+    """[T] whether the scenario declares the vessel"""
 
 
 def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[Start]) -> Table[StartPool]:
@@ -110,6 +114,7 @@ def start_pool(chemistry: ChemistryTable, scenario: Scenario, vessels: Sequence[
                 [0 if v.last_bench is None else 1 + benches.index(v.last_bench) for _, v in found], dtype=np.int64
             ),
             np.array([vessel.last_position for _, vessel in found], dtype=np.int64),
+            np.array([vessel.declared for _, vessel in found], dtype=np.bool_),
         )
     )
 

@@ -16,7 +16,7 @@ from ..kernels.arrays import IntArray, ObservationArray
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..roles.bench import Bench, Channel, channel_slices
 from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
-from ..roles.manager_view import order_channels
+from ..roles.manager_view import order_channels, shown_share
 from .engine import Laboratories
 
 _BAR = 20
@@ -510,8 +510,10 @@ def describe_laboratory(labs: Laboratories) -> str:
     state, scenario = labs.state, labs.scenario
     status = STATUS_WORDS[int(state.status[0])]
     turn = labs.agents[labs.turn()] if state.status[0] == RUNNING else "nobody"
+    known = labs.manager.accounts(0)
+    first = known["goals"].item(0)
     lines = [
-        f"{scenario.title} - goal {scenario.goals[state.goal[0, 0]]} - {status}",
+        f"{scenario.title} - goal {scenario.goals[first] if first >= 0 else 'unknown'} - {status}",
         f"manager actions {state.actions[0]}/{scenario.limits.manager_actions}, "
         f"ticks {state.ticks[0]}/{scenario.limits.ticks}, turn: {turn}",
     ]
@@ -522,7 +524,8 @@ def describe_laboratory(labs: Laboratories) -> str:
             holder = int(state.reserved[0, s])
             lines.append(f"  slot {s}  {'(kept for ' + labs.bench_agents[holder] + ')' if holder >= 0 else '-'}")
             continue
-        fill = min(vessel.volume_l / vessel.capacity_l, 1.0)
+        fill = shown_share(vessel.volume_l / vessel.capacity_l, scenario.shelf.gauge)
+        litres = f"{fill * vessel.capacity_l:.2f}/{vessel.capacity_l:.2f} L"
         bar = "#" * round(fill * _BAR)
         kind = int(state.last_bench[0, s])
         history = ""
@@ -531,7 +534,7 @@ def describe_laboratory(labs: Laboratories) -> str:
             history = f"  from {bench.key} {bench.positions[state.last_position[0, s]]}"
         read = [name for i, name in enumerate(labs.instruments.names) if state.age[0, s, i] >= 0]
         measured = f"  measured: {', '.join(read)}" if read else ""
-        lines.append(f"  slot {s}  [{bar:<{_BAR}}] {vessel.volume_l:.2f}/{vessel.capacity_l:.2f} L{history}{measured}")
+        lines.append(f"  slot {s}  [{bar:<{_BAR}}] {litres}{history}{measured}")
     for bench, experiments in zip(labs.benches, labs.experiments, strict=True):
         if experiments.busy[0]:
             goal = scenario.goals[experiments.goal[0]]
@@ -539,6 +542,7 @@ def describe_laboratory(labs: Laboratories) -> str:
         else:
             doing = "idle"
         lines.append(f"  {experiments.agent:<7} {doing}")
-    costs = ", ".join(f"{item} {value:.4f}" for item, value in labs.costs().items() if value > 0.0)
+    charged = zip(COST_ITEMS, known["costs"].tolist(), strict=True)
+    costs = ", ".join(f"{item} {value:.4f}" for item, value in charged if value > 0.0)
     lines.append(f"  costs: {costs or 'none'}")
     return "\n".join(lines)

@@ -96,7 +96,7 @@ class Witness:
         hidden: dict[str, Any] = {}
         if labs.worlds.active:
             # The salt of a private split is secret; its worlds are identified by their numbers.
-            split = {"split": labs.worlds.split.name.partition(":")[0]}
+            split = {"split": labs.worlds.split.public}
             hidden["world"] = {"number": labs.worlds.number(self._m), "values": labs.worlds.values(self._m)}
         hidden |= self._hidden()
         positions = [f"slot_{s}" for s in range(labs.scenario.shelf.slots)]
@@ -125,10 +125,9 @@ class Witness:
         labs, m = self._labs, self._m
         line: dict[str, Any] = {"turn": self.turns, "tick": tick, "play": {}}
         for play in plays:
-            action = np.asarray(play.action)
-            # The action as the simulator uses it: a policy's float32 as float64.
-            recorded = action.astype(np.float64).tolist() if action.dtype.kind == "f" else action.tolist()
-            line["play"][labs.agents[play.agent]] = [seen_hash(play.observation, play.mask), recorded]
+            # The action as the simulator uses it: continuous ones as float64, whatever a policy gave.
+            action = np.asarray(play.action, dtype=None if labs.action_counts[play.agent] else np.float64)
+            line["play"][labs.agents[play.agent]] = [seen_hash(play.observation, play.mask), action.tolist()]
         line |= turn_facts(labs, m, plays)
         for agent, reward in line.get("rewards", {}).items():
             self.rewards[agent] += reward
@@ -350,12 +349,12 @@ class Recorder:
 
     def _release(self) -> None:
         """Write the lines held in memory."""
-        held, self._held = self._held, None
-        if held:
+        if self._held:
             self._file = self._opened()
             with naming(self.part):
-                self._file.write(b"".join(held))
+                self._file.write(b"".join(self._held))
                 self._file.flush()
+        self._held = None  # not before: what cannot be written now is written by close()
 
     def _write(self, line: dict[str, Any]) -> None:
         try:

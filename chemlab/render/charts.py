@@ -18,7 +18,7 @@ from ..kernels.arrays import FloatArray
 from ..lab.engine import Laboratories
 from ..lab.text import action_words
 from ..physics.chemistry import WAVELENGTHS_NM
-from ..record import Record, RecordError
+from ..record import Record, RecordError, recorded_scenario
 from ..roles.bench import channel_slices
 from ..roles.manager_state import COST_ITEMS
 from .draw import FAINT, INK, SOFT
@@ -115,11 +115,11 @@ def _tell(record: Record, trust: bool) -> _Story:
     story = _Story(labs, {agent: [] for agent in labs.agents})
     running: dict[str, tuple[int, str]] = {}
     earned = np.zeros(len(labs.agents))
-    unit, tick = 0, 0
+    unit, tick, costs = 0, 0, list(labs.costs().values())
 
     def note() -> None:
         story.ticks.append(tick)
-        story.costs.append(list(labs.costs().values()))
+        story.costs.append(costs)
         story.rewards.append(earned.tolist())
 
     note()
@@ -129,7 +129,8 @@ def _tell(record: Record, trust: bool) -> _Story:
         if open_tick and (by_manager or move.tick != tick):  # the open tick has ended
             unit, open_tick = unit + 1, False
             tick = move.tick
-            note()
+            note()  # of before this move
+        costs = list(labs.costs().values())
         for play in move.plays:
             agent = labs.agents[play.agent]
             _add(story.strips[agent], unit, _doing(labs, play.agent, play.action), agent in move.lost, by_manager)
@@ -146,7 +147,7 @@ def _tell(record: Record, trust: bool) -> _Story:
         unit, tick = unit + 1, int(labs.state.ticks[0])
         note()
     # Rewards and costs may have been booked after the last turn was noted.
-    story.costs[-1], story.rewards[-1] = list(labs.costs().values()), earned.tolist()
+    story.costs[-1], story.rewards[-1] = costs, earned.tolist()
     story.experiments += [(agent, start, unit, goal, None) for agent, (start, goal) in running.items()]
     story.over = replay.over
     return story
@@ -471,7 +472,7 @@ def draw_moles(record: Record, trust: bool = False, only: Sequence[str] = ()) ->
     rows = -(-len(groups) // columns)
     width, height = 8.2 * columns, 0.95 + 3.3 * rows
     figure = new_figure(width, height)
-    scenario = RecordReplay(record, trust).laboratories.scenario
+    scenario = recorded_scenario(record)
     for i, group in enumerate(groups):
         left, top = 8.2 * (i % columns), 0.95 + 3.3 * (i // columns)
         axes = figure.add_axes(((left + 1.95) / width, 1.0 - (top + 2.75) / height, 4.1 / width, 2.4 / height))

@@ -19,11 +19,12 @@ from typing import Any
 
 from pydantic import BaseModel, ConfigDict
 
+from ..config.datafile import DataError, read_text
 from ..lab.engine import Laboratories
 from ..lab.text import action_words, reading_words
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..physics.transfer import liquid_volume
-from ..record import Play, Record, RecordError, Replay, verify_record
+from ..record import LIMITS, Play, Record, RecordError, Replay, verify_record
 from ..record.recorder import turn_facts
 from ..roles.manager_actions import SECOND
 from ..roles.manager_state import COST_ITEMS
@@ -170,7 +171,10 @@ def _calls(record: Record) -> list[list[Any]]:
     path = record.path.with_name(record.path.name.partition(".")[0] + ".transcript.jsonl")
     if not path.is_file():
         return []
-    lines = path.read_text(encoding="utf-8").splitlines()[1:]
+    try:
+        lines = read_text(path, LIMITS.file_bytes).splitlines()[1:]
+    except DataError as error:
+        raise RecordError(f"{error}; move it away, or restore it") from error
     try:
         return [_Call.model_validate_json(line).words() for line in lines]
     except ValueError as error:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import math
 import re
 from collections.abc import Iterable, Sequence
@@ -32,6 +33,7 @@ from ..physics.shelf import Shelf
 from ..physics.stratification import profile
 from ..roles.bench import CAMERA_PIXELS, Bench, Experiments
 from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
+from ..roles.manager_view import shown_share
 
 MIXTURE_SLICES = 40
 _SEPARATED = 1e-3
@@ -253,8 +255,8 @@ def _tags(names: Iterable[str]) -> dict[str, str]:
         initials = "".join(part[0].upper() for part in parts)
         options = [name] if len(name) <= 4 else []
         options += [initials[:4], *((initials[:-1] + parts[-1][:n].capitalize())[:4] for n in range(2, 5))]
-        options += [f"{initials[:2]}{n}" for n in range(2, 100)]
-        tags[name] = next(option for option in options if option not in tags.values())
+        more = (f"{initials[:2]}{n}" for n in itertools.count(2))
+        tags[name] = next(option for option in itertools.chain(options, more) if option not in tags.values())
     return tags
 
 
@@ -596,9 +598,7 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
 
 def _closed(vessel: VesselPicture, resolution: float) -> VesselPicture:
     """A vessel of which nothing shows but its fill level."""
-    volume, step = vessel.volume_l, resolution * vessel.capacity_l
-    if step > 0.0:
-        volume = round(volume / step) * step
+    volume = shown_share(vessel.volume_l / vessel.capacity_l, resolution) * vessel.capacity_l
     layers = (LayerPicture("", "liquid", volume, _UNKNOWN[0]),) if volume > 0.0 else ()
     return dataclasses.replace(
         vessel, volume_l=volume, temperature_k=None, settling=1.0, layers=layers, mixture=(), contents=(), camera=()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, NamedTuple
 
@@ -18,7 +18,7 @@ from ..config.datafile import DataError
 from ..config.datamodel import validated
 from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.parts import Part, PartError, blamed, checked_numbers, load_part
-from ..config.scenario import BenchSpec, OrderSpec, Scenario, WearSpec
+from ..config.scenario import BenchSpec, ProductSpec, Scenario, WearSpec
 from ..kernels.arrays import (
     BoolArray,
     Field,
@@ -122,6 +122,20 @@ def load_terms(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, 
     return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Callable) for name in names}
 
 
+def distinct_channels(channels: Iterable[Channel], where: str) -> tuple[Channel, ...]:
+    """Return the channels of a role.
+
+    Raises:
+        DataError: two have the same name; the message begins with ``where``.
+    """
+    found: dict[str, Channel] = {}
+    for channel in channels:
+        if channel.name in found:
+            raise DataError(f"{where}: two observation channels are named {channel.name!r}; rename one of your own")
+        found[channel.name] = channel
+    return tuple(found.values())
+
+
 def channel_slices(channels: Sequence[Channel]) -> dict[str, slice]:
     """Return the slice of each channel in the flat observation."""
     slices, start = {}, 0
@@ -169,7 +183,7 @@ class Goals:
                     counted = role != "solvent" or name == goal
                     absolute[g, i] = 0.5 if role == "ion" else 1.0
                     solute[g, i] = ion if role == "ion" else 2.0 * ion if name in salts else float(counted)
-        among = [scenario.specifications.get(goal, OrderSpec()).purity_among or names for goal in scenario.goals]
+        among = [scenario.specifications.get(goal, ProductSpec()).purity_among or names for goal in scenario.goals]
         weighed = np.array([[name in own for name in names] for own in among], dtype=np.float64)
         return cls(tuple(scenario.goals), parts, solute, absolute, absolute * weighed)
 
@@ -512,7 +526,9 @@ class Bench(ABC):
         self._errors = self._channel_errors(channels)
         self._graded_from = sum(channel.size for channel in (*channels, goal))
         self._added_from = self._graded_from + sum(channel.size for channel in graded)
-        self.channels = (*channels, goal, *graded, *(part.declared(name, self) for name, part in self._added.items()))
+        added = [part.declared(name, self) for name, part in self._added.items()]
+        where = f"{self.scenario.origin}: benches.{self.key}"
+        self.channels = distinct_channels((*channels, goal, *graded, *added), where)
         size = sum(channel.size for channel in self.channels)
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space = action_space

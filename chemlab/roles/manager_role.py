@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ..config.parts import blamed, checked_numbers
 from ..kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 from .base import Quantity, Role
-from .bench import check_discrete, load_observations, load_terms, told_channel
+from .bench import check_discrete, distinct_channels, load_observations, load_terms, told_channel
 from .maintenance import go_astray
 from .manager import BEGUN, MEASURED, OVER, RECALLED, REPAIRED, manager_act, manager_mask
 from .manager_actions import FIRST, KIND, MEASURE, REPAIR, SECOND
@@ -57,7 +57,7 @@ class Manager:
         self.told_from = self.reports_from + sum(channel.size for channel in reports)
         self.added_from = self.told_from + sum(channel.size for channel in told)
         self.added_channels = [part.declared(name, labs) for name, part in self.added.items()]
-        self.channels = (*own, *reports, *told, *self.added_channels)
+        self.channels = distinct_channels((*own, *reports, *told, *self.added_channels), f"{spec.origin}: manager")
         size = sum(channel.size for channel in self.channels)
         self.observation_space: gymnasium.spaces.Box = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space: gymnasium.Space[Any] = gymnasium.spaces.Discrete(len(self.actions))

@@ -52,7 +52,7 @@ def _vessel_channels(slot: str, scenario: Scenario, positions: int, largest_capa
 
 
 @helper
-def _shown(share: float, gauge: float) -> float:
+def shown_share(share: float, gauge: float) -> float:
     """Return a share as a gauge shows it; what is not empty never reads 0."""
     if gauge > 0.0 and share > 0.0:
         share = gauge * max(math.floor(share / gauge + 0.5), 1.0)
@@ -62,7 +62,7 @@ def _shown(share: float, gauge: float) -> float:
 @helper
 def shown_fill(row: FloatArray, rules: Rules, chem: Handle) -> float:
     """Return the observed fill level of a vessel."""
-    return _shown(volume(row, chem) / row[CAPACITY], rules.gauge)
+    return shown_share(volume(row, chem) / row[CAPACITY], rules.gauge)
 
 
 @inner
@@ -129,7 +129,7 @@ def _write_stock(out: ObservationArray, at: int, n: int, rules: Rules, shelf: Sh
     for k in range(rules.stocked.shape[0]):
         m = rules.stocked[k]
         left = shelf.stock[n, m] / rules.first_stock[m] if rules.first_stock[m] > 0.0 else 0.0
-        out[at + k] = max(_shown(left, rules.gauge), 0.0)
+        out[at + k] = max(shown_share(left, rules.gauge), 0.0)
     return int(at + rules.stocked.shape[0])
 
 

@@ -20,7 +20,7 @@ from ..config.scenario import Scenario
 from ..kernels.arrays import Field as Array
 from ..kernels.arrays import FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged
 from ..kernels.jit import helper, inner, kernel, opened
-from ..physics.backends import partition, react, settle_phases, vent
+from ..physics.backends import most_steps, partition, react, settle_phases, vent
 from ..physics.chemistry import (
     AIR,
     AMOUNTS,
@@ -443,9 +443,9 @@ class ReactionBench(Bench):
             if stiff >= 0:
                 raise ArithmeticError(
                     f"{experiments.agent}: the reactions of laboratory {stiff} at "
-                    f"{shelf.rows[experiments.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than 1,000,000 "
-                    f"steps for a tick of {self.options.tick:g}. Nothing has reacted in it; give the scenario a "
-                    f"shorter benches.{self.key}.tick, or smaller rate constants"
+                    f"{shelf.rows[experiments.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than "
+                    f"{most_steps(self.chemistry):,} steps for a tick of {self.options.tick:g}. They have not gone on "
+                    f"for all of it; give the scenario a shorter benches.{self.key}.tick, or smaller rate constants"
                 )
             return
         _step(members, actions, _FIRST, *handles)

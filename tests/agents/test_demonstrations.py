@@ -230,6 +230,13 @@ def test_datasets_of_records_of_scenarios_of_ones_own_name_their_environment(min
         np.testing.assert_array_equal(episode.observations[i + 1], env.step(action)[0])
 
 
+def test_datasets_of_a_split_name_it(minari: Any, tmp_path: Path) -> None:
+    path = record_episode(tmp_path / "a.jsonl", scenario="unlabelled", split="test")
+    write_datasets([path], "tests/split", agents=["manager_0"])
+    env = minari.load_dataset("tests/split/manager_0-v0").recover_environment()
+    assert env.unwrapped.scenario.split.name == "test"
+
+
 def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path) -> None:
     write_datasets([scripted], "tests/benches")
     for agent, key in (("rxn_0", "rxn"), ("ext_0", "ext"), ("dit_0", "dit")):

@@ -457,3 +457,8 @@ def test_purity_among_what_is_not_there_is_refused(among: list[str], message: st
     values["specifications"] = {"2-chlorohexane": {"purity_among": among}}
     with pytest.raises(DataError, match=message):
         load_scenario(values)
+    for where, table in (("grades.g", {"grades": {"g": {"purity_among": among}}}), ("demand.order.0", {"orders": 1})):
+        given = mapping("campaign") | {"demand": {"order": [{"purity_among": among}]}} | table
+        given["demand"] = {} if "grades" in table else given["demand"]
+        with pytest.raises(DataError, match=rf"{where}\.purity_among"):  # counts for the goal, whatever is asked for
+            load_scenario(given)

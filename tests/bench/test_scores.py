@@ -16,6 +16,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.experiments import ExperimentBatch
+from chemlab.physics.backends import most_steps
 from chemlab.roles.operation_bench import OperationBench
 
 FloatArray = npt.NDArray[np.float64]
@@ -284,5 +285,7 @@ def test_reactions_that_are_too_stiff_are_an_error_that_says_where(tmp_path: Pat
     values |= {"lab_goals": ["1-chlorohexane"], "theoretical_maximum_mol": {"1-chlorohexane": 1.0}}
     env = RoleEnv(load_scenario(values), bench="rxn")
     env.reset(seed=0)
-    with pytest.raises(ArithmeticError, match=r"rxn_0: the reactions of laboratory 0 .* too stiff.*benches\.rxn\.tick"):
+    words = r"rxn_0: the reactions of laboratory 0 .* too stiff: more than 1,000,000 steps .*benches\.rxn\.tick"
+    assert most_steps(ExperimentBatch("wurtz_real", "rxn").bench.chemistry) == 100_000
+    with pytest.raises(ArithmeticError, match=words):
         env.step(np.ones(env.action_space.shape))

@@ -177,15 +177,18 @@ def _given(how: str, folder: Path) -> Any:
         "loaded by name": load_scenario("wurtz_dodecane"),
         "loaded from a file": load_scenario(mine),
         "changed": load_scenario(mine).model_copy(update={"ambient_pressure_kpa": 95.0}),
+        "of another split": load_scenario("rush", split="test"),
         "another tier": load_scenario("wurtz_real").model_copy(update={"ambient_pressure_kpa": 95.0}),
     }[how]
 
 
-@pytest.mark.parametrize("how", ["path", "text", "loaded by name", "loaded from a file", "changed", "another tier"])
+@pytest.mark.parametrize(
+    "how", ["path", "text", "loaded by name", "loaded from a file", "changed", "another tier", "of another split"]
+)
 def test_specs_are_json_that_makes_the_same_environment(how: str, tmp_path: Path) -> None:
     scenario = _given(how, tmp_path)
     made = {
-        "chemlab/Bench-v1": {"bench": "ext"},
+        "chemlab/Bench-v1": {"bench": "rxn" if how == "of another split" else "ext"},
         MANAGER: {"rewards": load_scenario("wurtz_dodecane").rewards.model_copy(update={"manager_local": 0.5})},
     }
     for name, arguments in made.items():
@@ -195,6 +198,7 @@ def test_specs_are_json_that_makes_the_same_environment(how: str, tmp_path: Path
         np.testing.assert_array_equal(env.reset(seed=5)[0], again.reset(seed=5)[0])
         one, other = (each.unwrapped.scenario for each in (env, again))  # type: ignore[attr-defined]
         assert scenario_hash(one) == scenario_hash(other)
+        assert one.split == other.split
         batch = gymnasium.make_vec(name, num_envs=2, scenario=scenario, autoreset_mode=AutoresetMode.SAME_STEP)
         assert batch.spec is not None
         repeated = gymnasium.make_vec(EnvSpec.from_json(batch.spec.to_json()))
@@ -211,6 +215,18 @@ def test_arguments_of_a_spec_are_as_short_as_they_can_be(tmp_path: Path) -> None
     assert kept(_given("path", tmp_path)) == kept(_given("loaded from a file", tmp_path)) == str(tmp_path / "mine.toml")
     assert kept(load_scenario("fictitious")) == "fictitious"
     assert isinstance(kept(_given("changed", tmp_path)), dict)
+
+
+def test_a_spec_has_no_salt() -> None:
+    split = f"private:{'0f' * 16}"
+    for arguments in ({"scenario": load_scenario("rush", split=split)}, {"scenario": "rush", "split": split}):
+        env = gymnasium.make("chemlab/Bench-v1", bench="rxn", **arguments)
+        assert env.spec is not None
+        assert "0f" * 16 not in env.spec.to_json()
+        with pytest.raises(ValueError, match=r"split: must be .* or private:SALT"):
+            gymnasium.make(env.spec)
+        again = gymnasium.make(env.spec, split=split)
+        np.testing.assert_array_equal(env.reset(seed=5)[0], again.reset(seed=5)[0])
 
 
 @pytest.mark.parametrize(("name", "arguments"), [(MANAGER, {}), (AGENT, {"agent": "ext_0"}), ("chemlab/Bench-v1", {})])

@@ -274,6 +274,22 @@ def test_no_reward_is_lost(name: str, policy: str) -> None:
 # -- endings --------------------------------------------------------------------------------------------------------
 
 
+def test_a_start_with_a_safety_event_keeps_an_unread_score() -> None:
+    env = raw_env(WURTZ)
+    env.reset(seed=0)
+    labs, act = env.laboratories, env.laboratories.act
+    env.infos["rxn_0"] |= {"experiment_over": True, "score": 0.5}
+
+    def eventful(number: int, *arguments: Any) -> None:
+        act(number, *arguments)
+        labs.state.cost[labs.agents.index("rxn_0"), 0] = 0.25
+
+    labs.act = eventful  # type: ignore[method-assign]
+    manager(env, "start", "rxn_0", 0, "dodecane")
+    told = env.infos["rxn_0"]
+    assert (told["cost"], told["experiment_over"], told["score"]) == (0.25, True, 0.5)
+
+
 def test_submitting_terminates_for_all() -> None:
     env = raw_env("wurtz_any")
     env.reset(seed=0, options={"goal": "NaCl"})

@@ -90,7 +90,9 @@ def test_seeds_of_members_and_resets_of_some() -> None:
     start = batch.laboratories.actions.encode("start", "rxn_0", 0, "dodecane")
     batch.step({"manager_0": np.full(4, start)})
     moved = batch.laboratories.snapshot()
-    batch.reset(seed=[9, 3, 9, 9], options={"reset_mask": np.array([False, True, False, False])})
+    batch.laboratories.state.cost[:] = 1.0
+    _, infos = batch.reset(seed=[9, 3, 9, 9], options={"reset_mask": np.array([False, True, False, False])})
+    assert not any(info["cost"].any() for info in infos.values()), "nothing has happened to the others"
     for now, was, then in zip(batch.laboratories.snapshot()[:3], first, moved, strict=False):
         np.testing.assert_array_equal(now[1], was[1])
         np.testing.assert_array_equal(now[[0, 2, 3]], then[[0, 2, 3]])

@@ -99,9 +99,12 @@ def test_another_seed_is_another_experiment() -> None:
 def test_a_first_reset_without_a_seed_draws_one() -> None:
     name = "chemlab/WurtzExtraction-v0"
     assert len({beginnings(single(name), None) for _ in range(4)}) == 4
-    vector = batch(name, 4)
-    rows = [vector.reset()[0] for _ in range(20)]
-    assert len({b"".join(row[i].tobytes() for row in rows) for i in range(4)}) == 4
+    for first in (None, [0, None, None, None]):
+        vector, other = batch(name, 4), batch(name, 4)
+        rows = [np.hstack([env.reset(seed=seed)[0] for env in (vector, other)]) for seed in [first, *[None] * 19]]
+        half = rows[0].shape[1] // 2
+        seen = {b"".join(row[i, at].tobytes() for row in rows) for i in range(4) for at in (np.s_[:half], np.s_[half:])}
+        assert len(seen) == (8 if first is None else 7), "members without a seed get one each"
 
 
 # -- copies and states ------------------------------------------------------------------------------------------------
@@ -160,8 +163,10 @@ def test_seeds_of_members() -> None:
     name = "chemlab/WurtzExtraction-v0"
     env, goes_on = batch(name, 4, autoreset_mode="Disabled"), single(name)
     first, _ = env.reset(seed=0)
+    env.episodes.scores[:] = 0.5  # as if every experiment had just ended
     mask = np.array([True, True, True, False])
-    observations, _ = env.reset(seed=[9, None, 2, 6], options={"reset_mask": mask})
+    observations, infos = env.reset(seed=[9, None, 2, 6], options={"reset_mask": mask})
+    assert not infos["experiment_over"].any(), "a reset ends no experiment, nor one that is not reset"
     goes_on.reset(seed=1)
     expected = [single(name).reset(seed=9)[0], goes_on.reset()[0], single(name).reset(seed=2)[0], first[3]]
     np.testing.assert_array_equal(observations, expected)

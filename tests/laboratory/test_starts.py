@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 import chemlab
@@ -13,7 +14,9 @@ from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
 from chemlab.lab.starts import Start, goals_met, lab_starts, starts_file, write_starts
+from chemlab.physics.chemistry import AMOUNTS
 
 
 @pytest.mark.parametrize(
@@ -108,3 +111,15 @@ def test_goals_that_a_bench_has_met(tmp_path: Path) -> None:
         DataError, match=r"no vessel of goal 'F' for bench 'fin'; choose from E by --goal .*--goals .*goals="
     ):
         RoleVectorEnv(1, "relay", bench="fin", starts="lab")
+
+
+def test_hidden_contents_are_of_declared_vessels_only() -> None:
+    """Recorded vessels keep what they held, declared ones get what is drawn, also where either may be drawn."""
+    batch = ExperimentBatch("rush", "rxn", 32, starts="both")
+    for member in batch.members.tolist():
+        batch.seed(member, member)
+    batch.reset(batch.members, world={"titre": {"rxn": 0.5}})
+    pool, amounts = batch.pool.arrays, slice(AMOUNTS, AMOUNTS + len(batch.scenario.materials))
+    kept = [np.flatnonzero((pool.rows[:, amounts] == row).all(axis=1)) for row in batch.shelf.vessels[:, 0, amounts]]
+    assert {len(rows) > 0 for rows in kept} == {True, False}
+    assert not pool.declared[np.concatenate(kept)].any()

@@ -13,7 +13,14 @@ from hypothesis import strategies as st
 
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import RoleText, Shades, curve_words, measured_words, reading_words
+from chemlab.lab.text import (
+    RoleText,
+    Shades,
+    curve_words,
+    describe_laboratory,
+    measured_words,
+    reading_words,
+)
 from chemlab.roles.bench import Channel, channel_slices
 
 LEVELS = (0.0, 0.2, 0.45, 0.7, 1.0)
@@ -129,6 +136,20 @@ def test_readings_are_as_exact_as_their_noise(noise: float, apart: float) -> Non
     warm = [300.0 + apart * i for i in range(20)]
     words = [measured_words(labs, number, np.array([(one - channel.low) / span], np.float32)) for one in warm]
     assert words == [f"{round(one, 1):g} K" for one in warm]
+
+
+def test_a_laboratory_is_described_as_its_manager_sees_it() -> None:
+    """No goal before its order has arrived, and fill levels as the gauge shows them."""
+    values = mapping("wurtz_any") | {"demand": {"order": [{"arrives": 50}]}}
+    values["limits"]["ticks"] = 200
+    values["shelf"]["gauge"] = 0.1
+    env = laboratory(values)
+    labs = env.laboratories
+    vessel, seen = labs.shelf.vessel(0, 0), env.observe("manager_0")[channel_slices(labs.channels)["slot_0_fill"]]
+    text = describe_laboratory(labs)
+    assert "goal unknown" in text
+    assert f"] {seen.item() * vessel.capacity_l:.2f}/{vessel.capacity_l:.2f} L" in text
+    assert f"{vessel.volume_l:.2f}/" not in text
 
 
 def test_a_bench_is_described_as_it_is() -> None:

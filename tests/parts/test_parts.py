@@ -227,6 +227,12 @@ def scalar(bench, shelf, experiments, members):
         ("my_parts.py:concentrate", "my_parts.py:LOW", "ext.reward: .*must be a .*Callable"),
         ("my_parts.py:WASTE_CAN", "no_module:CAN", "manager.observe: .*ModuleNotFoundError: .*no_module"),
         ("filtration_bench.py:FiltrationBench", "filtration_bench.py:FiltrationOptions", "subclass of .*Bench"),
+        (
+            'HYDROMETER"',
+            'HYDROMETER", "./my_parts.py:HYDROMETER"',
+            "benches.ext: two .* channels are named 'hydrometer'",
+        ),
+        ("refractometer =", "uv_vis_age =", "manager: two observation channels are named 'slot_0_uv_vis_age'"),
     ],
 )
 def test_what_cannot_be_loaded_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:

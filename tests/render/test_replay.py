@@ -23,7 +23,7 @@ from chemlab.cli import app
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
-from chemlab.record import Recorder, RecordError, Replay, read_record
+from chemlab.record import LIMITS, Recorder, RecordError, Replay, read_record
 from chemlab.render.animation import animation
 from chemlab.render.draw import draw
 from chemlab.render.protocol import protocol
@@ -231,6 +231,13 @@ def test_calls_stand_beside_the_turns(called: Path) -> None:
     text = transcript.read_text()
     transcript.write_text("{}\n[]\n")
     with pytest.raises(RecordError, match="is no transcript"):
+        replay_page(read_record(called))
+    transcript.write_bytes(b"\xff\xfe")
+    with pytest.raises(RecordError, match=r"transcript\.jsonl: not UTF-8.*move it away"):
+        replay_page(read_record(called))
+    with transcript.open("wb") as file:
+        file.truncate(LIMITS.file_bytes + 1)
+    with pytest.raises(RecordError, match=r"transcript\.jsonl: is larger than .*move it away"):
         replay_page(read_record(called))
     transcript.write_text(text)
 

@@ -4,7 +4,7 @@ A backend is a module that implements every law below under the same name. Kerne
 chemistry that they receive holds (:attr:`chemlab.physics.chemistry.Chemistry.laws`): so kernels are compiled once for
 all backends, and the backend is selected in Python.
 
-To add a backend: a module with all of these functions (kernels or helpers), and an entry in
+To add a backend: a module with all of these functions (kernels or helpers) and ``MOST_STEPS``, and an entry in
 :data:`chemlab.config.scenario.PHYSICS_TIERS`.
 """
 
@@ -46,6 +46,11 @@ def work_size(chemistry: ChemistryTable) -> tuple[int, int]:
     """Return the minimum shape of the scratch array ``work`` of a backend's laws; its last row holds a vessel's."""
     rows, columns = _backend(chemistry.tier).work_size(chemistry.world())
     return rows + 1, max(columns, chemistry.layout.width)
+
+
+def most_steps(chemistry: ChemistryTable) -> int:
+    """Return the number of steps of an integration beyond which a backend gives up, as reactions are too stiff."""
+    return int(_backend(chemistry.tier).MOST_STEPS)
 
 
 def law_addresses(name: str) -> IntArray:

@@ -3,6 +3,7 @@
 Arguments and results are those of :mod:`chemlab.physics.backends`.
 """
 
+from ...mass_action import _MOST_STEPS as MOST_STEPS
 from ...mass_action import arrhenius as rate_constant
 from .boiling import heat
 from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_mol, solid_volume
