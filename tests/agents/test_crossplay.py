@@ -211,7 +211,7 @@ def test_the_command(
         assert text in done.output
     written = json.loads((tmp_path / "found.json").read_text())
     assert {**written, "budget": "own"} == json.loads(json.dumps(played[1]))
-    assert json.loads(runner.invoke(app, [*words, "--json"]).output) == written
+    assert json.loads(runner.invoke(app, [*words, "--force", "--json"]).output) == written
     done = runner.invoke(app, ["crossplay", "unlabelled", "--budget", "huge"])
     assert done.exit_code == 2
     assert "budget: known: small, full; given 'huge'" in done.output
