@@ -74,7 +74,7 @@ class Live:
         self._lock = threading.RLock()
         self.taken: set[str] = set()
         self._unseen: set[str] = set()
-        """Agents of whose experiment, or episode, a person has played the first turn, and a policy none."""
+        """Agents whose policy has not acted yet in this experiment or episode, since a person played its first turn."""
         self.episode = 0
         self.room: Room
         self.begin(seed)

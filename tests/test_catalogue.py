@@ -338,8 +338,8 @@ def test_what_is_added_is_one_compound_and_changes_no_other(tmp_path: Path) -> N
     [
         ("names.csv", "anisole\n", "the line 'anisole' has 1 cells, not 2"),
         ("pairs.csv", "acetone,butanone,UNIFAC\n", "the line .* has 3 cells, not 11"),
-        ("pairs.csv", "acetone,own,UNIFAC,x,0,0,0,0,0,0,0\n", "the line .* has numbers that are none"),
-        ("names.csv", "\xff", "is no list of 2 columns"),
+        ("pairs.csv", "acetone,own,UNIFAC,x,0,0,0,0,0,0,0\n", "the line .* has a cell that is not a number"),
+        ("names.csv", "\xff", "is not a table of 2 columns"),
     ],
 )
 def test_a_line_of_ones_own_that_is_malformed_is_named(name: str, text: str, message: str, tmp_path: Path) -> None:

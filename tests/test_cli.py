@@ -301,7 +301,7 @@ def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatc
     assert "manager=plan:plan.json --trust" in " ".join(done.output.split())
     for name in ("a,b.json", "a=b.json", "a@1.json"):
         done = runner.invoke(app, [*plan, name])
-        assert (done.exit_code, "has a meaning in --policy" in " ".join(done.output.split())) == (2, True)
+        assert (done.exit_code, "--policy plan:FILE cannot name" in " ".join(done.output.split())) == (2, True)
 
 
 # -- tables -----------------------------------------------------------------------------------------------------------

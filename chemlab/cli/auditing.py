@@ -125,7 +125,9 @@ def plan(
     spec = load_scenario(scenario)
     if output is not None:
         if found := re.search("[,=@]", str(output)):
-            raise ValueError(f"--out: {output}: {found[0]} has a meaning in --policy plan:FILE; give another name")
+            raise ValueError(
+                f"--out: {output}: --policy plan:FILE cannot name a file with {found[0]!r}; give another name"
+            )
         check_result(output, force, scenario, benches)
     with counting() as progress:
         task = progress.add_task("plans", total=budget)

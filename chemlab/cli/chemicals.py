@@ -66,7 +66,9 @@ def _named(options: Iterable[str] | None) -> dict[str, str]:
         if not (key and equals and what):
             raise ValueError(f"--name: must be KEY=WHAT, given {option!r}")
         if found.setdefault(key, what) != what:
-            raise ValueError(f"--name: {key!r} is given for {found[key]!r} and for {what!r}; give each its own")
+            raise ValueError(
+                f"--name: {key!r} is given for {found[key]!r} and for {what!r}; give each a key of its own"
+            )
     return found
 
 

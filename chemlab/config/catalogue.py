@@ -131,7 +131,7 @@ def _rows(path: Path, width: int, begin: tuple[str, ...] = ("",)) -> Iterator[li
     """The rows of a list, of lines that begin with one of some texts; none without a file.
 
     Raises:
-        DataError: a row has not ``width`` cells, or the file is not UTF-8.
+        DataError: a row does not have ``width`` cells, or the file is not UTF-8.
     """
     if not path.is_file():
         return
@@ -142,7 +142,7 @@ def _rows(path: Path, width: int, begin: tuple[str, ...] = ("",)) -> Iterator[li
                     raise _malformed(path, row, f"has {len(row)} cells, not {width}")
                 yield row
     except (csv.Error, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: is no list of {width} columns: {error}; correct it, or delete it") from error
+        raise DataError(f"{path}: is not a table of {width} columns: {error}; correct it, or delete it") from error
 
 
 def _malformed(path: Path, row: list[str], what: str) -> DataError:
@@ -161,6 +161,7 @@ def matches(text: str) -> tuple[str, ...]:
 
 
 _AROMATIC = re.compile(r"[cnos()=\d]*[cnos]1[cnos()=\d]*")
+"""Structures of a ring, in which small letters mean aromatic atoms."""
 
 
 def key_of(name: str, inchi_key: str) -> str:
@@ -260,7 +261,7 @@ def catalogue_pairs(wanted: Iterable[frozenset[str]]) -> dict[frozenset[str], Pa
                     alpha, off, *parameters = map(float, row[3:])
                     made = CataloguePair(row[0], row[1], row[2], alpha, off, tuple(parameters)).pair()
                 except ValueError as error:
-                    raise _malformed(path, row, "has numbers that are none or out of bounds") from error
+                    raise _malformed(path, row, "has a cell that is not a number or is out of bounds") from error
                 found[frozenset(row[:2])] = made
         left -= set(found)
     return found

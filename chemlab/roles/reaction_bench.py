@@ -444,8 +444,8 @@ class ReactionBench(Bench):
                 raise ArithmeticError(
                     f"{experiments.agent}: the reactions of laboratory {stiff} at "
                     f"{shelf.rows[experiments.places[stiff, 0], TEMPERATURE]:.1f} K are too stiff: more than "
-                    f"{most_steps(self.chemistry):,} steps for a tick of {self.options.tick:g}. They have not gone on "
-                    f"for all of it; give the scenario a shorter benches.{self.key}.tick, or smaller rate constants"
+                    f"{most_steps(self.chemistry):,} steps for a tick of {self.options.tick:g}. Its tick has "
+                    f"ended early; give the scenario a shorter benches.{self.key}.tick, or smaller rate constants"
                 )
             return
         _step(members, actions, _FIRST, *handles)

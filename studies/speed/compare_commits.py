@@ -34,6 +34,10 @@ ROWS: dict[str, str] = {
     "WurtzExtraction, 256, 2 threads": 'batched("WurtzExtraction", 256, 2, SECONDS)',
     "SaltFromOilExtraction, 256": 'batched("SaltFromOilExtraction", 256, 1, SECONDS)',
     "WurtzDistillation, 256": 'batched("WurtzDistillation", 256, 1, SECONDS)',
+    **{
+        f"crystallization in {scenario}, 64": f'batched("Bench", 64, 1, SECONDS, 1, scenario={scenario!r}, bench="cry")'
+        for scenario in ("benzoic", "recrystallization")
+    },
     "env, agent steps": "laboratory(laboratory_env, SECONDS)",
     "raw_env, agent steps": "laboratory(raw_env, SECONDS)",
     "parallel_env, agent steps": "parallel(SECONDS)",

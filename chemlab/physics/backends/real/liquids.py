@@ -79,7 +79,7 @@ def clear_liquids() -> FloatArray:
 
 @inner
 def liquids_in(block: FloatArray) -> Liquids:
-    """Return the fields of such scratch."""
+    """Return the fields of scratch from :func:`clear_liquids`."""
     return Liquids(
         part(block, 0, MOST_FLUIDS),
         part(block, MOST_FLUIDS, MOST_FLUIDS),
