@@ -164,14 +164,10 @@ def test_standard_buffers_have_their_ph(name: str) -> None:
 
 
 # Mean activity coefficients at 0.1 mol/kg and 25 °C: Robinson and Stokes, Electrolyte Solutions, 2nd ed. 1959.
-def test_hydrochloric_acid() -> None:
-    found = Solutions([], -1).ph({PROTON: 0.1, 3: 0.1})
-    assert found == pytest.approx(-math.log10(0.1 * 0.796), abs=0.02)
-
-
-def test_sodium_hydroxide() -> None:
-    found = Solutions([], 1).ph({HYDROXIDE: 0.1, 3: 0.1})
-    assert found == pytest.approx(WATER_PK + math.log10(0.1 * 0.766), abs=0.02)
+@pytest.mark.parametrize(("ion", "counter", "gamma"), [(PROTON, -1, 0.796), (HYDROXIDE, 1, 0.766)], ids=["HCl", "NaOH"])
+def test_strong_acid_and_base(ion: int, counter: int, gamma: float) -> None:
+    found, log = Solutions([], counter).ph({ion: 0.1, 3: 0.1}), math.log10(0.1 * gamma)
+    assert found == pytest.approx(-log if ion == PROTON else WATER_PK + log, abs=0.02)
 
 
 def test_pure_water() -> None:

@@ -209,19 +209,6 @@ def test_draining_takes_what_the_profile_says(first: dict[str, float], clock: fl
         assert glass.rows[1, TEMPERATURE] == pytest.approx(320.0, rel=1e-9)
 
 
-def test_draining_settled_layers_by_height() -> None:
-    """Settled, the lowest layer's height in pixels drains that layer exactly: water first, hexane stays."""
-    glass = Glassware(SCENARIO, 2)
-    glass.fill(0, {"water": 10.0, "hexane": 4.0}, 10.0 * molar_volume(SCENARIO, "water") / 0.2, clock=CLOCK_SETTLED)
-    glass.fill(1, {}, 2.0)
-    glass.drain(0, 1, 10.0)  # of the water's 20 pixels
-    assert glass.amount(1, "water") == pytest.approx(5.0, rel=1e-12)
-    assert glass.amount(1, "hexane") == 0.0
-    glass.drain(0, 1, 10.0)
-    assert glass.amount(1, "water") == pytest.approx(10.0, rel=1e-12)
-    assert glass.amount(0, "hexane") == pytest.approx(4.0, rel=1e-12)
-
-
 # -- vessels ------------------------------------------------------------------------------------------------------
 
 
