@@ -5,7 +5,6 @@ Contents are put into vessels by hand, so that what a submission is worth has a 
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import Any
 
@@ -318,17 +317,7 @@ def test_unknown_mixes_are_refused(rewards: Any) -> None:
         lambda: role_env(LINES, rewards=rewards),
         lambda: role_vector_env(2, LINES, rewards=rewards),
     ]
+    given = f"{rewards!r}.*individual, cooperative, mixed" if isinstance(rewards, str) else "reward"
     for make in makers:
-        with pytest.raises(ValueError, match=r"reward") as caught:
+        with pytest.raises(ValueError, match=given):
             make()
-        if isinstance(rewards, str):
-            assert repr(rewards) in str(caught.value)
-            assert "individual, cooperative, mixed" in str(caught.value)
-
-
-def test_a_scenario_is_not_changed_by_a_mix() -> None:
-    scenario = load_scenario(LINES)
-    before = copy.deepcopy(scenario.rewards)
-    raw_env(scenario, rewards="cooperative")
-    assert scenario.rewards == before
-    assert load_scenario(LINES).rewards == before

@@ -40,6 +40,7 @@ solid = "NaOH"
 cation = "Na+"
 anion = "OH-"
 source = "made up"
+solubility = { solvents = { water = [[298.15, 25.0]] }, source = "made up" }
 
 [[acid]]
 species = ["acetic_acid", "acetate"]
@@ -94,14 +95,15 @@ def test_a_family_is_closed_under_its_reactions(esters: dict[str, Any]) -> None:
 
 
 def test_the_paper_tier_refuses_what_it_does_not_know(esters: dict[str, Any]) -> None:
+    esters |= {"physics": "paper", "shelf": {"slots": 4, "vessel": [{"capacity_l": 1.0}]}}
     with pytest.raises(DataError, match=r"'esters': reaction acetic_acid .* water: catalysts needs physics = 'real'"):
-        load_scenario({**esters, "physics": "paper"})
+        load_scenario(esters)
     family = Path(esters["reactions"])
     family.write_text(FAMILY[: FAMILY.index("[[reaction]]")] + FAMILY[FAMILY.index("[[salt]]") :])
     with pytest.raises(DataError, match=r"'esters': acid needs physics = 'real'"):
-        load_scenario({**esters, "physics": "paper"})
+        load_scenario(esters)
     dry = {key: mol for key, mol in esters["stock"].items() if key != "water"}
-    assert load_scenario({**esters, "physics": "paper", "stock": dry}).family.acid == ()
+    assert load_scenario({**esters, "stock": dry}).family.acid == ()
 
 
 def test_a_heat_that_contradicts_the_materials_is_refused(esters: dict[str, Any]) -> None:
