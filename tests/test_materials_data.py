@@ -56,13 +56,9 @@ FICTITIOUS = [key for file, key, _ in ROWS if file == "fictitious"]
 IONS = ["Na+", "Cl-", "OH-"]
 CHLOROHEXANES = ["1-chlorohexane", "2-chlorohexane", "3-chlorohexane"]
 PRODUCTS = [
-    "dodecane",
-    "5-methylundecane",
-    "4-ethyldecane",
-    "5,6-dimethyldecane",
-    "4-ethyl-5-methylnonane",
+    "dodecane", "5-methylundecane", "4-ethyldecane", "5,6-dimethyldecane", "4-ethyl-5-methylnonane",
     "4,5-diethyloctane",
-]
+]  # fmt: skip
 ROLES = {
     "solvent": {"diethyl_ether", "water", "hexane", "ethyl_acetate"},
     "solute": {*CHLOROHEXANES, *PRODUCTS, *"ABCDEFGHIJK"},
@@ -90,13 +86,9 @@ def _correlation(kind: str, cas: str, boiling: float | None = None) -> Any:
     """Return thermo's object for a temperature-dependent property, with the constants its methods need."""
     chemicals, thermo = _chemicals(), _thermo()
     constants = {
-        "MW": chemicals.MW(cas),
-        "Tb": boiling or chemicals.Tb(cas),
-        "Tc": chemicals.Tc(cas),
-        "Pc": chemicals.Pc(cas),
-        "Vc": chemicals.Vc(cas),
-        "omega": chemicals.omega(cas),
-    }
+        "MW": chemicals.MW(cas), "Tb": boiling or chemicals.Tb(cas), "Tc": chemicals.Tc(cas), "Pc": chemicals.Pc(cas),
+        "Vc": chemicals.Vc(cas), "omega": chemicals.omega(cas),
+    }  # fmt: skip
     wanted = {
         "HeatCapacityGas": ("MW",),
         "HeatCapacityLiquid": ("MW",),

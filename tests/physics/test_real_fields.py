@@ -60,19 +60,14 @@ def esters(tmp_path: Path) -> dict[str, Any]:
     """A scenario of the tier with the family above, as a mapping."""
     (tmp_path / "family.toml").write_text(FAMILY)
     return {
-        "name": "esters",
-        "title": "Esters",
-        "summary": "For tests.",
-        "physics": "real",
-        "reactions": str(tmp_path / "family.toml"),
-        "goals": ["ethyl_acetate"],
-        "lab_goals": ["ethyl_acetate"],
+        "name": "esters", "title": "Esters", "summary": "For tests.", "physics": "real",
+        "reactions": str(tmp_path / "family.toml"), "goals": ["ethyl_acetate"], "lab_goals": ["ethyl_acetate"],
         "theoretical_maximum_mol": {"ethyl_acetate": 1.0},
         "stock": {"acetic_acid": 5.0, "ethanol": 5.0, "water": 20.0, "NaOH": 1.0},
         "shelf": {"slots": 4, "vessel": [{"capacity_l": 1.0, "contents": {"benzoic_acid": 1.0}}]},
         "benches": {"rxn": {"kind": "reaction", "step_limit": 10, "options": {"reagents": {"ethanol": 1.0}}}},
         "limits": {"manager_actions": 10, "ticks": 10},
-    }
+    }  # fmt: skip
 
 
 def test_a_family_is_closed_under_its_reactions(esters: dict[str, Any]) -> None:
@@ -108,9 +103,7 @@ def test_the_paper_tier_refuses_what_it_does_not_know(esters: dict[str, Any]) ->
 
 def test_a_heat_that_contradicts_the_materials_is_refused(esters: dict[str, Any]) -> None:
     Path(esters["reactions"]).write_text(FAMILY.replace("-3000.0", "30000.0"))
-    with pytest.raises(
-        DataError, match=r"acetic_acid .*: enthalpy_j_mol = 30000: .* give -\d+, and may differ"
-    ):
+    with pytest.raises(DataError, match=r"acetic_acid .*: enthalpy_j_mol = 30000: .* give -\d+, and may differ"):
         build_chemistry(load_scenario(esters))
 
 
