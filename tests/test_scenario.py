@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 import pytest
 from helpers import FEATURED, litres, said
-from refusals import changed, refused
+from refusals import changed, refused, written
 from scipy.optimize import linprog
 
 import chemlab
@@ -119,17 +119,20 @@ def resolved(scenario: Scenario) -> tuple[dict[str, Any], dict[str, Any], dict[s
     )
 
 
+def top(line: str) -> tuple[str, str]:
+    """A line more at the top of the file, as a replacement."""
+    return 'summary = "One', f'{line}\nsummary = "One'
+
+
 def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
-    file = tmp_path / "tiny.toml"
-    file.write_text(BASE)
-    assert Laboratories(file).agents == ["manager_0", "rxn_0", "ext_0", "dit_0"]
+    assert Laboratories(written(tmp_path, BASE)).agents == ["manager_0", "rxn_0", "ext_0", "dit_0"]
 
 
 @pytest.mark.parametrize(
     ("old", "new", "parts"),
     [
         # Top level.
-        ('summary = "One', 'colour = "red"\nsummary = "One', ["colour", "unknown key", "'red'"]),
+        (*top('colour = "red"'), ["colour", "unknown key", "'red'"]),
         ('title = "A tiny', 'titel = "A tiny', ["titel: unknown key, given 'A tiny laboratory'; did you mean title?"]),
         ("capacity_l = 1.0\ncontents", "capacity = 1.0\ncontents",
          ["capacity: unknown key, given 1.0; did you mean capacity_l?"]),
@@ -139,8 +142,16 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ('title = "A tiny laboratory"\n', "", ["title", "required"]),
         ('goals = ["dodecane", "NaCl"]', "goals = []", ["goals", "at least 1"]),
         ('goals = ["dodecane", "NaCl"]', 'goals = ["dodecane", "dodecane"]', ["goals", "twice"]),
-        ('summary = "One', 'ambient_temperature_k = 1000.0\nsummary = "One',
-         ["ambient_temperature_k", "350", "1000.0"]),
+        (*top("ambient_temperature_k = 1000.0"), ["ambient_temperature_k", "350", "1000.0"]),
+        (*top("orders = 0"), ["orders", "greater than or equal to 1", "0"]),
+        (*top("orders = 17"), ["orders", "less than or equal to 16"]),
+        (*top("orders = 1.5"), ["orders", "1.5"]),
+        (*top("orders = [1, 2]"), ["orders"]),
+        (*top('rewards = "selfish"'), ["rewards", "'selfish'", "individual, cooperative, mixed"]),
+        (*top("rewards = { bench = 1.0 }"), ["rewards", "bench"]),
+        (*top("rewards = { bench_local = 'all' }"), ["rewards", "bench_local", "all"]),
+        (*top("rewards = { bench_team = nan }"), ["rewards", "bench_team"]),
+        (*top("rewards = 1.0"), ["rewards"]),
         # Materials nobody knows.
         ("water = 10.0", "wotter = 10.0", ["stock", "unknown material 'wotter'", "water"]),
         ("{ diethyl_ether = 4.0 }", "{ ether = 4.0 }", ["shelf.vessel.0.contents", "unknown material 'ether'"]),
@@ -223,7 +234,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ('kind = "heat"', 'kind = "drain"', ["benches.dit.process.0", "kind", "heat, pour", "'drain'"]),
         # What nothing can be done with, and what would take too much.
         ("[[shelf.vessel]]\ncapacity_l = 1.0\ncontents = { diethyl_ether = 4.0 }\n", "", ["shelf", "at least one"]),
-        ('summary = "One', 'physics = "magic"\nsummary = "One', ["physics", "unknown backend", "paper", "'magic'"]),
+        (*top('physics = "magic"'), ["physics", "unknown backend", "paper", "'magic'"]),
         ('title = "A tiny laboratory"', f'title = "{"x" * 301}"', ["title", "at most 300"]),
         ('title = "A tiny laboratory"', r'title = "A \u001b[2J"', ["title", "without control characters"]),
         ('summary = "One', f'summary = "{"x" * 4001}', ["summary", "4000 characters"]),
@@ -272,8 +283,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
 def test_a_wrong_scenario_is_named_with_file_key_and_bound(
     tmp_path: Path, old: str, new: str, parts: list[str]
 ) -> None:
-    file = tmp_path / "tiny.toml"
-    file.write_text(changed(BASE, old, new))
+    file = written(tmp_path, changed(BASE, old, new))
     refused(lambda: Laboratories(file), file, *parts)
 
 
@@ -296,8 +306,7 @@ def test_a_missing_file_of_materials_or_reactions_is_named(tmp_path: Path) -> No
     ],
 )
 def test_another_kind_of_file(tmp_path: Path, text: str, words: str) -> None:
-    file = tmp_path / "other.toml"
-    file.write_text(text)
+    file = written(tmp_path, text)
     refused(lambda: load_scenario(file), file, words)
 
 
