@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pydantic
 import pytest
 from refusals import changed, refused, written
 
@@ -49,6 +50,8 @@ def test_every_value_of_a_file_arrives(tmp_path: Path) -> None:
         key: value for key, value in said.items() if key != "absorption"
     }
     assert [peak.model_dump() for peak in goo.absorption] == said["absorption"]
+    with pytest.raises(pydantic.ValidationError, match="frozen"):
+        goo.density_kg_l = 2.0  # type: ignore[misc]
 
 
 @pytest.mark.parametrize(

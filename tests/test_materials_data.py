@@ -149,7 +149,6 @@ def cited_key(material: Material, field: str) -> str | None:
     return match.group(1) if match else None
 
 
-NITROGEN, OXYGEN, ARGON = "7727-37-9", "7782-44-7", "7440-37-1"
 CITED = [
     (key, field, cited)
     for key, material in ALL.items()

@@ -411,13 +411,10 @@ def features(scenario: Scenario) -> set[str]:
         "several of a bench": any(bench.count > 1 for bench in benches),
         "wear": any(bench.wear is not None for bench in benches),
         "reports": any(bench.report is not None for bench in benches),
-        "drift": any(spec.drift is not None for spec in instruments),
-        "several orders": scenario.orders > 1,
-        "orders that come": bool(scenario.demand.order),
-        "grades": bool(scenario.grades),
-        "specifications": bool(scenario.specifications),
-        "several goals": len(scenario.lab_goals) > 1,
-    }
+        "drift": any(spec.drift is not None for spec in instruments), "several orders": scenario.orders > 1,
+        "orders that come": bool(scenario.demand.order), "grades": bool(scenario.grades),
+        "specifications": bool(scenario.specifications), "several goals": len(scenario.lab_goals) > 1,
+    }  # fmt: skip
     return {
         *(name for name, has_it in there.items() if has_it),
         *(f"{bench.kind}, {scenario.physics}" for bench in benches),
