@@ -184,31 +184,17 @@ def litres(scenario: Scenario, contents: Mapping[str, float]) -> float:
 
 def four_solvents() -> Scenario:
     """A scenario with four solvents, two salts with a common cation, metal and several liquid solutes."""
-    return load_scenario(
-        {
-            "name": "four_solvents",
-            "title": "Four solvents",
-            "summary": "For tests of layers and partition.",
-            "reactions": "wurtz",
-            "goals": ["dodecane", "NaCl"],
-            "lab_goals": ["dodecane"],
-            "theoretical_maximum_mol": {"dodecane": 1.0},
-            "stock": {
-                "water": 10.0,
-                "diethyl_ether": 10.0,
-                "hexane": 10.0,
-                "ethyl_acetate": 10.0,
-                "1-chlorohexane": 1.0,
-                "2-chlorohexane": 1.0,
-                "3-chlorohexane": 1.0,
-                "dodecane": 1.0,
-                "Na": 1.0,
-            },
-            "shelf": {"slots": 4, "vessel": [{"capacity_l": 1.0}]},
-            "benches": {"ext": {"kind": "extraction", "step_limit": 10}},
-            "limits": {"manager_actions": 10, "ticks": 10},
-        }
-    )
+    return load_scenario({
+        "name": "four_solvents", "title": "Four solvents", "summary": "For tests of layers and partition.",
+        "reactions": "wurtz", "goals": ["dodecane", "NaCl"], "lab_goals": ["dodecane"],
+        "theoretical_maximum_mol": {"dodecane": 1.0},
+        "stock": {
+            "water": 10.0, "diethyl_ether": 10.0, "hexane": 10.0, "ethyl_acetate": 10.0, "1-chlorohexane": 1.0,
+            "2-chlorohexane": 1.0, "3-chlorohexane": 1.0, "dodecane": 1.0, "Na": 1.0,
+        },
+        "shelf": {"slots": 4, "vessel": [{"capacity_l": 1.0}]},
+        "benches": {"ext": {"kind": "extraction", "step_limit": 10}}, "limits": {"manager_actions": 10, "ticks": 10},
+    })  # fmt: skip
 
 
 def molar_volume(scenario: Scenario, name: str) -> float:
@@ -409,6 +395,19 @@ class Careless:
             return self._rng.random((len(observation), *self._space.shape))  # type: ignore[misc]
         chances = self._chances if mask.shape[1] == len(self._chances) else np.ones(mask.shape[1])
         return self._rng.choice(mask.shape[1], size=len(mask), p=chances / chances.sum())
+
+
+def play_experiments(batch: Any, policy: Any) -> FloatArray:
+    """[N] scores of the experiments that run in a batch, played to their ends; vessels stay as they were left."""
+    scores, live = np.full(len(batch.members), np.nan), batch.members
+    while len(live):
+        mask = batch.mask()[live] if batch.bench.action_count else None
+        batch.act(policy.act(batch.observe()[live], mask, batch.experiments.steps[live], live), live)
+        over = batch.experiments.ended[live]
+        if over.any():
+            scores[live[over]] = batch.finish(live[over])
+        live = live[~over]
+    return scores
 
 
 def record_episode(

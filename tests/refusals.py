@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +14,12 @@ def changed(text: str, old: str, new: str) -> str:
     """A text with one piece replaced, which must be there exactly once."""
     assert text.count(old) == 1, old
     return text.replace(old, new)
+
+
+def written(folder: Path, text: str) -> Path:
+    """A text as a file."""
+    (folder / "a.toml").write_text(text)
+    return folder / "a.toml"
 
 
 def refused(load: Callable[[], object], *parts: object) -> None:

@@ -40,7 +40,7 @@ def test_episodes_leave_nothing_in_memory(name: str) -> None:
     play = Play(load_scenario(name), 32)
     held = []
     tracemalloc.start()
-    for count in (10_000, 20_000):
+    for count in (6_000, 12_000):
         turns(play, count, 0.0)
         gc.collect()
         held.append(tracemalloc.get_traced_memory()[0])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pydantic
 import pytest
-from refusals import changed, refused
+from refusals import changed, refused, written
 
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import atoms_of, load_materials, shipped_materials
@@ -42,21 +42,14 @@ polarity = "made up too"
 
 
 def test_every_value_of_a_file_arrives(tmp_path: Path) -> None:
-    file = tmp_path / "goo.toml"
-    file.write_text(GOO)
+    file = written(tmp_path, GOO)
     goo = load_materials([file])["goo"]
-    written = read_toml(file)["goo"]
+    said = read_toml(file)["goo"]
     read = goo.model_dump()
-    assert {key: read[key] for key in written if key != "absorption"} == {
-        key: value for key, value in written.items() if key != "absorption"
+    assert {key: read[key] for key in said if key != "absorption"} == {
+        key: value for key, value in said.items() if key != "absorption"
     }
-    assert [peak.model_dump() for peak in goo.absorption] == written["absorption"]
-
-
-def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
-    file = tmp_path / "goo.toml"
-    file.write_text(GOO)
-    goo = load_materials([file])["goo"]
+    assert [peak.model_dump() for peak in goo.absorption] == said["absorption"]
     with pytest.raises(pydantic.ValidationError, match="frozen"):
         goo.density_kg_l = 2.0  # type: ignore[misc]
 
@@ -70,19 +63,13 @@ def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
         ("density_kg_l = 0.9\n", "", ["density_kg_l", "required"]),
         ("density_kg_l = 0.9", 'density_kg_l = "light"', ["density_kg_l", "number", "'light'"]),
         ("density_kg_l = 0.9", "density_kg_l = nan", ["density_kg_l", "nan"]),
-        (
-            "heat_capacity_j_mol_k = 200.0",
-            "heat_capacity_j_mol_k = 0.0",
-            ["heat_capacity_j_mol_k", "greater than or equal to 1"],
-        ),
+        ("heat_capacity_j_mol_k = 200.0", "heat_capacity_j_mol_k = 0.0",
+         ["heat_capacity_j_mol_k", "greater than or equal to 1"]),
         ("composition = { X = 2 }", "composition = { X = -2 }", ["composition.X", "or equal to 0.001", "-2"]),
         ("composition = { X = 2 }", "composition = {}", ["composition", "at least 1 item"]),
         ("composition = { X = 2 }", "composition = { X = nan }", ["composition"]),
-        (
-            "boiling_point_k = 400.0",
-            "boiling_point_k = 249.0",
-            ["boiling_point_k", "249.0", "melting_point_k", "250.0"],
-        ),
+        ("boiling_point_k = 400.0", "boiling_point_k = 249.0",
+         ["boiling_point_k", "249.0", "melting_point_k", "250.0"]),
         ("boiling_point_k = 400.0", "boiling_point_k = 250.0", ["boiling_point_k = 250.0", "above"]),
         ('polarity = "made up too"\n', "", ["source", "cite", "polarity"]),
         ('polarity = "made up too"\n', 'polarity = ""\n', ["source", "cite", "polarity"]),
@@ -96,32 +83,25 @@ def test_a_material_cannot_be_changed(tmp_path: Path) -> None:
         ("width_nm = 10.0 }", "width_nm = 0.0 }", ["absorption.0.width_nm", "or equal to 0.1", "0.0"]),
         ("charge = 0", "charge = 11", ["charge", "less than or equal to 10", "11"]),
         ("charge = 0", "charge = 1" + "0" * 400, ["charge", "an integer", "1329 bits"]),
-        (
-            "composition = { X = 2 }",
-            "composition = { X = 1e9 }",
-            ["composition.X", "or equal to 10000", "1000000000.0"],
-        ),
-        (
-            "composition = { X = 2 }",
-            "composition = { " + ", ".join(f"X{i} = 1" for i in range(51)) + " }",
-            ["composition", "at most 50 items"],
-        ),
+        ("composition = { X = 2 }", "composition = { X = 1e9 }",
+         ["composition.X", "or equal to 10000", "1000000000.0"]),
+        ("composition = { X = 2 }", "composition = { " + ", ".join(f"X{i} = 1" for i in range(51)) + " }",
+         ["composition", "at most 50 items"]),
         ('formula = "X2"', f'formula = "{"X" * 201}"', ["formula", "at most 200 characters", "(203 characters)"]),
         ('formula = "X2"', r'formula = "X\u0007"', ["formula", "without control characters"]),
         ("shade = 0.5", "shade = 0.5\n" + '"bad\\nkey" = 1', ["a key must be 1 to 100 printable characters"]),
         ('melting_point_k = "made up"\n', "", ["source", "cite", "melting_point_k"]),
         ("width_nm = 10.0 }", "width_nm = 10.0, phase = 1 }", ["absorption.0.phase", "unknown key"]),
     ],
-)
+)  # fmt: skip
 def test_a_wrong_entry_is_named_with_file_key_and_bound(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
-    file = tmp_path / "goo.toml"
-    file.write_text(changed(GOO, old, new))
+    file = written(tmp_path, changed(GOO, old, new))
     refused(lambda: load_materials([file]), f"{file}: goo", *parts)
 
 
 def test_every_wrong_key_has_a_line(tmp_path: Path) -> None:
-    file = tmp_path / "goo.toml"
-    file.write_text(changed(GOO, "shade = 0.5", "shade = 7.0").replace("polarity = 0.2", "polarity = -3.0"))
+    text = changed(GOO, "shade = 0.5", "shade = 7.0").replace("polarity = 0.2", "polarity = -3.0")
+    file = written(tmp_path, text)
     with pytest.raises(DataError) as caught:
         load_materials([file])
     lines = str(caught.value).splitlines()
@@ -131,18 +111,13 @@ def test_every_wrong_key_has_a_line(tmp_path: Path) -> None:
 
 def test_a_gas_may_have_its_boiling_point_below_its_melting_point(tmp_path: Path) -> None:
     # Carbon dioxide and acetylene sublime: the rule is for liquids and solids.
-    file = tmp_path / "goo.toml"
-    file.write_text(
-        changed(GOO, 'role = "solute"', 'role = "gas"').replace("boiling_point_k = 400.0", "boiling_point_k = 200.0")
-    )
-    assert load_materials([file])["goo"].boiling_point_k == 200.0
+    text = changed(GOO, 'role = "solute"', 'role = "gas"').replace("boiling_point_k = 400.0", "boiling_point_k = 200.0")
+    assert load_materials([written(tmp_path, text)])["goo"].boiling_point_k == 200.0
 
 
 def test_a_material_may_do_without_a_melting_point(tmp_path: Path) -> None:
-    file = tmp_path / "goo.toml"
     text = changed(GOO, "melting_point_k = 250.0\n", "").replace('melting_point_k = "made up"\n', "")
-    file.write_text(text)
-    assert load_materials([file])["goo"].melting_point_k is None
+    assert load_materials([written(tmp_path, text)])["goo"].melting_point_k is None
 
 
 def test_a_folder_of_a_great_many_files(tmp_path: Path) -> None:
@@ -153,10 +128,9 @@ def test_a_folder_of_a_great_many_files(tmp_path: Path) -> None:
 
 
 def test_of_very_many_mistakes_some_are_shown(tmp_path: Path) -> None:
-    file = tmp_path / "goo.toml"
-    file.write_text(changed(GOO, "shade = 0.5\n", "shade = 0.5\n" + "".join(f"x{i} = 1\n" for i in range(1000))))
+    text = changed(GOO, "shade = 0.5\n", "shade = 0.5\n" + "".join(f"x{i} = 1\n" for i in range(1000)))
     with pytest.raises(DataError, match="and 980 more") as caught:
-        load_materials([file])
+        load_materials([written(tmp_path, text)])
     assert len(str(caught.value).splitlines()) == 21
 
 
@@ -168,8 +142,7 @@ def test_a_material_defined_twice_names_both_files(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("text", ["[goo\nname = 1", "= 3", 'name = "open'])
 def test_malformed_toml_names_the_file_and_the_line(tmp_path: Path, text: str) -> None:
-    file = tmp_path / "bad.toml"
-    file.write_text(text)
+    file = written(tmp_path, text)
     with pytest.raises(DataError, match=r"not valid TOML.*line \d|not valid TOML.*end of document") as caught:
         load_materials([file])
     assert str(file) in str(caught.value)

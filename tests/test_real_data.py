@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from refusals import changed, refused
+from refusals import changed, refused, written
 from test_materials import GOO
 
 from chemlab.config.datafile import DataError, read_toml
@@ -53,26 +53,18 @@ def thermo() -> Any:
 
 # Names of thermo's methods; none is the value's own source.
 REFERENCES: dict[str, tuple[str, float, str]] = {
-    "diethyl_ether": ("WAGNER_POLING", 0.03, ""),
-    "water": ("HEOS_FIT", 0.03, ""),
-    "hexane": ("HEOS_FIT", 0.03, ""),
-    "ethyl_acetate": ("VDI_PPDS", 0.03, ""),
-    "1-chlorohexane": ("ANTOINE_WEBBOOK", 0.03, ""),
-    "dodecane": ("HEOS_FIT", 0.03, ""),
-    "ethanol": ("HEOS_FIT", 0.03, ""),
-    "toluene": ("HEOS_FIT", 0.03, ""),
-    "1-hexene": ("LANDOLT", 0.03, ""),
-    "trans-2-hexene": ("AMBROSE_WALTON", 0.03, ""),
-    "acetic_acid": ("WAGNER_POLING", 0.03, ""),
-    "acetic_anhydride": ("VDI_PPDS", 0.03, ""),
+    "diethyl_ether": ("WAGNER_POLING", 0.03, ""), "water": ("HEOS_FIT", 0.03, ""), "hexane": ("HEOS_FIT", 0.03, ""),
+    "ethyl_acetate": ("VDI_PPDS", 0.03, ""), "1-chlorohexane": ("ANTOINE_WEBBOOK", 0.03, ""),
+    "dodecane": ("HEOS_FIT", 0.03, ""), "ethanol": ("HEOS_FIT", 0.03, ""), "toluene": ("HEOS_FIT", 0.03, ""),
+    "1-hexene": ("LANDOLT", 0.03, ""), "trans-2-hexene": ("AMBROSE_WALTON", 0.03, ""),
+    "acetic_acid": ("WAGNER_POLING", 0.03, ""), "acetic_anhydride": ("VDI_PPDS", 0.03, ""),
     "naphthalene": ("VDI_PPDS", 0.03, ""),
     "salicylic_acid": ("LANDOLT", 0.06, "a solid; the compilations disagree on its melt"),
     "acetanilide": ("ANTOINE_WEBBOOK", 0.03, ""),
     "benzoic_acid": ("ANTOINE_WEBBOOK", 0.04, "a solid; the compilations disagree on its boiling point by 1.4 K"),
     "2-chlorohexane": ("AMBROSE_WALTON", 0.06, "estimates both"),
-    "3-chlorohexane": ("AMBROSE_WALTON", 0.06, "estimates both"),
-    "pyrrolidine": ("LANDOLT", 0.03, ""),
-}
+    "3-chlorohexane": ("AMBROSE_WALTON", 0.06, "estimates both"), "pyrrolidine": ("LANDOLT", 0.03, ""),
+}  # fmt: skip
 ESTIMATED = {"4-ethyldecane", "5,6-dimethyldecane", "4-ethyl-5-methylnonane", "4,5-diethyloctane"}
 ESTIMATED |= {"2,4-difluoronitrobenzene", "ortho_pyrrolidinyl", "para_pyrrolidinyl", "bis_pyrrolidinyl"}
 ONE_SOURCE = {"5-methylundecane"}
@@ -188,15 +180,10 @@ def test_heats_of_reaction(change: dict[str, float], expected: float, tolerance:
 
 
 PARENTS = {
-    "Cl-": ("NaCl", "Na+"),
-    "acetate": ("sodium_acetate", "Na+"),
-    "benzoate": ("sodium_benzoate", "Na+"),
-    "ethoxide": ("sodium_ethoxide", "Na+"),
-    "HCO3-": ("sodium_bicarbonate", "Na+"),
-    "salicylate": ("salicylic_acid", "H+"),
-    "acetylsalicylate": ("acetylsalicylic_acid", "H+"),
-    "OH-": ("water", "H+"),
-}
+    "Cl-": ("NaCl", "Na+"), "acetate": ("sodium_acetate", "Na+"), "benzoate": ("sodium_benzoate", "Na+"),
+    "ethoxide": ("sodium_ethoxide", "Na+"), "HCO3-": ("sodium_bicarbonate", "Na+"),
+    "salicylate": ("salicylic_acid", "H+"), "acetylsalicylate": ("acetylsalicylic_acid", "H+"), "OH-": ("water", "H+"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("ion", list(PARENTS))
@@ -207,17 +194,6 @@ def test_making_ions_keeps_volume_heat_capacity_and_mass(ion: str) -> None:
     volume = whole.molar_mass_g_mol / whole.density_kg_l
     assert sum(m.molar_mass_g_mol / m.density_kg_l for m in parts) == pytest.approx(volume, rel=1e-6)
     assert sum(m.heat_capacity_j_mol_k for m in parts) == pytest.approx(whole.heat_capacity_j_mol_k, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("reaction", "rate", "activation"), [(0, 0.579, 33.3), (1, 0.027, 35.3), (2, 0.00865, 38.9), (3, 0.0163, 44.8)]
-)
-def test_the_substitution_has_its_published_rates_at_90_degrees(reaction: int, rate: float, activation: float) -> None:
-    """L/mol/s and kJ/mol of Hone et al. (2017), as the Summit benchmark has them."""
-    step = load_reactions("snar", MATERIALS).reaction[reaction]
-    energy = step.activation_energy_j_mol
-    assert energy == pytest.approx(1000.0 * activation)
-    assert step.pre_exponential * math.exp(-energy / (GAS_CONSTANT * 363.15)) == pytest.approx(rate, rel=1e-4)
 
 
 # Form ---------------------------------------------------------------------------------------------------------------
@@ -265,8 +241,7 @@ fusion_enthalpy_j_mol = "made up"
     ],
 )
 def test_wrong_properties_are_named(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
-    file = tmp_path / "goo.toml"
-    file.write_text(GOO + REAL)
+    file = written(tmp_path, GOO + REAL)
     assert real(load_materials([file])["goo"]).critical_temperature_k == 600.0
     file.write_text(GOO + changed(REAL, old, new))
     refused(lambda: load_materials([file]), f"{file}: goo", *parts)
@@ -276,9 +251,8 @@ def test_wrong_properties_are_named(tmp_path: Path, old: str, new: str, parts: l
 
 
 def test_the_paper_refuses_a_material_without_polarity(tmp_path: Path) -> None:
-    file = tmp_path / "goo.toml"
     text = GOO.replace("polarity = 0.2\n", "").replace('polarity = "made up too"\n', "")
-    file.write_text(text)
+    file = written(tmp_path, text)
     assert load_materials([file])["goo"].polarity is None
     values = load_scenario("wurtz_dodecane").model_dump(mode="json", exclude_none=True)
     values |= {"material_files": [str(file)], "stock": {**values["stock"], "goo": 1.0}}
@@ -340,8 +314,7 @@ water = [[280.0, 6.0], [300.0, 7.0]]
 
 
 def test_solubilities_are_straight_lines_between_points(tmp_path: Path) -> None:
-    file = tmp_path / "brine.toml"
-    file.write_text(SALT)
+    file = written(tmp_path, SALT)
     (salt,) = load_reactions(str(file), MATERIALS).salt
     assert salt.solubility is not None
     np.testing.assert_allclose(salt.solubility.mol_per_kg("water", np.array([250.0, 285.0, 310.0])), [6.0, 6.25, 7.0])
@@ -358,6 +331,5 @@ def test_solubilities_are_straight_lines_between_points(tmp_path: Path) -> None:
     ],
 )
 def test_wrong_solubilities_are_named(tmp_path: Path, old: str, new: str, part: str) -> None:
-    file = tmp_path / "brine.toml"
-    file.write_text(changed(SALT, old, new))
+    file = written(tmp_path, changed(SALT, old, new))
     refused(lambda: load_reactions(str(file), MATERIALS), file, part)

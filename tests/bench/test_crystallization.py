@@ -5,16 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from helpers import mapping
+from helpers import mapping, play_experiments
 
 import chemlab  # noqa: F401 - registers the single benches
 from chemlab.agents.policies import is_scripted, scripted_bench
 from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.envs.players import Policy
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
@@ -29,19 +27,6 @@ def begun(members: int = 1, scenario: Any = SCENARIO) -> ExperimentBatch:
         batch.seed(m, m)
     batch.reset(batch.members)
     return batch
-
-
-def play(batch: ExperimentBatch, policy: Policy) -> npt.NDArray[np.float64]:
-    """[N] scores of experiments that are played to their end; vessels stay as they were left."""
-    live, scores = batch.members, np.zeros(len(batch.members))
-    while len(live):
-        observations, masks = batch.observe(), batch.mask()
-        batch.act(policy.act(observations[live], masks[live], batch.experiments.steps[live], live), live)
-        ended = live[batch.experiments.ended[live]]
-        if len(ended):
-            scores[ended] = batch.finish(ended)
-        live = live[~batch.experiments.ended[live]]
-    return scores
 
 
 def action(batch: ExperimentBatch, words: str) -> int:
@@ -161,7 +146,7 @@ def scripted(careful: bool = True) -> tuple[float, float, float]:
     """(score, yield, purity) of the script; what it leaves in CV."""
     batch = begun()
     assert is_scripted(batch.bench)
-    score = float(play(batch, scripted_bench(batch.bench, careful))[0])
+    score = float(play_experiments(batch, scripted_bench(batch.bench, careful))[0])
     amounts = batch.shelf.amounts[0, 0]
     mol = float(amounts[batch.shelf.layout.index(GOAL)])
     return score, mol / CRUDE_MOL, mol / float(amounts.sum())
@@ -173,7 +158,7 @@ def test_the_script_gets_most_of_it_pure() -> None:
     assert purity > 0.999
     # As much as there is, pure, would be 0.155; doing nothing is 0.
     assert 0.12 < score < CRUDE_MOL - CRUDE_MOL**2 / 0.62
-    assert play(begun(16), RandomPolicy(35, 0)).max() < score
+    assert play_experiments(begun(16), RandomPolicy(35, 0)).max() < score
 
 
 def test_without_filtering_hot_the_sand_stays() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import PIXELS, Glassware
+from helpers import PIXELS, Glassware, play_experiments
 from scipy.integrate import solve_ivp
 
 from chemlab.agents.policies import scripted_bench
@@ -16,7 +16,6 @@ from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import strangers_code
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import build_chemistry
 
@@ -179,15 +178,6 @@ class IdealSeparation:
         return np.asarray(np.clip(overlap, 0.0, None))
 
 
-def play(batch: ExperimentBatch, policy: Policy) -> float:
-    """Score of one experiment."""
-    for step in range(batch.bench.spec.step_limit):
-        batch.act(policy.act(batch.observe(), batch.mask(), np.array([step]), batch.members))
-        if batch.experiments.ended[0]:
-            break
-    return float(batch.finish(batch.members)[0])
-
-
 def test_a_separation_model_runs_the_extraction_and_changes_its_result() -> None:
     """With ideal separation one wash takes all dissolved salt and no product: more than the paper's partition gives."""
     scores, batches = [], []
@@ -195,7 +185,7 @@ def test_a_separation_model_runs_the_extraction_and_changes_its_result() -> None
         batch = ExperimentBatch(spec, "ext")
         batch.seed(0, 1)
         batch.reset(batch.members, batch.scenario.goals.index("5-methylundecane"))
-        scores.append(play(batch, scripted_bench(batch.bench)))
+        scores.append(float(play_experiments(batch, scripted_bench(batch.bench))[0]))
         batches.append(batch)
     model = batches[1].bench.model
     assert model.partitions > 10

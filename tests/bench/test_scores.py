@@ -6,21 +6,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from helpers import mapping
+from helpers import mapping, play_experiments
 
 from chemlab.agents.policies import scripted_bench
 from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.loading import load_scenario
-from chemlab.envs.players import Policy
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.backends import most_steps
 from chemlab.roles.operation_bench import OperationBench
-
-FloatArray = npt.NDArray[np.float64]
-
 
 # -- scores of given contents -------------------------------------------------------------------------------------
 
@@ -134,21 +129,6 @@ def test_fictitious_penalty(goal: str, score: float) -> None:
 # -- what policies earn -------------------------------------------------------------------------------------------
 
 
-def play(batch: ExperimentBatch, policy: Policy) -> FloatArray:
-    """[N] scores of the experiments that are running."""
-    scores, running = np.full(len(batch.members), np.nan), batch.members.copy()
-    for step in range(batch.bench.spec.step_limit):
-        mask = batch.mask()[running] if batch.bench.action_count else None
-        steps = np.full(len(running), step)
-        batch.act(policy.act(batch.observe()[running], mask, steps, running), running)
-        ended = batch.experiments.ended[running]
-        if ended.any():
-            scores[running[ended]] = batch.finish(running[ended])
-            running = running[~ended]
-    assert not len(running)
-    return scores
-
-
 def means(bench: str, scenario: str, episodes: int, policy: str) -> dict[str, float]:
     """Mean score for each goal on the paper's starting states."""
     found = {}
@@ -157,7 +137,9 @@ def means(bench: str, scenario: str, episodes: int, policy: str) -> dict[str, fl
         shape = batch.bench.action_space.shape
         size = shape[0] if shape else 0
         found[goal] = float(
-            play(batch, scripted_bench(batch.bench) if policy == "scripted" else RandomPolicy(size, i)).mean()
+            play_experiments(
+                batch, scripted_bench(batch.bench) if policy == "scripted" else RandomPolicy(size, i)
+            ).mean()
         )
     return found
 
@@ -252,7 +234,7 @@ def test_distillation_heuristic_is_near_the_best_fixed_sequence(scenario: str, g
     for member in batch.members:
         batch.seed(int(member), int(member))
     begin(batch, goal, contents)
-    mean = play(batch, scripted_bench(batch.bench)).mean()
+    mean = play_experiments(batch, scripted_bench(batch.bench)).mean()
     best = best_fixed_sequence(scenario, goal, contents)
     assert best > 0.6  # the search is no straw man: the most there is to gain is 0.8 or a little more
     assert mean >= 0.95 * best

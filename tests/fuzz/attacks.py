@@ -77,12 +77,9 @@ def honest(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
 
 
 KINDS: dict[str, Callable[[int, int], tuple[Outcomes, list[str]]]] = {
-    "files": _campaign(fuzz_files.fuzz),
-    "agents": _campaign(fuzz_agents.fuzz),
-    "records": _campaign(fuzz_records.fuzz),
-    "forgeries": forged,
-    "honest": honest,
-}
+    "files": _campaign(fuzz_files.fuzz), "agents": _campaign(fuzz_agents.fuzz), "records": _campaign(fuzz_records.fuzz),
+    "forgeries": forged, "honest": honest,
+}  # fmt: skip
 
 
 def kept() -> list[dict[str, Any]]:

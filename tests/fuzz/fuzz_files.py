@@ -464,8 +464,8 @@ def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tup
     """A :func:`campaign` of scenarios and what they are made of; ``turns`` are played where they load."""
     bases = seeds()
     with tempfile.TemporaryDirectory() as folder:
-        for name in scenario_names() if turns else ():
-            # Compiles kernels, which must not count as a hang: a scripted episode needs all of them.
+        for name in ("wurtz_two_lines", "failing", "wurtz_real", "recrystallization", "runaway") if turns else ():
+            # Compiles kernels, which must not count as a hang: these scripted episodes need all of them.
             env, path = raw_env(name), Path(folder) / f"{name}.jsonl"
             record_episode(path, env, make_policies("scripted", env.laboratories, 0), 0)
             assert verify_record(path).status == "ok"

@@ -23,11 +23,11 @@ def test_mutated_records_are_refused_in_words() -> None:
 
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "relay", "rush"])
 def test_forged_records_are_not_believed(scenario: str, tmp_path: Path) -> None:
-    found = forge(2, tmp_path, scenario)
+    found = forge(1, tmp_path, scenario)
     assert found["paid_more"].keys() == {"tampered"}
-    assert found["paid_more"]["tampered"] >= 4
+    assert found["paid_more"]["tampered"] >= 2
     assert found["cut_short"].keys() == {"tampered"}
-    assert found["impossible_numbers"] == {"tampered": 2 * 2 * len(NUMBERS)}
+    assert found["impossible_numbers"] == {"tampered": 2 * len(NUMBERS)}
     assert found["other_spellings"].keys() <= {"tampered", "unchecked"}
-    assert found["easier_scenario"] == {"foreign": 4}
-    assert found["invented_world"] == ({} if scenario == "wurtz_dodecane" else {"tampered": 4})
+    assert found["easier_scenario"] == {"foreign": 2}
+    assert found["invented_world"] == ({} if scenario == "wurtz_dodecane" else {"tampered": 2})

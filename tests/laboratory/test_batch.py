@@ -1,4 +1,5 @@
-"""Batched laboratories: every member is the single laboratory, whatever the batch; what is refused; what is ignored."""
+"""Batched laboratories and the parallel environment: they are the single laboratory, whatever the batch, round by round
+(an action of the manager, or a tick); what is refused; what is ignored."""
 
 from __future__ import annotations
 
@@ -8,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED, assert_plays_rounds, refused, state_of
+from helpers import FEATURED, assert_plays_rounds, digest, lasting, refused, state_of
 
 from chemlab.envs.batch import BatchedLaboratory
+from chemlab.laboratory import parallel_env
 
 
 class Batched:
@@ -70,7 +72,7 @@ class Batched:
 def test_members_are_single_laboratories(name: str, members: int) -> None:
     """Member i with seed s + i is a laboratory with that seed, through several episodes, in everything."""
     ways: tuple[dict[str, Any], ...] = ({"idle_observations": True}, {"infos": False}, {"autoreset": False})
-    assert all(assert_plays_rounds(Batched(name, members, **way), name, members, 300 // members) > 0 for way in ways)
+    assert all(assert_plays_rounds(Batched(name, members, **way), name, members, 210 // members) > 0 for way in ways)
 
 
 @pytest.mark.parametrize("name", FEATURED)
@@ -122,28 +124,21 @@ def mixed() -> tuple[BatchedLaboratory, dict[str, npt.NDArray[Any]]]:
     return batch, {"manager_0": np.array([balance, 0, 0]), "rxn_0": np.full((3, 6), 0.5), "ext_0": np.array([0, 3, 3])}
 
 
-def after(batch: BatchedLaboratory, actions: dict[str, Any]) -> list[npt.NDArray[Any]]:
-    """The state after a step."""
+def after(batch: BatchedLaboratory, actions: dict[str, Any]) -> str:
+    """Digest of the state after a step."""
     batch.step(actions)
-    return batch.laboratories.snapshot()
+    return digest(batch.laboratories.snapshot())
 
 
 WRONG: list[tuple[str, Any]] = [
-    ("manager_0", np.array([-1, 0, 0])),
-    ("manager_0", np.array([0.0, 0.0, 0.0])),
-    ("manager_0", np.zeros(2, dtype=np.int64)),
-    ("manager_0", None),
-    ("manager_0", "wait"),
-    ("manager_0", np.array([2**64 - 1, 0, 0], dtype=np.uint64)),
-    ("ext_0", np.array([0, 3, 41])),
-    ("ext_0", np.array([[0], [3], [3]])),
-    ("ext_0", [[0], [3, 4], [3]]),
+    ("manager_0", np.array([-1, 0, 0])), ("manager_0", np.array([0.0, 0.0, 0.0])),
+    ("manager_0", np.zeros(2, dtype=np.int64)), ("manager_0", None), ("manager_0", "wait"),
+    ("manager_0", np.array([2**64 - 1, 0, 0], dtype=np.uint64)), ("ext_0", np.array([0, 3, 41])),
+    ("ext_0", np.array([[0], [3], [3]])), ("ext_0", [[0], [3, 4], [3]]),
     ("rxn_0", np.where(np.arange(18).reshape(3, 6) == 9, np.nan, 0.5)),
-    ("rxn_0", np.where(np.arange(18).reshape(3, 6) == 17, 1.0001, 0.5)),
-    ("rxn_0", np.full((3, 5), 0.5)),
-    ("rxn_0", np.full((3, 6), 0.5, dtype=object)),
-    ("rxn_0", [[0.5] * 6, [0.5] * 6, [0.5] * 5]),
-]
+    ("rxn_0", np.where(np.arange(18).reshape(3, 6) == 17, 1.0001, 0.5)), ("rxn_0", np.full((3, 5), 0.5)),
+    ("rxn_0", np.full((3, 6), 0.5, dtype=object)), ("rxn_0", [[0.5] * 6, [0.5] * 6, [0.5] * 5]),
+]  # fmt: skip
 
 
 def test_one_bad_action_spoils_the_step() -> None:
@@ -154,8 +149,7 @@ def test_one_bad_action_spoils_the_step() -> None:
         others = {name: array for name, array in actions.items() if name != agent}
         refused(f"without {agent}", f"^{agent}: has the turn", batch.step, others)
         assert state_of(batch) == before, (agent, rows)
-    for one, other in zip(after(batch, actions), after(*mixed()), strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert after(batch, actions) == after(*mixed())
 
 
 def test_what_is_played_without_the_turn_is_ignored() -> None:
@@ -171,8 +165,7 @@ def test_what_is_played_without_the_turn_is_ignored() -> None:
     for wrong in noise:
         batch, actions = mixed()
         kept = {"manager_0": np.array([actions["manager_0"][0], *wrong.get("manager_0", [0, 0, 0])[1:]])}
-        for one, other in zip(after(batch, {**actions, **wrong, **kept}), expected, strict=True):
-            np.testing.assert_array_equal(one, other)
+        assert after(batch, {**actions, **wrong, **kept}) == expected, wrong
 
 
 def test_any_layout_width_and_byte_order_will_do() -> None:
@@ -180,26 +173,79 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
     expected = after(*mixed())
     plan = np.full((3, 6, 5), 0.5)
     written: list[Any] = [
-        plan[:, :, 2],
-        np.full((6, 3), 0.5).T,
-        np.broadcast_to(np.float64(0.5), (3, 6)),
-        np.full((3, 6), 0.5, dtype=np.float16),
-        np.full((3, 6), 0.5, dtype=">f4"),
-        np.full((3, 6), 0.5, dtype=np.longdouble),
-        [[0.5] * 6] * 3,
-    ]
+        plan[:, :, 2], np.full((6, 3), 0.5).T, np.broadcast_to(np.float64(0.5), (3, 6)),
+        np.full((3, 6), 0.5, dtype=np.float16), np.full((3, 6), 0.5, dtype=">f4"),
+        np.full((3, 6), 0.5, dtype=np.longdouble), [[0.5] * 6] * 3,
+    ]  # fmt: skip
     for rows in written:
         batch, actions = mixed()
-        for one, other in zip(after(batch, {**actions, "rxn_0": rows}), expected, strict=True):
-            np.testing.assert_array_equal(one, other)
+        assert after(batch, {**actions, "rxn_0": rows}) == expected
     numbers = mixed()[1]["ext_0"]
-    for whole in (
-        np.repeat(numbers, 2)[::2],
-        numbers[::-1].copy()[::-1],
-        numbers.astype(">i4"),
-        numbers.astype(np.uint8),
-        numbers.tolist(),
-    ):
+    strided = np.repeat(numbers, 2)[::2], numbers[::-1].copy()[::-1]
+    for whole in (*strided, numbers.astype(">i4"), numbers.astype(np.uint8), numbers.tolist()):
         batch, actions = mixed()
-        for one, other in zip(after(batch, {**actions, "ext_0": whole}), expected, strict=True):
-            np.testing.assert_array_equal(one, other)
+        assert after(batch, {**actions, "ext_0": whole}) == expected
+
+
+# -- the parallel environment ---------------------------------------------------------------------------------------
+
+
+class Parallel:
+    """The parallel environment beside AEC's rounds; whoever has no turn says what nobody could take for an action, and
+    what was handed out is written into."""
+
+    autoreset, whole = False, True
+
+    def __init__(self, name: str) -> None:
+        self.env, self.rng = parallel_env(name), np.random.default_rng(0)
+        self.given: list[Any] = []
+
+    def reset(self, seed: int | None = None, which: Any = None) -> list[dict[str, Any]]:
+        return self.shown(self.env.reset(seed=seed))
+
+    def step(self, actions: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        things = [None, -1, 10**9, "wait", float("nan"), np.full(3, np.nan), object(), [], {}]
+        noise = {agent: things[self.rng.integers(9)] for agent in self.env.agents if self.rng.random() < 0.7}
+        for array in self.given:
+            array[:] = 9
+        found = self.env.step({**noise, **actions[0]})
+        assert self.env.agents == ([] if any(found[2].values()) else self.env.possible_agents)
+        return self.shown(found)
+
+    def shown(self, found: Any) -> list[dict[str, Any]]:
+        seen, *rest, infos = found
+        self.given = [*seen.values(), *(info["action_mask"] for info in infos.values() if "action_mask" in info)]
+        own = dict(zip(("rewards", "terminated", "truncated"), rest, strict=False))
+        assert all(ends.keys() == seen.keys() == infos.keys() for ends in rest)
+        own |= {"observations": seen, "infos": infos, "state": self.env.state()}
+        return [{**own, "arrays": lasting(self.env.laboratories)}]
+
+
+@pytest.mark.parametrize("name", ["crude", "failing", "refine"])
+def test_one_script_is_one_episode(name: str) -> None:
+    """Rewards, costs, scores, infos, observations, masks and the whole state, after every round."""
+    assert assert_plays_rounds(Parallel(name), name, 1, 200, submit=0.1) > 0
+
+
+def two_busy() -> tuple[parallel_env, dict[str, Any]]:
+    """A laboratory in which reaction and extraction have the turn, and actions for both."""
+    env = parallel_env()
+    actions = env.laboratories.actions
+    env.reset(seed=0)
+    env.step({"manager_0": actions.encode("start", "rxn_0", 0, "dodecane")})
+    env.step({"manager_0": actions.encode("start", "ext_0", 1, "dodecane")})
+    *_, infos = env.step({"manager_0": actions.encode("wait")})
+    assert [agent for agent in env.agents if infos[agent]["has_turn"]] == ["rxn_0", "ext_0"]
+    return env, {"rxn_0": np.full(6, 0.5), "ext_0": 3}
+
+
+@pytest.mark.parametrize("missing", ["rxn_0", "ext_0"])
+def test_a_missing_action_is_asked_for(missing: str) -> None:
+    env, actions = two_busy()
+    before = digest(env.laboratories.snapshot())
+    del actions[missing]
+    with pytest.raises(ValueError, match=f"{missing}: has the turn"):
+        env.step(actions)
+    with pytest.raises(ValueError, match="rxn_0: has the turn"):
+        env.step({})
+    assert digest(env.laboratories.snapshot()) == before

@@ -1,4 +1,4 @@
-"""Single benches as Gymnasium environments: what every registered id must do, alone and in batches.
+"""Single benches as Gymnasium environments: what every registered id and its documentation say, alone and in batches.
 
 Batches are compared with single environments, copies with originals, and spaces with the laboratory's; rewards are
 recomputed from the bench's own measure of the vessels.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import gc
 import os
+import re
 import subprocess
 import sys
 from typing import Any
@@ -20,9 +21,13 @@ from helpers import assert_is_singles, random_actions, random_legal
 
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
+from chemlab.envs import role_env
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
+from chemlab.roles import reaction_bench, separation_benches
 
+WURTZ = "wurtz_dodecane"
 IDS = sorted(
     (
         name
@@ -32,7 +37,6 @@ IDS = sorted(
     reverse=True,
 )
 """The last first: the quick tests take one, and the first has the slowest bench."""
-DISCRETE = [name for name in IDS if gymnasium.spec(name).kwargs["bench"] != "rxn"]
 KINDS = ["chemlab/FictitiousReaction-v0", "chemlab/WurtzExtraction-v0", "chemlab/WurtzDistillation-v0"]
 """One of each kind of bench, for what the environment does around it."""
 STEPS = 120
@@ -56,8 +60,13 @@ def assert_same_arrays(first: Any, second: Any) -> None:
         np.testing.assert_array_equal(one, other)
 
 
+ROW = re.compile(r"^\| `(chemlab/[\w-]+)` \| (\w+) of `(\w+)` \| Box\((\d+)\) \| (Box|Discrete)\((\d+)\) \|", re.M)
+ROWS = {row[0]: row[1:] for row in ROW.findall(role_env.__doc__ or "")}
+"""The table of the module's documentation."""
+
+
 def test_every_bench_kind_is_registered() -> None:
-    assert len(IDS) >= 5
+    assert set(ROWS) == set(IDS)
     assert {gymnasium.spec(name).kwargs["bench"] for name in IDS} == {"rxn", "ext", "dit", "cry"}
     for name in [*IDS, "chemlab/Bench-v1"]:
         spec = gymnasium.spec(name)
@@ -81,6 +90,21 @@ def test_spaces_are_the_laboratory_s(name: str) -> None:
     assert vector.observation_space == gymnasium.vector.utils.batch_space(env.observation_space, 3)
     assert vector.action_space == gymnasium.vector.utils.batch_space(env.action_space, 3)
     assert env.unwrapped.action_meanings == laboratories.benches[agent - 1].action_meanings  # type: ignore[attr-defined]
+    bench, scenario, observations, kind, actions = ROWS[name]
+    assert (bench, scenario) == (arguments["bench"], arguments["scenario"])
+    assert env.observation_space.shape == (int(observations),)
+    assert repr(env.action_space).startswith(f"{kind}({actions}" if kind == "Discrete" else "Box(0.0, 1.0, (" + actions)
+
+
+def test_bench_modules_tell_the_parts() -> None:
+    """The parts that the benches' own tables name are the declared channels, in order and size."""
+    names = {key: [c.name for c in ExperimentBatch(WURTZ, key).bench.channels] for key in ("rxn", "ext", "dit")}
+    assert names["rxn"] == ["spectrum", "temperature", "volume", "pressure", "reagents", "goal"]
+    assert names["ext"] == ["layers_EV", "layers_B1", "layers_B2", "goal"]
+    assert names["dit"] == ["layers_DV", "layers_B1", "layers_B2", "temperature", "volume", "pressure", "goal"]
+    assert "spectrum 200, temperature, volume, pressure, n reagents left, goal" in (reaction_bench.__doc__ or "")
+    for told in ("41): 8 processes x 5 magnitudes", "35): 11 processes", "31): 3 processes x 10 magnitudes"):
+        assert f"Discrete({told}, end" in (separation_benches.__doc__ or "")
 
 
 def beginnings(env: RoleEnv, seed: int | None) -> bytes:

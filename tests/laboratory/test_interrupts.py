@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -74,20 +74,18 @@ def interrupted(call: Callable[[], Any], line: int) -> bool:
     return False
 
 
-class Played:
-    """An environment that plays a script: by its turns, whatever its interface is.
+class Played(NamedTuple):
+    """An environment that plays a script: by its turns, whatever its interface is."""
 
-    Args:
-        reset: begins the episode of :data:`SEED` and returns what is shown.
-        step: plays the k-th step and returns what comes of it.
-        arrays: the state that an interruption may spoil.
-    """
-
-    def __init__(self, reset: Callable[[], Any], step: Callable[[int], Any], arrays: Callable[[], list[Any]]) -> None:
-        self.reset, self.step, self._arrays = reset, step, arrays
+    reset: Callable[[], Any]
+    """begins the episode of :data:`SEED` and returns what is shown"""
+    step: Callable[[int], Any]
+    """plays the k-th step and returns what comes of it"""
+    arrays: Callable[[], list[Any]]
+    """the state that an interruption may spoil"""
 
     def state(self) -> str:
-        return digest([np.array(array) for array in self._arrays()])
+        return digest([np.array(array) for array in self.arrays()])
 
 
 def script(labs: Laboratories, number: int, k: int) -> Any:
@@ -140,20 +138,20 @@ def batched() -> Played:
     return Played(lambda: env.reset(seed=SEED), step, lambda: [*labs.arrays(), env._turns, env._last_turn])
 
 
+def for_one(env: Any, act: Callable[[int], Any]) -> Played:
+    """An environment for one agent, which plays ``act(k)``."""
+    return Played(lambda: env.reset(seed=SEED), lambda k: env.step(act(k)), lambda: env.get_state()[:-2])
+
+
 def focal() -> Played:
     env = role_env(WURTZ)
-    return Played(
-        lambda: env.reset(seed=SEED), lambda k: env.step(script(env.laboratories, 0, k)), lambda: env.get_state()[:-2]
-    )
+    return for_one(env, lambda k: script(env.laboratories, 0, k))
 
 
 def focal_vector() -> Played:
     env = role_vector_env(2, WURTZ, autoreset_mode=AutoresetMode.SAME_STEP)
-    return Played(
-        lambda: env.reset(seed=SEED),
-        lambda k: env.step(np.array([script(env.laboratories, 0, k), env.laboratories.actions.encode("submit", 0)])),
-        lambda: env.get_state()[:-2],
-    )
+    submit = env.laboratories.actions.encode("submit", 0)
+    return for_one(env, lambda k: np.array([script(env.laboratories, 0, k), submit]))
 
 
 def _bench_action(count: int, k: int) -> int:
@@ -161,22 +159,13 @@ def _bench_action(count: int, k: int) -> int:
 
 
 def bench() -> Played:
-    env = RoleEnv(WURTZ, bench="ext")
-
-    def step(k: int) -> Any:
-        return env.step(1 + 2 * k)
-
-    return Played(lambda: env.reset(seed=SEED), step, lambda: env.get_state()[:-2])
+    return for_one(RoleEnv(WURTZ, bench="ext"), lambda k: 1 + 2 * k)
 
 
 def bench_vector() -> Played:
     env = RoleVectorEnv(3, WURTZ, bench="ext", threads=2, autoreset_mode=AutoresetMode.NEXT_STEP)
     count = env.action_count
-    return Played(
-        lambda: env.reset(seed=SEED),
-        lambda k: env.step(np.array([_bench_action(count, k), 3, count - 1])),
-        lambda: env.get_state()[:-2],
-    )
+    return for_one(env, lambda k: np.array([_bench_action(count, k), 3, count - 1]))
 
 
 def sb3() -> Played:
@@ -305,16 +294,12 @@ def test_a_flask_is_as_it_was_or_as_it_will_be() -> None:
         return digest(whole)
 
     operations: dict[str, Callable[[Flask, Flask], Any]] = {
-        "heat": lambda pot, receiver: pot.heat(60e3, receiver),
-        "lose": lambda pot, receiver: pot.heat(60e3),
-        "cool": lambda pot, receiver: pot.cool(5e3),
-        "drain": lambda pot, receiver: pot.drain(receiver, 0.3),
-        "pour": lambda pot, receiver: pot.pour(receiver, 0.5),
-        "add": lambda pot, receiver: pot.add("dodecane", 0.5),
-        "filter": lambda pot, receiver: pot.filter(receiver),
-        "wait": lambda pot, receiver: pot.wait(10.0),
+        "heat": lambda pot, receiver: pot.heat(60e3, receiver), "lose": lambda pot, receiver: pot.heat(60e3),
+        "cool": lambda pot, receiver: pot.cool(5e3), "drain": lambda pot, receiver: pot.drain(receiver, 0.3),
+        "pour": lambda pot, receiver: pot.pour(receiver, 0.5), "add": lambda pot, receiver: pot.add("dodecane", 0.5),
+        "filter": lambda pot, receiver: pot.filter(receiver), "wait": lambda pot, receiver: pot.wait(10.0),
         "mix": lambda pot, receiver: pot.mix(),
-    }
+    }  # fmt: skip
     for name, operation in operations.items():
         pot, receiver = flasks()
         operation(pot, receiver)

@@ -17,7 +17,6 @@ from chemlab.envs.aec import raw_env
 from chemlab.lab.text import named_costs, named_events
 from chemlab.physics.shelf import Shelf
 from chemlab.roles.bench import channel_slices
-from chemlab.roles.instruments import BALANCE_KG
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_state import COST_ITEMS
 
@@ -292,19 +291,6 @@ def test_measuring_ends_with_the_budget() -> None:
     manager(env, "measure", 0, "balance")  # 0.0005
     manager(env, "measure", 0, "balance")
     assert not any(allowed(env, "measure", slot, name) for slot in (0, 1) for name in values["instruments"])
-
-
-def test_noise_of_an_instrument_comes_from_the_seed() -> None:
-    values = mapping(WURTZ)
-    values["instruments"]["balance"]["noise"] = 0.01
-    readings = []
-    for seed in (1, 1, 2):
-        env = laboratory(values, seed)
-        manager(env, "measure", 0, "balance")
-        readings.append(float(seen(env, "slot_0_balance")[0]))
-    assert readings[0] == readings[1] != readings[2]
-    truth = 4.0 * env.scenario.materials["diethyl_ether"].molar_mass_g_mol / 1000.0 / BALANCE_KG
-    assert all(0.0 < abs(reading - truth) < 0.06 for reading in readings)  # six standard deviations
 
 
 # -- stock, waste, costs --------------------------------------------------------------------------------------------

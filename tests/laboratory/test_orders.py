@@ -5,7 +5,6 @@ Contents are put into vessels by hand, so that what a submission is worth has a 
 
 from __future__ import annotations
 
-import copy
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ import chemlab.scenarios
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
-from chemlab.config.datafile import DataError
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import REWARD_MIXES, RewardSpec
@@ -186,36 +184,6 @@ def test_goals_of_orders_are_drawn_apart() -> None:
     assert goals(env) == [choices[3]] * 2
 
 
-# -- scenarios that make no sense -------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "parts"),
-    [
-        ("orders", 0, ["orders", "greater than or equal to 1", "0"]),
-        ("orders", -2, ["orders", "-2"]),
-        ("orders", 17, ["orders", "less than or equal to 16"]),
-        ("orders", 1.5, ["orders", "1.5"]),
-        ("orders", "two", ["orders", "'two'"]),
-        ("orders", [1, 2], ["orders"]),
-        ("order", 2, ["order"]),
-        ("rewards", "selfish", ["rewards", "'selfish'", "individual, cooperative, mixed"]),
-        ("rewards", {"bench": 1.0}, ["rewards", "bench"]),
-        ("rewards", {"bench_local": "all"}, ["rewards", "bench_local", "all"]),
-        ("rewards", {"bench_team": float("nan")}, ["rewards", "bench_team"]),
-        ("rewards", 1.0, ["rewards"]),
-        ("rewards", ["cooperative"], ["rewards"]),
-    ],
-)
-def test_wrong_scenarios_say_what_is_wrong(key: str, value: Any, parts: list[str]) -> None:
-    values = mapping(LINES)
-    values[key] = value
-    with pytest.raises(DataError) as caught:
-        load_scenario(values)
-    for part in parts:
-        assert part in str(caught.value)
-
-
 # -- two lines at once ------------------------------------------------------------------------------------------------
 
 
@@ -318,17 +286,7 @@ def test_unknown_mixes_are_refused(rewards: Any) -> None:
         lambda: role_env(LINES, rewards=rewards),
         lambda: role_vector_env(2, LINES, rewards=rewards),
     ]
+    given = f"{rewards!r}.*individual, cooperative, mixed" if isinstance(rewards, str) else "reward"
     for make in makers:
-        with pytest.raises(ValueError, match=r"reward") as caught:
+        with pytest.raises(ValueError, match=given):
             make()
-        if isinstance(rewards, str):
-            assert repr(rewards) in str(caught.value)
-            assert "individual, cooperative, mixed" in str(caught.value)
-
-
-def test_a_scenario_is_not_changed_by_a_mix() -> None:
-    scenario = load_scenario(LINES)
-    before = copy.deepcopy(scenario.rewards)
-    raw_env(scenario, rewards="cooperative")
-    assert scenario.rewards == before
-    assert load_scenario(LINES).rewards == before

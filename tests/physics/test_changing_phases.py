@@ -178,12 +178,9 @@ def test_a_reaction_file_may_name_materials_of_the_catalogue(tmp_path: Path) -> 
         (lambda flask: flask.pour("cup", 0.5), "receiver: must be a Flask, given 'cup'"),
         (lambda flask: flask.another(capacity_l=0), "capacity_l: .* given 0"),
         (lambda flask: flask.heat(1.0, stages=1.9), "stages: must be a whole number, given 1.9"),
-        (
-            lambda flask: flask.another({"K2CO3": 1.0, "water": 1.0}),
-            ".K2CO3. is a salt that is not in the catalogue",
-        ),
+        (lambda flask: flask.another({"K2CO3": 1.0, "water": 1.0}), ".K2CO3. is a salt that is not in the catalogue"),
     ],
-)
+)  # fmt: skip
 def test_wrong_arguments_are_named(call: Callable[[Flask], object], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         call(Flask({"water": 1.0}))
@@ -245,7 +242,7 @@ def test_salts_that_do_not_converge_keep_the_energy() -> None:
     """Strongly exothermic salts with common ions: the solution for all of them and the temperature is hard to find."""
     rng = np.random.default_rng(1)
     salts = ["NaCl", "NaOH", "KNO3", "KCl", "NaNO3", "KBr", "NaI", "KOH", "sodium_acetate", "NaBr", "KI"]
-    for _ in range(150):
+    for _ in range(80):
         contents = {"water": 10 ** rng.uniform(-1.0, 1.0)}
         contents |= {str(salt): 10 ** rng.uniform(-1.0, 0.6) for salt in rng.choice(salts, 3, replace=False)}
         flask = Flask(contents, capacity_l=5.0)

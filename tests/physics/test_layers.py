@@ -192,18 +192,6 @@ def test_equally_dense_liquids_never_part() -> None:
     np.testing.assert_allclose(ratio, 3.0, rtol=1e-6)
 
 
-def test_settling_sorts_and_mixing_blends() -> None:
-    """The share of water in the lowest tenth of the vessel grows with the clock, from its share of the whole to 1."""
-    seen = []
-    for clock in np.linspace(T_MIX, CLOCK_SETTLED, 13):
-        GLASS.fill(0, {"water": 10.0, "diethyl_ether": 4.0}, 1.0, clock=float(clock))
-        names, shares = GLASS.profile(0)
-        seen.append(shares[names.index("water"), :10].mean())
-    assert seen[0] == pytest.approx(10.0 * molar_volume(GLASS.scenario, "water"), abs=1e-9)
-    assert np.all(np.diff(seen) >= -1e-12)
-    assert seen[-1] == pytest.approx(1.0, abs=1e-12)
-
-
 # -- the camera ---------------------------------------------------------------------------------------------------
 
 

@@ -37,20 +37,6 @@ def where(glass: Glassware, position: int, solute: str, solvents: tuple[str, ...
 # -- closed forms -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("solute", ["Na+", "Cl-", "dodecane", "1-chlorohexane"])
-def test_two_solvents_at_rest_share_by_volume_and_distance(solute: str) -> None:
-    """Settled, n1 / n2 = (V1 / V2) (d2 / d1), d being the difference in polarity: the formula for two solvents."""
-    glass = Glassware("wurtz_dodecane", 1)
-    glass.mixed(0, {"water": 6.0, "diethyl_ether": 3.0, "NaCl": 0.5, "dodecane": 0.2, "1-chlorohexane": 0.1})
-    glass.turn(0, 100.0)
-    materials = glass.scenario.materials
-    gaps = [abs(materials[solute].polarity - materials[name].polarity) for name in ("water", "diethyl_ether")]
-    in_water, in_ether = where(glass, 0, solute, ("water", "diethyl_ether"))
-    expected = glass.volume(0, "water") / glass.volume(0, "diethyl_ether") * gaps[1] / gaps[0]
-    assert in_water / in_ether == pytest.approx(expected, rel=1e-12)
-    assert in_water + in_ether == pytest.approx(glass.amount(0, solute), rel=1e-12)
-
-
 @pytest.mark.parametrize("solute", ["Na+", "dodecane"])
 def test_four_solvents_at_rest_follow_the_formula(solute: str) -> None:
     """Settled and mixed, four solvents hold what S*_L says."""
@@ -177,26 +163,3 @@ def test_adding_to_a_trace_of_a_solute_stays_finite(trace: float) -> None:
     FOUR.partition(0)
     assert np.isfinite(FOUR.rows).all()
     assert sum(where(FOUR, 0, "dodecane", SOLVENTS)) == pytest.approx(1.0, rel=1e-12)
-
-
-def test_three_washes_remove_most_but_not_all_salt() -> None:
-    """The paper's extraction start: ether, salt, product; 0.1 L of water, shaken, settled and drained, three times."""
-    glass = Glassware("wurtz_dodecane", 2)
-    capacity = glass.scenario.benches["ext"].start.capacity_l
-    glass.mixed(0, {"diethyl_ether": 4.0, "NaCl": 1.0, "dodecane": 1.0}, capacity)
-    glass.fill(1, {}, 10.0)
-    for _ in range(3):
-        glass.add(0, "water", 0.1 / molar_volume(glass.scenario, "water"))
-        glass.phases(0)
-        glass.turn(0, -100.0)
-        glass.turn(0, 100.0)
-        names, shares = glass.profile(0)
-        lower = shares[names.index("solids")].sum() + shares[names.index("water")].sum()
-        glass.drain(0, 1, lower)
-        glass.phases(0)
-        glass.partition(0)
-    assert (glass.waste == 0.0).all()
-    left = glass.amount(0, "NaCl") + min(glass.amount(0, "Na+"), glass.amount(0, "Cl-"))
-    assert 0.80 < 1.0 - left < 0.999
-    assert glass.amount(0, "diethyl_ether") == pytest.approx(4.0, abs=0.05)  # the ether stays in its vessel
-    assert glass.amount(0, "dodecane") > 0.9  # and so does most of the product

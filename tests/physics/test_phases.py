@@ -1,17 +1,22 @@
-"""Phases: the closed-form salt equilibrium against SciPy's stiff solvers; metal in water by stoichiometry."""
+"""Phases: the closed-form salt equilibrium against SciPy's stiff solvers; what reacts at once, by stoichiometry."""
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
-from helpers import Glassware, four_solvents
+from helpers import Glassware, four_solvents, mapping
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from chemlab.physics.chemistry import AMOUNTS
+from chemlab.config.datafile import DataError
+from chemlab.config.loading import load_scenario
+from chemlab.physics.backends import settle_phases
+from chemlab.physics.chemistry import AMOUNTS, build_chemistry
 from chemlab.physics.events import METAL_IN_WATER
-from chemlab.physics.shelf import CLOCK_SETTLED
+from chemlab.physics.shelf import CLOCK_SETTLED, Shelf
 
 GLASS = Glassware(four_solvents(), 1)
 SALTS = {"NaCl": ("Na+", "Cl-"), "NaOH": ("Na+", "OH-")}
@@ -104,18 +109,20 @@ def test_new_ions_dissolve_where_they_tend_to_be() -> None:
 
 def test_nothing_happens_to_an_empty_vessel_or_to_oil() -> None:
     """No salt, no ions, no metal: the phase step changes no bit."""
-    for contents in ({}, {"dodecane": 1.0}, {"water": 2.0, "hexane": 1.0}, {"Na": 1.0, "hexane": 3.0}):
-        row = GLASS.fill(0, contents)
+    metal = {"Na": 1.0, "diethyl_ether": 4.0, "1-chlorohexane": 1.0}
+    for contents in ({}, {"dodecane": 1.0}, {"water": 2.0, "hexane": 1.0}, metal):
+        row = GLASS.fill(0, contents, clock=CLOCK_SETTLED)
         before = row.copy()
         GLASS.phases(0)
         assert (row == before).all()
+    assert (GLASS.events == 0.0).all()
 
 
 # -- metal in water -----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
-    ("metal", "water", "reacted"), [(0.4, 5.0, 0.4), (2.0, 0.5, 0.5), (1.0, 1.0, 1.0)], ids=["metal", "water", "both"]
+    ("metal", "water", "reacted"), [(0.4, 5.0, 0.4), (1.0 / 3.0, 7.0, 1.0 / 3.0), (2.0, 0.5, 0.5), (1.0, 1.0, 1.0)]
 )
 def test_metal_in_water_reacts_until_one_is_gone(metal: float, water: float, reacted: float) -> None:
     """2 Na + 2 H2O -> 2 Na+ + 2 OH- + H2: by stoichiometry, the gas in the waste, the metal an event."""
@@ -123,6 +130,7 @@ def test_metal_in_water_reacts_until_one_is_gone(metal: float, water: float, rea
     glass.fill(0, {"Na": metal, "water": water, "diethyl_ether": 1.0, "NaCl": 0.2})
     before = glass.atoms()
     glass.phases(0)
+    assert min(glass.amount(0, "Na"), glass.amount(0, "water")) == 0.0, "no trace stays that would react again"
     assert glass.amount(0, "Na") == pytest.approx(metal - reacted, abs=1e-14)
     assert glass.amount(0, "water") == pytest.approx(water - reacted, abs=1e-14)
     assert glass.waste[glass.index("H2")] == pytest.approx(reacted / 2.0, rel=1e-14)
@@ -137,22 +145,51 @@ def test_metal_in_water_reacts_until_one_is_gone(metal: float, water: float, rea
     assert (waste == 0.0).all()
 
 
-def test_metal_and_water_react_completely_bit_for_bit() -> None:
-    """What is limiting is gone entirely: no trace of metal stays that would react again and again."""
-    glass = Glassware("wurtz_dodecane", 1)
-    glass.fill(0, {"Na": 1.0 / 3.0, "water": 7.0})
-    glass.phases(0)
-    assert glass.amount(0, "Na") == 0.0
-    seen = glass.events[METAL_IN_WATER]
-    glass.phases(0)
-    assert glass.events[METAL_IN_WATER] == seen
+# -- other violent reactions, and gases ----------------------------------------------------------------------------
+
+NEUTRAL = """
+name = "neutral"
+[[violent]]
+reactants = { acetic_anhydride = 1, water = 1 }
+products = { acetic_acid = 2 }
+source = "A test."
+%s
+"""
 
 
-def test_metal_rests_in_ether() -> None:
-    """Sodium does not dissolve and does not react with anything but water."""
-    glass = Glassware("wurtz_dodecane", 1)
-    row = glass.fill(0, {"Na": 1.0, "diethyl_ether": 4.0, "1-chlorohexane": 1.0}, clock=CLOCK_SETTLED)
-    before = row.copy()
+def anhydride(family: str, events: dict[str, str], tmp_path: Any) -> np.ndarray[Any, Any]:
+    """Safety events of a vessel in which 0.3 mol of an anhydride meet 10 mol of water and react with it at once."""
+    (tmp_path / "neutral.toml").write_text(family, encoding="utf-8")
+    values = mapping("salt_from_oil")
+    values |= {"name": "neutral", "reactions": str(tmp_path / "neutral.toml")}
+    values["stock"] |= {"acetic_anhydride": 1.0}
+    values["safety"]["events"] = events
+    scenario = load_scenario(values)
+    shelf = Shelf(build_chemistry(scenario), 1, 1)
+    shelf.fill(0, 0, 1.0, {"water": 10.0, "acetic_anhydride": 0.3})
+    seen = np.zeros(len(scenario.safety_events))
+    settle_phases(shelf.rows[0], shelf.chem(), shelf.waste[0], seen, np.zeros((2, 8)))
+    assert shelf.vessel(0, 0).amounts(1e-9) == pytest.approx({"water": 9.7, "acetic_acid": 0.6}, rel=1e-12)
+    return seen
+
+
+def test_a_violent_reaction_counts_as_the_event_it_names(tmp_path: Any) -> None:
+    """As none if it names none: without a metal it is no metal in water."""
+    assert not anhydride(NEUTRAL % "", {}, tmp_path).any()
+    seen = anhydride(NEUTRAL % 'event = "hydrolysed_mol"', {"hydrolysed_mol": "mol of anhydride"}, tmp_path)
+    assert seen.tolist() == pytest.approx([0.0] * 5 + [0.3], rel=1e-12)
+    with pytest.raises(DataError, match=r"violent\.event: unknown safety event 'bang'; choose from none, .*decl"):
+        anhydride(NEUTRAL % 'event = "bang"', {}, tmp_path)
+
+
+def test_gas_that_is_in_a_vessel_leaves_it_for_the_waste() -> None:
+    """Whatever reaction made it: mol by mol, and nothing else goes."""
+    glass = Glassware(vessels=1)
+    row = glass.fill(0, {"diethyl_ether": 2.0})
+    row[AMOUNTS + glass.index("H2")] = 0.25
+    atoms = glass.atoms()
     glass.phases(0)
-    assert (row == before).all()
-    assert (glass.events == 0.0).all()
+    assert glass.amount(0, "H2") == 0.0
+    assert glass.waste[glass.index("H2")] == 0.25
+    assert glass.waste.sum() == 0.25
+    np.testing.assert_allclose(glass.atoms(), atoms, rtol=1e-12)

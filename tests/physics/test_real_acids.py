@@ -87,21 +87,12 @@ class Solutions:
         self.formation = np.array(formation)
         self.counter = self.materials - 1
         values: dict[str, Any] = {
-            "role": np.where(self.charge == 0.0, ROLE_SOLVENT, ROLE_ION),
-            "charge": self.charge,
-            "formation": self.formation,
-            "acid": members,
-            "acid_pk": pk,
-            "acid_heat": heat,
-            "ionization": np.array([PROTON, HYDROXIDE, WATER]),
-            "water_pk": WATER_PK,
-            "water_heat": WATER_HEAT,
-            "debye": 0.509,
-            "molar_mass": np.full(self.materials, 18.01528),
-            "molar_volume": np.full(self.materials, 0.018),
-            "heat_capacity": np.full(self.materials, 75.3),
-            **fields,
-        }
+            "role": np.where(self.charge == 0.0, ROLE_SOLVENT, ROLE_ION), "charge": self.charge,
+            "formation": self.formation, "acid": members, "acid_pk": pk, "acid_heat": heat,
+            "ionization": np.array([PROTON, HYDROXIDE, WATER]), "water_pk": WATER_PK, "water_heat": WATER_HEAT,
+            "debye": 0.509, "molar_mass": np.full(self.materials, 18.01528),
+            "molar_volume": np.full(self.materials, 0.018), "heat_capacity": np.full(self.materials, 75.3), **fields,
+        }  # fmt: skip
         self.table: Table[Any] = real_table(self.materials, range(self.materials), layers, **values)
         self.layers = layers
 
@@ -164,14 +155,10 @@ def test_standard_buffers_have_their_ph(name: str) -> None:
 
 
 # Mean activity coefficients at 0.1 mol/kg and 25 °C: Robinson and Stokes, Electrolyte Solutions, 2nd ed. 1959.
-def test_hydrochloric_acid() -> None:
-    found = Solutions([], -1).ph({PROTON: 0.1, 3: 0.1})
-    assert found == pytest.approx(-math.log10(0.1 * 0.796), abs=0.02)
-
-
-def test_sodium_hydroxide() -> None:
-    found = Solutions([], 1).ph({HYDROXIDE: 0.1, 3: 0.1})
-    assert found == pytest.approx(WATER_PK + math.log10(0.1 * 0.766), abs=0.02)
+@pytest.mark.parametrize(("ion", "counter", "gamma"), [(PROTON, -1, 0.796), (HYDROXIDE, 1, 0.766)], ids=["HCl", "NaOH"])
+def test_strong_acid_and_base(ion: int, counter: int, gamma: float) -> None:
+    found, log = Solutions([], counter).ph({ion: 0.1, 3: 0.1}), math.log10(0.1 * gamma)
+    assert found == pytest.approx(-log if ion == PROTON else WATER_PK + log, abs=0.02)
 
 
 def test_pure_water() -> None:

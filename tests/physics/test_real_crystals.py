@@ -406,14 +406,3 @@ def test_growing_crystals_keep_the_heat_in_an_insulated_vessel() -> None:
     rise = grown * float(real.fusion_enthalpy_j_mol or 0.0) / capacity
     assert glass.rows[0, TEMPERATURE] - kelvin == pytest.approx(rise, rel=1e-3)
     assert float(enthalpy(glass.rows[0], glass.chem)) == pytest.approx(content, rel=1e-9)
-
-
-# -- data -------------------------------------------------------------------------------------------------------------
-
-
-def test_silica_is_what_its_sources_list() -> None:
-    """Beside ``test_materials_data.py``: its vapour, of which nothing flies here."""
-    chemicals = pytest.importorskip("chemicals")
-    silica = MATERIALS["silica"]
-    crystal, gas = chemicals.Hfs(silica.cas, method="CRC"), chemicals.Hfg(silica.cas, method="CRC")
-    assert silica.vaporization_enthalpy_j_mol == pytest.approx(gas - crystal, rel=1e-9)

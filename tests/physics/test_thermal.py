@@ -43,32 +43,6 @@ def still(contents: dict[str, float], capacity: float = 1.2, temperature: float 
     return glass
 
 
-def test_warming_below_the_boiling_point() -> None:
-    """T rises by Q / (sum n Cp + air), nothing boils."""
-    glass = still({"diethyl_ether": 2.0, "water": 3.0})
-    capacity = 2.0 * cp(glass, "diethyl_ether") + 3.0 * cp(glass, "water") + open_air(glass, 0)
-    assert glass.heat(0, 1, 2000.0) == (2000.0, 0.0)
-    assert glass.rows[0, TEMPERATURE] == pytest.approx(ROOM + 2000.0 / capacity, rel=1e-14)
-    assert glass.amounts(1).sum() == 0.0
-
-
-def test_part_of_one_component_boils() -> None:
-    """At the boiling point T is held and dn = Q / dHvap boils over; the other component stays."""
-    glass = still({"diethyl_ether": 2.0, "water": 3.0})
-    ether = glass.scenario.materials["diethyl_ether"]
-    capacity = glass.heat_capacity(0) + open_air(glass, 0)
-    to_boil = capacity * (ether.boiling_point_k - ROOM)
-    taken, condenser = glass.heat(0, 1, to_boil + 0.75 * ether.vaporization_enthalpy_j_mol)
-    assert taken == to_boil + 0.75 * ether.vaporization_enthalpy_j_mol
-    assert glass.rows[0, TEMPERATURE] == ether.boiling_point_k
-    assert glass.amount(0, "diethyl_ether") == pytest.approx(1.25, rel=1e-12)
-    assert glass.amount(1, "diethyl_ether") == pytest.approx(0.75, rel=1e-12)
-    assert glass.amount(0, "water") == 3.0
-    assert glass.rows[1, TEMPERATURE] == ROOM
-    cooling = cp(glass, "diethyl_ether") * (ether.boiling_point_k - ROOM)
-    assert condenser == pytest.approx(0.75 * (ether.vaporization_enthalpy_j_mol + cooling), rel=1e-12)
-
-
 def test_one_call_crosses_three_boiling_points() -> None:
     """Ether goes, then water, then half of the dodecane, then the heat is used up: each leg reckoned by hand."""
     glass = still({"dodecane": 0.4, "diethyl_ether": 1.0, "water": 2.0, "NaCl": 0.3})
@@ -85,15 +59,16 @@ def test_one_call_crosses_three_boiling_points() -> None:
     assert glass.rows[0, TEMPERATURE] == temperature
     assert glass.amount(0, "diethyl_ether") == 0.0
     assert glass.amount(0, "water") == 0.0
-    assert glass.amount(0, "dodecane") == pytest.approx(0.2, rel=1e-9)
+    assert glass.amount(0, "dodecane") == pytest.approx(0.2, rel=1e-12)
     assert glass.amount(0, "NaCl") == 0.3
     arrived = [glass.amount(1, name) for name in ("diethyl_ether", "water", "dodecane")]
-    assert arrived == pytest.approx([1.0, 2.0, 0.2], rel=1e-9)
+    assert arrived == pytest.approx([1.0, 2.0, 0.2], rel=1e-12)
     given_up = [
         n * (m.vaporization_enthalpy_j_mol + m.heat_capacity_j_mol_k * (m.boiling_point_k - ROOM))
         for n, m in zip([1.0, 2.0, 0.2], order, strict=True)
     ]
-    assert condenser == pytest.approx(sum(given_up), rel=1e-9)
+    assert condenser == pytest.approx(sum(given_up), rel=1e-12)
+    assert glass.rows[1, TEMPERATURE] == pytest.approx(ROOM, rel=1e-14)
     assert (glass.events == 0.0).all()
 
 
@@ -116,19 +91,6 @@ def test_superheated_liquid_boils_by_its_own_heat() -> None:
     assert glass.rows[0, TEMPERATURE] == ether.boiling_point_k
     boiled = (stored + 1.0) / ether.vaporization_enthalpy_j_mol
     assert glass.amount(1, "diethyl_ether") == pytest.approx(boiled, rel=1e-12)
-
-
-def test_condensate_mixes_with_what_is_in_the_receiver() -> None:
-    """The condensate comes at ambient temperature: the receiver's temperature mixes by heat capacity."""
-    glass = still({"diethyl_ether": 2.0})
-    glass.fill(1, {"water": 1.0}, 5.0, 340.0)
-    glass.heat(0, 1, 40_000.0)
-    mol = glass.amount(1, "diethyl_ether")
-    arriving, there = mol * cp(glass, "diethyl_ether"), cp(glass, "water")
-    assert mol > 1.0
-    assert glass.rows[1, TEMPERATURE] == pytest.approx(
-        (340.0 * there + ROOM * arriving) / (there + arriving), rel=1e-12
-    )
 
 
 def test_receiver_that_is_full_spills() -> None:
@@ -287,12 +249,6 @@ def test_vapor_pressure_of_a_mixture_is_raoults() -> None:
     assert vapor_pressure(glass.fill(0, {"NaCl": 2.0}, 2.0, 320.0), glass.chem) == 0.0
 
 
-def test_vapor_pressure_agrees_with_handbook_ether() -> None:
-    """Diethyl ether at 298.15 K: about 71.7 kPa in the CRC Handbook; Clausius-Clapeyron comes within 5 %."""
-    glass = Glassware("wurtz_dodecane", 1)
-    assert vapor_pressure(glass.fill(0, {"diethyl_ether": 1.0}), glass.chem) == pytest.approx(71.7, rel=0.05)
-
-
 @given(st.floats(200.0, 600.0), st.floats(0.3, 3.0), st.floats(0.0, 1.5))
 def test_sealed_air_is_an_ideal_gas(temperature: float, capacity: float, salt: float) -> None:
     """Sealed at ambient pressure, then heated and compressed: p V = n R T of the air in the headspace."""
@@ -377,16 +333,6 @@ def test_the_relief_valve_lets_out_volatile_matter_only(
     glass.check()
 
 
-def test_the_relief_valve_brings_air_down_to_the_rating() -> None:
-    """Where the gas is nearly all air, one opening brings the pressure to the rating (1 %)."""
-    glass = sealed({"dodecane": 1.0, "NaCl": 1.0}, 340.0, 0.6)
-    row = glass.rows[0]
-    high = pressure(row, glass.chem)
-    assert high > 200.0
-    vent(row, 150.0, glass.chem, glass.waste, glass.events)
-    assert pressure(row, glass.chem) == pytest.approx(150.0, rel=0.01)
-
-
 def test_the_gas_that_leaves_has_the_composition_of_the_gas_inside() -> None:
     """(p - rated) V / R T moles leave: air and each vapour in the proportion of their pressures."""
     glass = sealed({"diethyl_ether": 3.0, "1-chlorohexane": 1.0}, 340.0, 0.7)
@@ -404,17 +350,3 @@ def test_the_gas_that_leaves_has_the_composition_of_the_gas_inside() -> None:
         partial = share * ATMOSPHERE * math.exp(exponent)
         lost = amounts[glass.index(name)] - row[AMOUNTS + glass.index(name)]
         assert lost == pytest.approx(leaving * partial / high, rel=1e-12)
-
-
-def test_venting_again_and_again_ends_at_the_rating() -> None:
-    """With vapour below the rating, repeated openings take the pressure to the rating and not below it."""
-    glass = sealed({"diethyl_ether": 3.0}, 330.0, 0.6)
-    row = glass.rows[0]
-    rated = vapor_pressure(row, glass.chem) + 40.0
-    seen = [pressure(row, glass.chem)]
-    for _ in range(60):
-        vent(row, rated, glass.chem, glass.waste, glass.events)
-        seen.append(pressure(row, glass.chem))
-    assert seen[0] > 1.2 * rated
-    assert (np.diff(seen) <= 1e-9).all()
-    assert seen[-1] == pytest.approx(rated, rel=0.01)

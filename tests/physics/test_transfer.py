@@ -48,18 +48,21 @@ def test_volumes_are_mass_over_density() -> None:
 
 
 @given(contents, contents, st.floats(0.0, 1.0))
-def test_pouring_takes_an_equal_share_of_everything(
-    first: dict[str, float], second: dict[str, float], f: float
-) -> None:
-    """A fraction f of every amount, dissolved ones too, goes over; the rest stays."""
+def test_pouring(first: dict[str, float], second: dict[str, float], f: float) -> None:
+    """A fraction f of every amount, dissolved ones too, goes over, the rest stays; temperatures mix by heat capacity,
+    T = (C1 T1 + f C0 T0) / (C1 + f C0); t - t_mix shrinks by the share of volume that was already there."""
     glass = glass_with(first, second)
-    before = glass.rows[:, AMOUNTS:].copy()
+    glass.turn(1, 3.0)
+    before, volumes = glass.rows[:, AMOUNTS:].copy(), (glass.volume(1), f * glass.volume(0))
+    arriving, there = f * glass.heat_capacity(0), glass.heat_capacity(1)
     glass.pour(0, 1, f)
     np.testing.assert_allclose(glass.rows[0, AMOUNTS:], (1.0 - f) * before[0], rtol=1e-12, atol=1e-15)
     np.testing.assert_allclose(glass.rows[1, AMOUNTS:], before[1] + f * before[0], rtol=1e-12, atol=1e-15)
     assert (glass.waste == 0.0).all()
-    assert glass.rows[0, TEMPERATURE] == 320.0
-    assert glass.rows[0, CLOCK] == 0.5
+    assert (glass.rows[0, TEMPERATURE], glass.rows[0, CLOCK]) == (320.0, 0.5)
+    mixed = (290.0 * there + 320.0 * arriving) / (there + arriving)
+    assert glass.rows[1, TEMPERATURE] == pytest.approx(mixed, rel=1e-12)
+    assert glass.rows[1, CLOCK] - T_MIX == pytest.approx(3.0 * volumes[0] / sum(volumes), rel=1e-9)
 
 
 @given(contents, st.floats(0.05, 0.95), st.booleans())
@@ -91,29 +94,6 @@ def test_moving_nothing_changes_nothing() -> None:
             assert (glass.rows == before).all()
             assert (glass.waste == 0.0).all()
             assert (glass.events == 0.0).all()
-
-
-@given(contents, contents, st.floats(0.01, 1.0))
-def test_pouring_mixes_temperatures_by_heat_capacity(
-    first: dict[str, float], second: dict[str, float], f: float
-) -> None:
-    """T = (C1 T1 + f C0 T0) / (C1 + f C0)."""
-    glass = glass_with(first, second)
-    arriving, there = f * glass.heat_capacity(0), glass.heat_capacity(1)
-    glass.pour(0, 1, f)
-    assert glass.rows[1, TEMPERATURE] == pytest.approx(
-        (290.0 * there + 320.0 * arriving) / (there + arriving), rel=1e-12
-    )
-
-
-@given(contents, contents, st.floats(0.01, 1.0))
-def test_receiving_stirs_by_volume(first: dict[str, float], second: dict[str, float], f: float) -> None:
-    """t - t_mix shrinks by the share of volume that was already there."""
-    glass = glass_with(first, second)
-    glass.turn(1, 3.0)
-    there, arriving = glass.volume(1), f * glass.volume(0)
-    glass.pour(0, 1, f)
-    assert glass.rows[1, CLOCK] - T_MIX == pytest.approx(3.0 * there / (there + arriving), rel=1e-9)
 
 
 # -- spilling -----------------------------------------------------------------------------------------------------
@@ -207,19 +187,6 @@ def test_draining_takes_what_the_profile_says(first: dict[str, float], clock: fl
         )
     if glass.heat_capacity(1) > 1e-6 * capacity:
         assert glass.rows[1, TEMPERATURE] == pytest.approx(320.0, rel=1e-9)
-
-
-def test_draining_settled_layers_by_height() -> None:
-    """Settled, the lowest layer's height in pixels drains that layer exactly: water first, hexane stays."""
-    glass = Glassware(SCENARIO, 2)
-    glass.fill(0, {"water": 10.0, "hexane": 4.0}, 10.0 * molar_volume(SCENARIO, "water") / 0.2, clock=CLOCK_SETTLED)
-    glass.fill(1, {}, 2.0)
-    glass.drain(0, 1, 10.0)  # of the water's 20 pixels
-    assert glass.amount(1, "water") == pytest.approx(5.0, rel=1e-12)
-    assert glass.amount(1, "hexane") == 0.0
-    glass.drain(0, 1, 10.0)
-    assert glass.amount(1, "water") == pytest.approx(10.0, rel=1e-12)
-    assert glass.amount(0, "hexane") == pytest.approx(4.0, rel=1e-12)
 
 
 # -- vessels ------------------------------------------------------------------------------------------------------
