@@ -10,10 +10,9 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Actions, Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.kernels.rng import as_sequence
 from chemlab.lab.engine import Laboratories
@@ -101,7 +100,7 @@ class LapsingPolicy(Advising):
 
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    ) -> Actions:
         """See :class:`~chemlab.agents.advice.Advising`."""
         meant = Advisor(self._policy).advice(observation, mask, step, members)
         drawn = self._random.act(observation, mask, step, members)
