@@ -21,7 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..config.materials import Material
+from ..config.materials import Material, Materials
 from ..physics.constants import ATMOSPHERE_PA, GAS_CONSTANT, ROOM_K
 from .reaction_networks import Draws, Network
 from .writing import significant
