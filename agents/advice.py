@@ -104,11 +104,9 @@ class AdvisedPolicy(Advising):
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> Actions:
-        """See :class:`Advising`."""
         return self._policy.act(self._advisor.shown(observation, mask, step, members), mask, step, members)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """See :class:`Advising`."""
         self._advisor.played(actions, members)
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:

@@ -101,14 +101,12 @@ class LapsingPolicy(Advising):
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> Actions:
-        """See :class:`~chemlab.agents.advice.Advising`."""
         meant = Advisor(self._policy).advice(observation, mask, step, members)
         drawn = self._random.act(observation, mask, step, members)
         lapse = self._lapses.act(observation, None, step, members)[:, 0] < self._probability
         return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """See :class:`~chemlab.agents.advice.Advising`."""
         Advisor(self._policy).played(actions, members)
 
 

@@ -89,7 +89,6 @@ class _Learned:
         self._learner, self._sampled = team.learners[role], sampled and role not in team.fixed
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`chemlab.envs.players.Policy`."""
         allowed = None if mask is None else mask != 0
         actions, _ = self._learner.act(self._learner.seen(observation), allowed, greedy=not self._sampled)
         return actions if mask is not None else np.clip(actions, 0.0, 1.0).astype(np.float64)

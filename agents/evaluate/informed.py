@@ -158,7 +158,6 @@ class _Observing(Playback):
         self.seen = np.zeros((len(plans), opening + 1, size), dtype=np.float32)
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`chemlab.envs.players.Policy`."""
         actions = super().act(observation, mask, step, members)
         # A position is that of the action that is played or waited for.
         at = self._next[members] - (actions == self._steps[members, np.maximum(self._next[members] - 1, 0)])

@@ -305,7 +305,6 @@ class _Taped:
         return ~self._place(members)[1]
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`chemlab.envs.players.Policy`."""
         longest, (experiment, taped) = self._actions.shape[2], self._place(members)
         played = np.zeros((len(members), *self._actions.shape[3:]), dtype=self._actions.dtype)
         if not taped.all():

@@ -72,7 +72,6 @@ class _Recording(Playback):
         self.after: list[list[int]] = [[] for _ in range(n)]
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the manager has discrete actions"
         actions = super().act(observation, mask, step, members)
         position = self._next[members]

@@ -70,7 +70,6 @@ class ScriptedFraction(ScriptedRealDistillation):
         """Litres in the pot when the receiver was changed, by environment index."""
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
         stripping = super().act(observation, mask, step, members)
         out = []

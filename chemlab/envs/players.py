@@ -54,7 +54,6 @@ class _Called:
         self._function = function
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`Policy`."""
         actions = self._function(observation, mask)
         try:
             return np.asarray(actions)
@@ -152,7 +151,6 @@ class _RecurrentModel(Remembering):
         self._size = model.observation_space.shape[0]
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`Policy`."""
         if mask is not None and observation.shape[1] + mask.shape[1] == self._size:
             observation = np.concatenate([observation, mask], axis=1, dtype=np.float32)
         layers, hidden = self._shape
@@ -173,7 +171,6 @@ class _Model:
         self._masked = "action_masks" in inspect.signature(model.predict).parameters
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`Policy`."""
         masks = {"action_masks": mask} if self._masked and mask is not None else {}
         actions, _ = self._model.predict(observation, deterministic=self._deterministic, **masks)
         return np.asarray(actions)
