@@ -21,7 +21,7 @@ from typing import Any
 
 from ..config.datafile import DataError
 from ..config.datamodel import validated
-from ..config.files import check_new, check_target, write_texts
+from ..config.files import check_target, write_texts
 from ..config.inherit import completed
 from ..config.loading import restore_scenario
 from ..config.materials import Material, Materials, litres_of, shipped_materials
@@ -138,8 +138,7 @@ class Generated:
         """
         texts = {Path(folder) / name: text for name, text in self.files().items()}
         for path in texts:
-            check_new(path, force)
-            check_target(path)
+            check_target(path, force)
         write_texts(texts)
         return next(iter(texts))
 
