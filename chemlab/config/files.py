@@ -161,17 +161,7 @@ def check_folder(path: Path, create: bool = True) -> None:
         raise ValueError(f"{path}: cannot write there: {error.strerror}; give another folder") from error
 
 
-def check_new(path: Path, force: bool) -> None:
-    """Check that a file does not exist yet, unless ``force`` allows to overwrite it.
-
-    Raises:
-        ValueError: it exists.
-    """
-    if path.is_file() and not force:
-        raise ValueError(f"{path}: already exists; give another name, or use --force to overwrite it")
-
-
-def check_target(path: Path) -> None:
+def check_target(path: Path, force: bool) -> None:
     """Check that a file can be written and create its folder, before any results exist.
 
     Raises:

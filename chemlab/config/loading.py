@@ -213,9 +213,7 @@ def _equipped(spec: Scenario, known: Materials, family: ReactionFamily, pairs: P
     return spec
 
 
-def _of_paper(
-    present: Mapping[str, Material], family: ReactionFamily, where: str
-) -> tuple[dict[str, Material], ReactionFamily]:
+def _of_paper(present: Materials, family: ReactionFamily, where: str) -> tuple[dict[str, Material], ReactionFamily]:
     """Return materials and reactions without the data of the backend ``real``.
 
     Raises:

@@ -253,7 +253,7 @@ def _tau(log: float) -> float:
     return tau
 
 
-def pair_rows(materials: Mapping[str, Material]) -> list[dict[str, Any]]:
+def pair_rows(materials: Materials) -> list[dict[str, Any]]:
     """Return the rows of a pair file for every pair of liquids.
 
     Args:

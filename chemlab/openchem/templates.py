@@ -314,7 +314,7 @@ def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[
         )
 
 
-def heat_of_reaction(found: Found, materials: Mapping[str, Material]) -> float:
+def heat_of_reaction(found: Found, materials: Materials) -> float:
     """Return the heat of reaction in J/mol at 298.15 K of dissolved materials, from formation enthalpies.
 
     Raises:
