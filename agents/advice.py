@@ -8,12 +8,11 @@ added; for discrete actions, the hint is part of the observation instead.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.envs.players import Policy, Remembering
+from chemlab.envs.players import Actions, Policy, Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.kernels.rng import as_sequence
 
@@ -46,7 +45,7 @@ class Advisor(Remembering):
 
     def advice(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    ) -> Actions:
         """Return [B] the actions that the teacher would play; arguments as for :meth:`Policy.act`."""
         ask = getattr(self._policy, "advise", self._policy.act)
         return np.asarray(ask(observation, mask, step, members))
@@ -72,9 +71,7 @@ class Advisor(Remembering):
 class Advising(Remembering, ABC):
     """Base class of policies that give an action first and are informed of the one that is played."""
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         actions = self.advise(observation, mask, step, members)
         self.played(actions, members)
@@ -83,7 +80,7 @@ class Advising(Remembering, ABC):
     @abstractmethod
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    ) -> Actions:
         """Return [B] the actions the policy would play; :meth:`played` confirms them. Arguments as for :meth:`act`."""
 
     @abstractmethod
@@ -106,12 +103,10 @@ class AdvisedPolicy(Advising):
 
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`Advising`."""
+    ) -> Actions:
         return self._policy.act(self._advisor.shown(observation, mask, step, members), mask, step, members)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """See :class:`Advising`."""
         self._advisor.played(actions, members)
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:

@@ -69,13 +69,13 @@ class Demonstration:
     terminated: bool = False
     truncated: bool = False
 
-    def see(self, look: Look, elapsed: int) -> None:
-        """Append an observation with the costs since the previous one."""
+    def see(self, look: Look, elapsed: int, cost: float) -> None:
+        """Append an observation with the ticks and costs since the previous one."""
         self.observations.append(look.observation)
         if look.mask is not None:
             self.masks.append(look.mask)
         self.elapsed.append(elapsed)
-        self.costs.append(0.0)
+        self.costs.append(cost)
 
 
 class _Splitter:
@@ -108,8 +108,8 @@ class _Splitter:
             if agent not in self._open:
                 self._begin(agent, play.agent, move.tick)
             demonstration = self._open[agent]
-            demonstration.see(Look(play.observation, play.mask), move.tick - self._turn_at.get(agent, move.tick))
-            demonstration.costs[-1] = self._pending_cost.pop(agent, 0.0)
+            elapsed = move.tick - self._turn_at.get(agent, move.tick)
+            demonstration.see(Look(play.observation, play.mask), elapsed, self._pending_cost.pop(agent, 0.0))
             demonstration.actions.append(play.action)
             demonstration.rewards.append(0.0)
             self._turn_at[agent] = move.tick
@@ -135,8 +135,8 @@ class _Splitter:
         elapsed = int(self._labs.state.ticks[0]) - self._turn_at[agent]
         # The last step of an experiment takes one tick, although the tick has not ended while other benches have their
         # turns.
-        demonstration.see(look, elapsed if agent == MANAGER_AGENT else max(elapsed, 1))
-        demonstration.costs[-1] = self._pending_cost.pop(agent, 0.0)
+        elapsed = elapsed if agent == MANAGER_AGENT else max(elapsed, 1)
+        demonstration.see(look, elapsed, self._pending_cost.pop(agent, 0.0))
 
 
 def demonstrations(record: Record, trust: bool = False) -> dict[str, list[Demonstration]]:

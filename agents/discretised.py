@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Actions, Policy
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.discrete import Discretised
 
@@ -36,9 +35,7 @@ class NearestPolicy(_Adapter):
         super().__init__(policy)
         self._bench = bench
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         return self._bench.nearest(self._policy.act(observation, None, step, members))
 
@@ -55,9 +52,7 @@ class ChoosingPolicy(_Adapter):
         super().__init__(policy)
         self._rows = rows
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         legal = np.ones((len(observation), len(self._rows)), dtype=np.int8)
         return np.asarray(self._rows[self._policy.act(observation, legal, step, members)])

@@ -47,16 +47,13 @@ class Played:
     @classmethod
     def joined(cls, parts: Sequence[Played]) -> Played:
         """Several batches as one."""
-        names = parts[0].measures
+        arrays = ("returns", "lengths", "cost", "illegal")
         recorded = [part.actions for part in parts if part.actions is not None]
         return cls(
-            np.concatenate([part.returns for part in parts]),
-            np.concatenate([part.lengths for part in parts]),
-            np.concatenate([part.cost for part in parts]),
-            np.concatenate([part.illegal for part in parts]),
-            [case for part in parts for case in part.cases],
-            {name: np.concatenate([part.measures[name] for part in parts]) for name in names},
-            [actions for part in recorded for actions in part] if recorded else None,
+            **{name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays},
+            cases=[case for part in parts for case in part.cases],
+            measures={name: np.concatenate([part.measures[name] for part in parts]) for name in parts[0].measures},
+            actions=[actions for part in recorded for actions in part] if recorded else None,
         )
 
 

@@ -110,7 +110,6 @@ class Inline(Executor):
     """Executes each job in this process on submission."""
 
     def submit(self, fn: Callable[P, Value], /, *args: P.args, **kwargs: P.kwargs) -> Future[Value]:
-        """See :meth:`concurrent.futures.Executor.submit`."""
         future: Future[Value] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -219,11 +218,9 @@ class _Commands:
     lost: tuple[type[BaseException], ...] = ()
 
     def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
-        """See :class:`_Place`."""
         return call()
 
     def close(self) -> None:
-        """See :class:`_Place`."""
         for child in list(_running):
             child.terminate()
 
@@ -248,7 +245,6 @@ class _Processes:
             return self._pool
 
     def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
-        """See :class:`_Place`."""
         pool = self._running()
         try:
             return pool.submit(call).result()
@@ -259,7 +255,6 @@ class _Processes:
             raise
 
     def close(self) -> None:
-        """See :class:`_Place`."""
         with self._lock:
             pool, leash = self._pool, self._leash
             self._pool = self._leash = None
@@ -300,7 +295,6 @@ class _Ray:
         self.lost: tuple[type[BaseException], ...] = tuple(getattr(self._ray.exceptions, kind) for kind in kinds)
 
     def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
-        """See :class:`_Place`."""
         reference = self._call.remote(call)
         self._at_work.add(reference)
         try:
@@ -310,7 +304,6 @@ class _Ray:
             self._at_work.discard(reference)
 
     def close(self) -> None:
-        """See :class:`_Place`."""
         for reference in list(self._at_work):
             self._ray.cancel(reference, force=True)
         self._left.close()
@@ -336,7 +329,6 @@ class _Slurm:
         self.lost: tuple[type[BaseException], ...] = (submitit.core.utils.UncompletedJobError,)
 
     def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
-        """See :class:`_Place`."""
         with self._lock:
             job = self._engine.submit(call)
             self._at_work.add(job)
@@ -347,7 +339,6 @@ class _Slurm:
             self._at_work.discard(job)
 
     def close(self) -> None:
-        """See :class:`_Place`."""
         for job in list(self._at_work):
             job.cancel(check=False)
 

@@ -18,6 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import RoleText, Shades, action_words, folded_lines, position_words
@@ -286,9 +287,7 @@ class HumanPolicy:
         """Name of the agent."""
         return self._labs.agents[self._number]
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`~chemlab.envs.players.Policy`.
 
         Raises:

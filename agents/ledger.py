@@ -34,7 +34,8 @@ def append_entry(path: Path, entry: Mapping[str, Any]) -> dict[str, Any]:
     with path.open("a+b", buffering=0) as file:
         if not wait_locked(file.fileno(), _PATIENCE_S):
             raise ValueError(f"{path}: another process keeps it locked; try again")
-        entries = _checked(path, file_content(file))
+        file.seek(0)
+        entries = _checked(path, file.read())
         previous = entries[-1]["hash"] if entries else ""
         full = {"number": len(entries), "time": int(time.time()), **entry, "previous": previous}
         full["hash"] = _hash(full)
@@ -47,12 +48,6 @@ def append_entry(path: Path, entry: Mapping[str, Any]) -> dict[str, Any]:
             file.truncate(end)  # a part of a line would make the ledger useless
             raise
     return full
-
-
-def file_content(file: Any) -> bytes:
-    """All of an open file."""
-    file.seek(0)
-    return bytes(file.read())
 
 
 def read_ledger(path: Path) -> list[dict[str, Any]]:

@@ -32,7 +32,7 @@ with needs("a live page needs starlette and uvicorn", "live"):
 from chemlab import __version__
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Players
-from chemlab.record import Play, verify_record
+from chemlab.record import verify_record
 from chemlab.render.replay_page import MOST_TURNS, Film, filled_page, side_by_side
 from chemlab.roles.bench import channel_slices
 
@@ -82,30 +82,23 @@ class Live:
     def begin(self, seed: int) -> None:
         """Begin an episode; the record of one that is running ends there."""
         with self._lock:
-            self._begin(seed)
-
-    def _begin(self, seed: int) -> None:
-        if self.episode:
-            self.room.close()
-        self.seed, self.verdict = seed, ("", "")
-        agents = ["manager_0", *self._scenario.bench_agents()]
-        self.room = Room(
-            self._scenario,
-            agents,
-            self._policy,
-            folder=self._folder,
-            seed=seed,
-            split=self._split,
-            watch=self._watched,
-        )
-        labs = self.room.laboratories
-        self._players = Players(labs, [agent_policy(self._policy, labs, i) for i in range(len(labs.agents))])
-        self._players.seed(0, seed)
-        self._unseen.clear()
-        self.film, self.episode = Film(labs), self.episode + 1
-
-    def _watched(self, tick: int, played: Play) -> None:
-        self.film.add(tick, [played])
+            if self.episode:
+                self.room.close()
+            self.seed, self.verdict = seed, ("", "")
+            self.room = Room(
+                self._scenario,
+                self._scenario.agents(),
+                self._policy,
+                folder=self._folder,
+                seed=seed,
+                split=self._split,
+                watch=lambda tick, played: self.film.add(tick, [played]),
+            )
+            labs = self.room.laboratories
+            self._players = Players(labs, [agent_policy(self._policy, labs, i) for i in range(len(labs.agents))])
+            self._players.seed(0, seed)
+            self._unseen.clear()
+            self.film, self.episode = Film(labs), self.episode + 1
 
     @property
     def turn(self) -> str:
@@ -142,21 +135,18 @@ class Live:
     def page(self, number: int) -> str:
         """The spectators' page."""
         with self._lock:
-            return self._page(number)
-
-    def _page(self, number: int) -> str:
-        data = {
-            **self.film.still(),
-            "seed": self.seed,
-            "version": __version__,
-            "policies": {},
-            "verified": {"status": "live", "message": ""},
-            "stopped": "",
-            "calls": [],
-            "live": f"/lab/{number}",
-            "episode": self.episode,
-            **self.film.since(),
-        }
+            data = {
+                **self.film.still(),
+                "seed": self.seed,
+                "version": __version__,
+                "policies": {},
+                "verified": {"status": "live", "message": ""},
+                "stopped": "",
+                "calls": [],
+                "live": f"/lab/{number}",
+                "episode": self.episode,
+                **self.film.since(),
+            }
         return filled_page("replay.html", data, "'self'")
 
     def words(self) -> tuple[str, str]:
@@ -172,17 +162,12 @@ class Live:
         checked = "record checked: right" if status == "ok" else f"record {status}: {message}"
         return f"over: score {self.room.score:.3f}; {checked}", "good" if status == "ok" else "warn"
 
-    @property
-    def record(self) -> Path:
-        """The record of an episode that is over."""
-        return self.room.record
-
     def check(self) -> None:
         """Replay the record of an episode that is over."""
         with self._lock:
             if not self.room.over:
                 return  # another one has begun
-            episode, record = self.episode, self.record
+            episode, record = self.episode, self.room.record
         found = verify_record(record)
         with self._lock:
             if self.episode == episode:
@@ -193,26 +178,23 @@ class Live:
     def seat(self, agent: str) -> dict[str, Any]:
         """Data of a seat's page: the observation of its agent in words and curves, and the possible arguments."""
         with self._lock:
-            return self._shown(agent)
-
-    def _shown(self, agent: str) -> dict[str, Any]:
-        labs = self.room.laboratories
-        number, turn = labs.agents.index(agent), self.turn
-        seen, channels = labs.observe(number, labs.members)[0], labs.roles[number].channels
-        slices = channel_slices(channels)
-        curves = [
-            {"name": one.name, "unit": one.unit, "values": seen[slices[one.name]].round(3).tolist()}
-            for one in channels
-            if one.unit in ("absorption", "grey") and seen[slices[one.name]].any()
-        ]
-        return {
-            "turn": turn,
-            "over": self.room.over,
-            "taken": agent in self.taken,
-            "text": self.room.display(agent),
-            "curves": curves,
-            "choices": self._choices(agent) if turn == agent else {},
-        }
+            labs = self.room.laboratories
+            number, turn = labs.agents.index(agent), self.turn
+            seen, channels = labs.observe(number, labs.members)[0], labs.roles[number].channels
+            slices = channel_slices(channels)
+            curves = [
+                {"name": one.name, "unit": one.unit, "values": seen[slices[one.name]].round(3).tolist()}
+                for one in channels
+                if one.unit in ("absorption", "grey") and seen[slices[one.name]].any()
+            ]
+            return {
+                "turn": turn,
+                "over": self.room.over,
+                "taken": agent in self.taken,
+                "text": self.room.display(agent),
+                "curves": curves,
+                "choices": self._choices(agent) if turn == agent else {},
+            }
 
     def acts(self, agent: str) -> list[Verb]:
         """The verbs of a seat that are actions of the laboratory."""
@@ -482,17 +464,13 @@ class _Pages:
         self.allowed(request)
         if not live.room.over:
             raise HTTPException(409, "the episode is not over; its record has the true contents")
-        return FileResponse(live.record, filename=f"{live.room.scenario.name}-{live.seed}.jsonl")
+        return FileResponse(live.room.record, filename=f"{live.room.scenario.name}-{live.seed}.jsonl")
 
     async def seat_page(self, request: Request) -> Response:
         """The page of a seat."""
         live, agent = self.seat(request)
         verbs = [
-            {
-                "name": verb.name,
-                "meaning": verb.meaning,
-                "arguments": [vars(argument) for argument in verb.arguments],
-            }
+            {"name": verb.name, "meaning": verb.meaning, "arguments": [vars(one) for one in verb.arguments]}
             for verb in live.acts(agent)
         ]
         data = {

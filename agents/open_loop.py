@@ -13,17 +13,16 @@ import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import Field
 
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated
 from chemlab.config.files import write_text
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Remembering
+from chemlab.envs.players import Actions, Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Channel, channel_slices
@@ -79,9 +78,7 @@ class Playback(Remembering):
         """Return [B] the sequence of each starting episode; here, the one at its environment index."""
         return members
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the manager has discrete actions"
         lacking = int(members.max()) + 1 - len(self._next)

@@ -10,10 +10,9 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Actions, Policy
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.kernels.rng import as_sequence
 from chemlab.lab.engine import Laboratories
@@ -101,15 +100,13 @@ class LapsingPolicy(Advising):
 
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`~chemlab.agents.advice.Advising`."""
+    ) -> Actions:
         meant = Advisor(self._policy).advice(observation, mask, step, members)
         drawn = self._random.act(observation, mask, step, members)
         lapse = self._lapses.act(observation, None, step, members)[:, 0] < self._probability
         return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
-        """See :class:`~chemlab.agents.advice.Advising`."""
         Advisor(self._policy).played(actions, members)
 
 

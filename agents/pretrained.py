@@ -28,7 +28,7 @@ from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Memory, Policy, Remembering
+from chemlab.envs.players import Actions, Memory, Policy, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.base import Workplace
 from chemlab.roles.bench import Bench
@@ -319,9 +319,7 @@ class PretrainedPolicy(Remembering):
         self._memory.keep(members, hidden, cell)
         return hidden
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`; without a mask every discrete action counts as legal."""
         values = self.values(observation, step, members)
         drawn = None if self._draws is None else self._draws.act(observation, None, step, members)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.envs.players import Remembering
+from chemlab.envs.players import Actions, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 from chemlab.kernels.jit import kernel
 from chemlab.kernels.rng import as_sequence, uniform
@@ -63,9 +60,7 @@ class RandomPolicy(Remembering):
         first = np.random.SeedSequence(own.entropy, spawn_key=(*own.spawn_key, 0))
         self._stream[member] = first.generate_state(1, np.uint64)
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         self._provide(int(members.max()) + 1)
         if mask is None:

@@ -104,7 +104,7 @@ class Room:
     ) -> None:
         self.scenario = load_scenario(scenario)
         self._split, self._watch = split, watch
-        agents = [MANAGER_AGENT, *self.scenario.bench_agents()]
+        agents = self.scenario.agents()
         unknown = [seat for seat in seats if seat not in agents]
         if unknown or not seats or len(set(seats)) != len(seats):
             raise ValueError(f"seats: must be different agents of {', '.join(agents)}, given {', '.join(seats)}")

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Policy, Watching
+from chemlab.envs.players import Actions, Policy, Watching
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 
@@ -88,10 +88,7 @@ class _Learned:
     def __init__(self, team: PPOTeam, role: str, sampled: bool) -> None:
         self._learner, self._sampled = team.learners[role], sampled and role not in team.fixed
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         allowed = None if mask is None else mask != 0
         actions, _ = self._learner.act(self._learner.seen(observation), allowed, greedy=not self._sampled)
         return actions if mask is not None else np.clip(actions, 0.0, 1.0).astype(np.float64)

@@ -65,7 +65,7 @@ from . import statistics
 from .contention import CONTENDED
 from .informed import openings
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
-from .scale import Scale, interval
+from .scale import Scale, interval, missing
 from .search import scripted_names
 
 _CHOICE_SEED = 4_500_000
@@ -223,10 +223,6 @@ def _best(found: Mapping[str, dict[str, Any]], policies: Sequence[str]) -> str:
     return _greatest({policy: _scores(found, f"choose-{policy}") for policy in policies})[0]
 
 
-def _missing(reason: str) -> dict[str, Any]:
-    return {"value": None, "low": None, "high": None, "reason": reason}
-
-
 def _scores(found: Mapping[str, dict[str, Any]], name: str) -> FloatArray | None:
     scores = found[name]["scores"] if name in found else None
     return None if scores is None else np.array(scores)
@@ -292,13 +288,13 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
             for key in spec.benches
         },
         "value_of_role": {agent: _role(found, agent, reference, scale) for agent in _members(spec)},
-        "value_of_memory": _missing("the scripted manager has nothing to forget")
+        "value_of_memory": missing("the scripted manager has nothing to forget")
         if memoryless is None
         else interval(reference - scale.mean(memoryless)),
-        "value_of_reports": _missing("benches report nothing")
+        "value_of_reports": missing("benches report nothing")
         if mute is None
         else interval(reference - scale.mean(mute)),
-        "coordination_gain": _missing(
+        "coordination_gain": missing(
             "there is one order" if spec.orders == 1 else "no bundled policy takes one order at a time"
         )
         if apart is None
@@ -307,7 +303,7 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
         "headroom": interval(1.0 - top),
         "generalization": interval(reference - scale.mean(np.array(found["train"]["scores"])))
         if spec.world.draws
-        else _missing("the scenario has no hidden parameters"),
+        else missing("the scenario has no hidden parameters"),
         "open_loop_deviation": interval(scale.deviation(plan)),
     }
     return {**measures, "criteria": _criteria(measures)}
@@ -345,11 +341,11 @@ def _information(
 ) -> dict[str, Any]:
     """Return the least value of information of all ways that were measured, and each of them."""
     if not spec.instruments:
-        return _missing("the scenario has no instruments")
+        return missing("the scenario has no instruments")
     values = {
         name: _value(best, scale, others)
         if any(own is not None for own in others.values())
-        else _missing("the budget has no turns for learners")
+        else missing("the budget has no turns for learners")
         for name, others in ways.items()
     }
     known = [value for value in values.values() if value["value"] is not None]

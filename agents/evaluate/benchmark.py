@@ -66,6 +66,7 @@ from . import statistics
 from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
 from .leaderboard import on_scale, runs_of, write_leaderboard
 from .play import Target
+from .scale import missing
 
 DEFAULT_ROWS = ("scripted", "pretrained", "trained")
 """Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``oracle``."""
@@ -468,15 +469,14 @@ def _cells(
     cells: dict[str, Any] = {}
     for name, values in scores.items():
         if isinstance(values, str):
-            cells[name] = {"value": None, "low": None, "high": None, "reason": values}
+            cells[name] = missing(values)
             continue
         there = np.isfinite(values)
         other, runs = scores[baseline], len(_row_named(rows, name).policies)
         beside = None if name == baseline or isinstance(other, str) else other
         measured = on_scale(values, random, best, runs_of(runs, len(blocks), len(values)), beside, gaps.get(name))
         if measured is None:
-            reason = "nobody scores above random play in these episodes: there is no scale"
-            cells[name] = {"value": None, "low": None, "high": None, "reason": reason}
+            cells[name] = missing("nobody scores above random play in these episodes: there is no scale")
             continue
         blockwise = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
         # Where nobody is above random play there is no scale, and no replication.

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Actions, Policy
 from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import PRESENT
@@ -44,9 +41,7 @@ class Contention:
                 rules = bench.rules.arrays
                 self._supplies += [(b, m, full) for m, full in zip(rules.reagents, rules.full, strict=True)]
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         labs, rules = self._labs, self._labs.rules.arrays
         busy, occupied = labs.busy[:, members], labs.shelf.vessels[members, : rules.slots, PRESENT] > 0.0

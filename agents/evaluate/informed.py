@@ -21,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
@@ -156,10 +157,7 @@ class _Observing(Playback):
         size = sum(labs.observation_sizes) + _accounts(labs)
         self.seen = np.zeros((len(plans), opening + 1, size), dtype=np.float32)
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         actions = super().act(observation, mask, step, members)
         # A position is that of the action that is played or waited for.
         at = self._next[members] - (actions == self._steps[members, np.maximum(self._next[members] - 1, 0)])

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import BoolArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.bench import Bench
 from chemlab.roles.manager_actions import DISCARD, MEASURE, RECALL, REPAIR, START, SUBMIT, WAIT, ManagerActions
@@ -102,9 +102,7 @@ class Moves:
         weights = np.cumsum(self._weights * (self._of_kind[kind] & legal))
         return int(np.searchsorted(weights, self._rng.random() * weights[-1], side="right"))
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """Random legal actions, see :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the manager has discrete actions"
         return np.array([self.draw(row != 0) for row in mask], dtype=np.int64)

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
-from chemlab.envs.players import Players, Policy, Watching
+from chemlab.envs.players import Actions, Players, Policy, Watching
 from chemlab.kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import Bench
@@ -305,10 +304,7 @@ class _Taped:
         """See :class:`chemlab.envs.players.Policy`: where no tape is played."""
         return ~self._place(members)[1]
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         longest, (experiment, taped) = self._actions.shape[2], self._place(members)
         played = np.zeros((len(members), *self._actions.shape[3:]), dtype=self._actions.dtype)
         if not taped.all():

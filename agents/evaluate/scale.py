@@ -55,6 +55,11 @@ class Scale:
         return self._scaled(np.array(spreads))
 
 
+def missing(reason: str) -> dict[str, Any]:
+    """A measure that there is none of, and why, in place of an interval."""
+    return {"value": None, "low": None, "high": None, "reason": reason}
+
+
 def interval(values: npt.ArrayLike) -> dict[str, Any]:
     """The first of [1 + G] values, with the interval that the others, each without a group of episodes, give it."""
     whole, *without = np.asarray(values, dtype=np.float64).tolist()

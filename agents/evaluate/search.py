@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
-from chemlab.envs.players import Policy
+from chemlab.envs.players import Actions, Policy
 from chemlab.kernels.arrays import BoolArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 from chemlab.roles.manager_actions import ManagerActions
@@ -73,10 +71,7 @@ class _Recording(Playback):
         self.legal: BoolArray = np.zeros((n, longest, len(actions)), dtype=np.bool_)
         self.after: list[list[int]] = [[] for _ in range(n)]
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         assert mask is not None, "the manager has discrete actions"
         actions = super().act(observation, mask, step, members)
         position = self._next[members]

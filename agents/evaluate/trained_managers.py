@@ -96,19 +96,6 @@ class _Group:
         return [row for row in self.rows if (row["policy"], row["run"]) == (policy, run)]
 
 
-@dataclass(frozen=True)
-class LaboratoryPage:
-    """The files that were written.
-
-    Attributes:
-        page: the table's file.
-        left_out: runs that the table does not have, and why.
-    """
-
-    page: Path
-    left_out: list[str]
-
-
 def has_manager(run: TrainedRun) -> bool:
     """Return whether a run trained a laboratory's manager, alone or with other roles."""
     return MANAGER_ROLE in _learned(run)
@@ -277,7 +264,7 @@ def _obstacle(group: _Group, run: TrainedRun) -> str | None:
 # -- writing ----------------------------------------------------------------------------------------------------------
 
 
-def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",)) -> LaboratoryPage | None:
+def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",)) -> tuple[Path | None, list[str]]:
     """Write ``laboratory.md`` and the pictures ``laboratory_curves``; nothing is played.
 
     Args:
@@ -286,8 +273,8 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
         formats: endings that matplotlib knows, such as ``png`` and ``svg``.
 
     Returns:
-        What was written; None, and what earlier results have left in ``out`` goes, where there are no finished runs of
-        managers.
+        The page, or None, and what earlier results have left in ``out`` goes, where there are no finished runs of
+        managers; and runs that the table does not have, with the reason.
 
     Raises:
         ValueError: the folder is not there, a file in it is not what was written, or the format is unknown.
@@ -304,7 +291,7 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
     for path in pictures if tasks else (*pictures, page):
         path.unlink(missing_ok=True)
     if not groups:
-        return None
+        return None, []
     for path in pictures if tasks else ():
         with import_matplotlib().rc_context(SETTINGS):
             save_figure(draw_tasks(tasks), path)
@@ -316,7 +303,7 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
     ]
     picture = pictures[0].name if tasks else None
     write_text(page, "\n".join(_markdown(groups, left_out, picture)) + "\n")
-    return LaboratoryPage(page, left_out)
+    return page, left_out
 
 
 def _markdown(groups: Sequence[_Group], left_out: Sequence[str], picture: str | None) -> Iterator[str]:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.config.pairs import REFERENCE_K, log_activity_coefficients, pair_table
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Remembering
+from chemlab.envs.players import Actions, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
@@ -139,9 +137,7 @@ class ScriptedCrystallization(Remembering):
         _, _, liquid, hot_k, litres = max(found)
         return liquid, hot_k, min(litres, max(room_l, 0.0))
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the crystallization bench has discrete actions"
         chosen = []

@@ -7,12 +7,11 @@ be boiled off, it swaps the receiver and distils the goal over.
 from __future__ import annotations
 
 import math
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from chemlab.envs.players import Memory, Remembering
+from chemlab.envs.players import Actions, Memory, Remembering
 from chemlab.kernels.arrays import BoolArray, Field, FloatArray, Handle, IntArray, MaskArray, ObservationArray
 from chemlab.kernels.jit import inner, kernel, opened
 from chemlab.kernels.tables import Table
@@ -234,9 +233,7 @@ class ScriptedDistillation(Remembering):
         )
         self._memory = Memory(_KEPT)
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the distillation bench has discrete actions"
         (kept,) = self._memory.recall(step, members)

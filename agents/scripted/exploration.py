@@ -115,7 +115,7 @@ class CampaignManager(BeliefManager[_Rates]):
     def _submitted(self, belief: _Rates, order: int) -> None:
         super()._submitted(belief, order)
         if not self._remember:
-            belief.weights = self._prior()
+            belief.weights = np.full(_GRID, 1.0 / _GRID)
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         belief, wait = self._kept[member], self._actions.encode("wait")
@@ -129,9 +129,6 @@ class CampaignManager(BeliefManager[_Rates]):
             if mask[start]:
                 return self._update(belief, start)
         return self._submit_for(mask, belief, slot, order)
-
-    def _prior(self) -> FloatArray:
-        return np.full(_GRID, 1.0 / _GRID)
 
     def _updated(self, weights: FloatArray, readings: FloatArray, runs: int) -> FloatArray:
         """Return [..., T] probabilities after readings [..., size] of a vessel with a number of runs."""

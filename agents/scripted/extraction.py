@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.config.materials import litres_of
-from chemlab.envs.players import Remembering
+from chemlab.envs.players import Actions, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
@@ -71,9 +68,7 @@ class ScriptedExtraction(Remembering):
         self._phase: dict[int, int] = {}
         self._washes: dict[int, int] = {}
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the extraction bench has discrete actions"
         rows = zip(observation[:, :CAMERA_PIXELS], mask, step.tolist(), members.tolist(), strict=True)

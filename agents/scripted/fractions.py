@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
+from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.roles.separation_benches import DistillationBench
 
@@ -71,10 +69,7 @@ class ScriptedFraction(ScriptedRealDistillation):
         self._full: dict[int, float] = {}
         """Litres in the pot when the receiver was changed, by environment index."""
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`chemlab.envs.players.Policy`."""
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         assert mask is not None, "the distillation bench has discrete actions"
         stripping = super().act(observation, mask, step, members)
         out = []

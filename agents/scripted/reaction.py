@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.config.reactions import equation
 from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
 from chemlab.physics.constants import GAS_CONSTANT
@@ -85,9 +83,7 @@ class ScriptedReaction:
                 if side and len(culprits) == len(step.reactants):
                     self._late[g, culprits[-1]] = True
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
         pressure = observation[:, self._slices["pressure"]][:, 0]

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
 from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
@@ -62,9 +61,7 @@ class ScriptedRealReaction:
             share = 1.0 - math.exp(-bench.options.jacket_w_k * bench.options.tick / warmed)
         self._gain = min(_GAIN, 0.6 * (2.0 / share - 1.0))
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
         t = self._temperature  # the jacket's is on the same scale
@@ -142,9 +139,7 @@ class ScriptedRealDistillation:
         self._end = bench.end_action
         self._careful = careful
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         kelvin = self._temperature.unscaled(observation[:, self._slices["temperature"]][:, 0])
         litres = self._volume.unscaled(observation[:, self._slices["volume"]][:, 0])

@@ -6,10 +6,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.players import Memory, Remembering
+from chemlab.envs.players import Actions, Memory, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
@@ -47,9 +46,7 @@ class ScriptedScreening(Remembering):
         self._shares[self._catalysts] = 0.0
         self._turns = Memory(1)
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         (tried,) = self._turns.recall(np.ones_like(step), members)
         now = self._temperature.unscaled(observation[:, self._slices["temperature"]][:, 0])

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.scenario import Scenario
+from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.kernels.jit import inner, kernel
 from chemlab.roles.bench import CAMERA_PIXELS, Channel, channel_slices
@@ -174,9 +175,7 @@ class ScriptedManager(Generic[M]):
         self._memories: list[dict[int, Any]] = [self._kept]
         self._advised: dict[int, _Advice] = {}
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         decided = self.advise(observation, mask, step, members, copied=False)
         self._advised.clear()

@@ -294,7 +294,8 @@ class UpkeepManager(BeliefManager[_Lines]):
         ages = self._ahead(line, runs, belief.rng)
         worth = np.interp(ages, self._ages, self._value_at)
         expected = worth.mean(axis=0) - self._scenario.costs.tick * self._steps * np.arange(runs + 1)
-        look = self._encode_look(line.slot)
+        asked = self._instrument
+        look = None if asked is None else self._actions.encode("measure", line.slot, asked)
         near = worth[:, : len(_WAITS)].mean(axis=0).max() > _NEAR * self._value_at.max()
         if look is not None and mask[look] and near:
             gains = [self._look(belief, ages, worth, wait, belief.doubt) for wait in _WAITS if wait <= runs]
@@ -360,9 +361,6 @@ class UpkeepManager(BeliefManager[_Lines]):
 
     def _submit(self, belief: _Lines, slot: int) -> int:
         return self._encode_submit(slot, belief.orders[0] if belief.orders else 0)
-
-    def _encode_look(self, slot: int) -> int | None:
-        return None if self._instrument is None else self._actions.encode("measure", slot, self._instrument)
 
     def _encode_calibrate(self) -> int | None:
         known = self._instrument in self._actions.drifting

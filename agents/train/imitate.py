@@ -222,7 +222,6 @@ class _Episodes(_Turns):
         self.learning_rate = _SEQUENCES_LEARNING_RATE
 
     def rows(self, some: IntArray) -> IntArray:
-        """See :class:`_Turns`."""
         return np.concatenate([padded[there] for _, padded, there in self._groups(some)])
 
     def _groups(self, some: IntArray) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
@@ -245,7 +244,6 @@ class _Episodes(_Turns):
         return nothing, nothing
 
     def evaluated(self, some: IntArray) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
-        """See :class:`_Turns`."""
         found = []
         for group, padded, there in self._groups(some):
             seen, played = torch.as_tensor(self._observations[padded]), torch.as_tensor(self.actions[padded])
@@ -256,7 +254,6 @@ class _Episodes(_Turns):
         return torch.cat(values), torch.cat(log_probability), None if entropy[0] is None else torch.cat(entropy)
 
     def chosen(self, some: IntArray) -> npt.NDArray[Any]:
-        """See :class:`_Turns`."""
         found = []
         for group, padded, there in self._groups(some):
             seen = torch.as_tensor(self._observations[padded])

@@ -64,14 +64,12 @@ class Team(Trainee):
         self._taken: dict[str, PretrainedPolicy] | None = None
 
     def check(self) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         for number, agent in enumerate(self._labs.agents):
             if self.arguments.bc is not None and role_of(agent) in self.learning:
                 agent_policy(self.arguments.bc, self._labs, number)
         self.make()
 
     def begin(self, run: Run) -> Progress:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         a, last = self.arguments, run.checkpoint("last")
         if last is not None:
             state = load_state(last)
@@ -136,7 +134,6 @@ class Team(Trainee):
         return found
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         team = self.team
         turns, self.note = team.learn(progress.step / self.steps, progress.rounds), ""
         means = {role: float(np.mean(one.scores)) for role, one in team.practices.items() if one.scores}
@@ -181,14 +178,12 @@ class Team(Trainee):
         return found
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         save_state(folder, {"team": self.team, **random_state(), "progress": vars(progress)})
         for role in self.learning:
             policy = self._policy(role, progress.step, evaluation, progress.sampled)
             save_policy(folder / role, policy.card, policy.weights)
 
     def take(self, folder: Path) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         self._taken = {role: load_pretrained(folder / role) for role in self.learning}
 
     def close(self) -> None:

@@ -182,12 +182,10 @@ class _Purging(TensorBoardOutputFormat):
         self._is_closed = False
 
     def write(self, *args: Any, **more: Any) -> None:
-        """See :class:`stable_baselines3.common.logger.KVWriter`."""
         with naming(self._folder):
             super().write(*args, **more)
 
     def close(self) -> None:
-        """See :class:`stable_baselines3.common.logger.KVWriter`."""
         with naming(self._folder):
             super().close()
 

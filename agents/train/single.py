@@ -112,7 +112,6 @@ class Agent(Trainee):
         self.config = self.described(a.scenario, task.agent, list(task.goals), task.fingerprint)
 
     def check(self) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         bc = getattr(self.arguments, "bc", None)
         if bc is not None:
             self._task.policy(bc)
@@ -120,7 +119,6 @@ class Agent(Trainee):
             self._task.advisor(self._hints)
 
     def begin(self, run: Run) -> Progress:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         self._run, a, task = run, self.arguments, self._task
         advisor = None if self._hints is None else task.advisor(self._hints, a.seed)
         self.venv = ChemlabVecEnv(task.batch(a.envs), show_masks=a.algo == "maskable-recurrent-ppo", advisor=advisor)
@@ -160,7 +158,6 @@ class Agent(Trainee):
         return self._rollout, ended.returns
 
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         if self._taken is None and not sampled:
             player = self._player
         else:
@@ -168,11 +165,9 @@ class Agent(Trainee):
         return self._task.by_goal(player, episodes, seed)
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         return self._task.scripted(episodes, seed)
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         save_agent(self._run, folder, self.model, self.venv, vars(progress))
         policy = self._policy(progress.step, evaluation, progress.sampled)
         save_policy(folder / policy.card.name, policy.card, policy.weights)
@@ -194,11 +189,9 @@ class Agent(Trainee):
         )
 
     def take(self, folder: Path) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         self._taken = load_pretrained(folder / self._task.workplace.key)
 
     def close(self) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`."""
         self.venv.close()
         forget_replay(self._run)
 

@@ -139,11 +139,9 @@ class BenchTask(Task):
         self.goals = self.scenario.goals if goals is None else tuple(goals)
 
     def batch(self, members: int) -> RoleVectorEnv:
-        """See :class:`Task`."""
         return self._make(members, split=self._splits[0])
 
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
-        """See :class:`Task`."""
         count = len(self.goals)
         if episodes not in self._batches:
             self._batches[episodes] = self._make(episodes * count, split=self._splits[1])
@@ -153,7 +151,6 @@ class BenchTask(Task):
         return played.returns.reshape(count, episodes)
 
     def policy(self, name: str, seed: int = 0) -> Policy:
-        """See :class:`Task`."""
         return bench_policy(name, self.workplace, seed)
 
     def warning(self) -> str | None:
@@ -206,7 +203,6 @@ class LaboratoryTask(Task):
         self._labs: dict[int, Laboratories] = {}
 
     def batch(self, members: int) -> RoleVectorEnv:
-        """See :class:`Task`."""
         return role_vector_env(
             members,
             self.scenario.model_copy(update={"lab_goals": self.goals}),
@@ -217,11 +213,9 @@ class LaboratoryTask(Task):
         )
 
     def prepare(self, batch: RoleVectorEnv, shares: Mapping[str, float] | None) -> None:
-        """See :class:`Task`."""
         batch.laboratories.prepare(shares)
 
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
-        """See :class:`Task`."""
         labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes, split=self._splits[1]))
         others = background_policies(self._background)
         policies = {**(others(labs) if callable(others) else others), self.agent: policy}
@@ -231,11 +225,9 @@ class LaboratoryTask(Task):
         return np.array(list(own))
 
     def policy(self, name: str, seed: int = 0) -> Policy:
-        """See :class:`Task`."""
         return agent_policy(name, Laboratories(self.scenario), self._number, seed)
 
     def trained(self, policy: Policy) -> Policy:
-        """See :class:`Task`."""
         return as_trained(policy, Laboratories(self.scenario), self._number)
 
 

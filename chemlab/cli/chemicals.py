@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..config.files import check_apart, check_new, check_target, write_text, write_texts
+from ..config.files import check_apart, check_target, write_text, write_texts
 from .options import ForceOption, JsonOption, app
 from .screen import counting, err, out, plain, show_table
 
@@ -55,8 +55,7 @@ def _free(path: Path, force: bool, *read: Path) -> None:
     if path.suffix != ".toml":
         raise ValueError(f"{path}: must end with .toml")
     check_apart([path], read)
-    check_new(path, force)
-    check_target(path)
+    check_target(path, force)
 
 
 def _named(options: Iterable[str] | None) -> dict[str, str]:

@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 
 from .. import __version__
 from ..config.datafile import DataError
-from ..config.files import check_apart, check_new, check_target, write_text
+from ..config.files import check_apart, check_target, write_text
 from ..config.inherit import files_of, split_level
 from ..config.parts import strangers_code
 from .screen import err, page, plain
@@ -293,8 +293,7 @@ def check_result(path: Path, force: bool, *read: str | Path) -> None:
         OSError: the name is not possible.
     """
     check_apart_from(path, *read)
-    check_new(path, force)
-    check_target(path)
+    check_target(path, force)
 
 
 def report_result(

@@ -130,13 +130,11 @@ def runs(
         with counting() as progress:
             task = progress.add_task("managers", total=total)
             left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
-    page, others = write_page(collect or results, output, formats)
-    laboratory = write_laboratory(collect or results, output, formats)
-    left_out += [*others, *(laboratory.left_out if laboratory is not None else ())]
-    for line in left_out:
+    made = [write(collect or results, output, formats) for write in (write_page, write_laboratory)]
+    for line in [*left_out, *(line for _, lines in made for line in lines)]:
         out.print(f"[yellow]left out[/yellow] {plain(line)}")
-    for written in (page, laboratory and laboratory.page):
-        if written is not None:
-            out.print(f"wrote {plain(written)}")
-    if page is None and laboratory is None:
+    written = [page for page, _ in made if page is not None]
+    for page in written:
+        out.print(f"wrote {plain(page)}")
+    if not written:
         raise ValueError(f"{results}: contains no training runs; give a folder of runs, or of tables of runs")

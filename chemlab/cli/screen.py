@@ -76,14 +76,9 @@ def hanging(head: str, body: str) -> None:
             out.print(Text(" " * indent) + part)
 
 
-def happened(events: Mapping[str, float]) -> dict[str, float]:
-    """Return the safety events without rounding errors."""
-    return {kind: amount for kind, amount in events.items() if amount >= _NOISE}
-
-
 def event_words(events: Mapping[str, float]) -> list[str]:
     """Describe the safety events that happened, with their amounts."""
-    return [f"{kind} {amount:.3g}" for kind, amount in happened(events).items()]
+    return [f"{kind} {amount:.3g}" for kind, amount in events.items() if amount >= _NOISE]
 
 
 def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]], right: Iterable[int] = ()) -> None:

@@ -66,7 +66,7 @@ def mcp(
 
         from ..agents import mcp_server
     spec = load_scenario(scenario)
-    seats = chosen_agents(["manager_0", *spec.bench_agents()], seat or ["manager_0"], "--seat")
+    seats = chosen_agents(spec.agents(), seat or ["manager_0"], "--seat")
     if http is None and len(seats) > 1:
         raise ValueError(f"--seat: standard input and output serve one seat, given {len(seats)}; add --http PORT")
     if token is not None and (http is None or len(seats) > 1):
@@ -143,7 +143,7 @@ def serve(
         raise ValueError(f"--speed: must be one of {', '.join(map(str, SPEEDS))}, given {speed}")
     local = host in LOCAL
     port = _free_port(host, port)
-    agents = ["manager_0", *spec.bench_agents()]
+    agents = spec.agents()
     tokens = None if local else {one: secrets.token_urlsafe(24) for one in ("watch", *agents)}
     with tempfile.TemporaryDirectory() as folder:
         lives = [

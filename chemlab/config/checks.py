@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from .datafile import DataError
 from .datamodel import validated
 from .draws import BOTTLE, DEVICE_QUANTITIES, ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw, changed_limits, draw_limits
-from .materials import Material, litres_of
+from .materials import Materials, litres_of
 from .reactions import ReactionFamily
 from .scenario import OrderTerms, Scenario, StartSpec, VesselSpec
 
@@ -40,7 +40,7 @@ def _vessels(spec: Scenario) -> dict[str, tuple[str, VesselSpec | StartSpec]]:
 
 
 def _filled(
-    vessel: VesselSpec | StartSpec, changed: Mapping[str, float], goals: Sequence[str], known: Mapping[str, Material]
+    vessel: VesselSpec | StartSpec, changed: Mapping[str, float], goals: Sequence[str], known: Materials
 ) -> float:
     """Return the most litres that a vessel may hold, with ``changed`` mol of some of its contents."""
     filled = litres_of({**vessel.contents, **changed}, known)
@@ -52,7 +52,7 @@ def _filled(
     return filled
 
 
-def check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
+def check_vessels(spec: Scenario, known: Materials, where: str) -> None:
     """Check that contents fit their vessels."""
     for key, vessel in _vessels(spec).values():
         filled = _filled(vessel, {}, spec.goals, known)
@@ -62,7 +62,7 @@ def check_vessels(spec: Scenario, known: Mapping[str, Material], where: str) -> 
             )
 
 
-def check_charges(spec: Scenario, known: Mapping[str, Material], family: ReactionFamily, where: str) -> None:
+def check_charges(spec: Scenario, known: Materials, family: ReactionFamily, where: str) -> None:
     """Check that ions have counter-ions that balance their charge."""
 
     def alone(key: str, name: str) -> None:
@@ -102,7 +102,7 @@ def check_charges(spec: Scenario, known: Mapping[str, Material], family: Reactio
                 alone(f"world.draws.{key}", name)
 
 
-def check_draws(spec: Scenario, known: Mapping[str, Material], where: str) -> None:
+def check_draws(spec: Scenario, known: Materials, where: str) -> None:
     """Check that drawn vessels exist, that nothing of them is drawn twice, and that drawn contents fit."""
     starts = {name: vessel for name, (_, vessel) in _vessels(spec).items()}
     drawn: dict[tuple[str, str, str], str] = {}
@@ -206,7 +206,7 @@ def _check_titre(draw: Draw, where: str) -> None:
         raise DataError(f"{where}: a titre must be from 0 to 1, and may be from {low:g} to {high:g}; give low and high")
 
 
-def check_materials(named: list[tuple[str, str]], known: Mapping[str, Material], where: str) -> None:
+def check_materials(named: list[tuple[str, str]], known: Materials, where: str) -> None:
     for key, name in named:
         if name not in known:
             raise DataError(f"{where}: {key}: unknown material {name!r}; choose from {', '.join(sorted(known))}")

@@ -161,23 +161,15 @@ def check_folder(path: Path, create: bool = True) -> None:
         raise ValueError(f"{path}: cannot write there: {error.strerror}; give another folder") from error
 
 
-def check_new(path: Path, force: bool) -> None:
-    """Check that a file does not exist yet, unless ``force`` allows to overwrite it.
-
-    Raises:
-        ValueError: it exists.
-    """
-    if path.is_file() and not force:
-        raise ValueError(f"{path}: already exists; give another name, or use --force to overwrite it")
-
-
-def check_target(path: Path) -> None:
+def check_target(path: Path, force: bool) -> None:
     """Check that a file can be written and create its folder, before any results exist.
 
     Raises:
-        ValueError: it cannot be written.
+        ValueError: it exists, unless ``force`` allows to overwrite it, or cannot be written.
         OSError: the name is not possible.
     """
+    if path.is_file() and not force:
+        raise ValueError(f"{path}: already exists; give another name, or use --force to overwrite it")
     if path.exists() and not path.is_file():
         raise ValueError(f"{path}: {'is a folder' if path.is_dir() else 'not a regular file'}; give a file's name")
     check_folder(path.parent)

@@ -16,8 +16,8 @@ from .checks import check_charges, check_draws, check_materials, check_vessels, 
 from .datafile import DataError, bounded, read_toml
 from .datamodel import validated, written
 from .inherit import campaign_names, completed, scenario_names, shipped_file, split_level, synthesis_names
-from .materials import LOCK, Material, load_materials, shipped_materials
-from .pairs import Pair, load_pairs, shipped_pairs
+from .materials import LOCK, Material, Materials, load_materials, shipped_materials
+from .pairs import Pair, Pairs, load_pairs, shipped_pairs
 from .reactions import (
     HYDROXIDE,
     PROTON,
@@ -175,13 +175,7 @@ def _check_is_scenario(values: Mapping[str, Any], where: str) -> None:
             raise DataError(f"{where}: is a file of {kind}, not a scenario; a scenario names it under {key}")
 
 
-def _equipped(
-    spec: Scenario,
-    known: Mapping[str, Material],
-    family: ReactionFamily,
-    pairs: Mapping[frozenset[str], Pair],
-    where: str,
-) -> Scenario:
+def _equipped(spec: Scenario, known: Materials, family: ReactionFamily, pairs: Pairs, where: str) -> Scenario:
     """Return ``spec`` with the materials and reactions that can occur, all validated except the family itself.
 
     Raises:
@@ -219,9 +213,7 @@ def _equipped(
     return spec
 
 
-def _of_paper(
-    present: Mapping[str, Material], family: ReactionFamily, where: str
-) -> tuple[dict[str, Material], ReactionFamily]:
+def _of_paper(present: Materials, family: ReactionFamily, where: str) -> tuple[dict[str, Material], ReactionFamily]:
     """Return materials and reactions without the data of the backend ``real``.
 
     Raises:

@@ -264,6 +264,10 @@ class Material(DataModel):
                 )
 
 
+Materials = Mapping[str, Material]
+"""By id."""
+
+
 def load_materials(paths: Iterable[Path]) -> dict[str, Material]:
     """Read material files into ``{id: Material}``.
 
@@ -301,7 +305,7 @@ def shipped_materials() -> dict[str, Material]:
     return load_materials([Path(__file__).parent.parent / "data" / "materials"])
 
 
-def atoms_of(counts: Mapping[str, float], materials: Mapping[str, Material]) -> dict[str, float]:
+def atoms_of(counts: Mapping[str, float], materials: Materials) -> dict[str, float]:
     """Return element totals (and the net charge under ``"charge"``) of ``{material: amount}``."""
     totals: dict[str, float] = {"charge": 0.0}
     for key, amount in counts.items():
@@ -311,7 +315,7 @@ def atoms_of(counts: Mapping[str, float], materials: Mapping[str, Material]) -> 
     return totals
 
 
-def litres_of(contents: Mapping[str, float], materials: Mapping[str, Material]) -> float:
+def litres_of(contents: Mapping[str, float], materials: Materials) -> float:
     """Return the volume in L of ``{material: mol}``, unmixed."""
     found = ((mol, materials[key]) for key, mol in contents.items())
     return sum(mol * one.molar_mass_g_mol / one.density_kg_l / 1000.0 for mol, one in found)

@@ -69,6 +69,10 @@ class Pair(DataModel):
         return first, second
 
 
+Pairs = Mapping[frozenset[str], Pair]
+"""By the ids of both materials."""
+
+
 class PairFile(DataModel):
     """A file of pairs."""
 
@@ -116,7 +120,7 @@ def shipped_pairs() -> dict[frozenset[str], Pair]:
     return load_pairs(sorted((Path(__file__).parent.parent / "data" / "pairs").glob("*.toml")))
 
 
-def pair_table(names: Sequence[str], pairs: Mapping[frozenset[str], Pair]) -> PairTable:
+def pair_table(names: Sequence[str], pairs: Pairs) -> PairTable:
     """Return the parameters of every pair among some materials.
 
     Args:

@@ -18,7 +18,7 @@ from pydantic import Field, model_validator
 from ..kernels.arrays import FloatArray
 from .datafile import DataError, read_toml
 from .datamodel import DataModel, validated
-from .materials import Material, Text, atoms_of
+from .materials import Materials, Text, atoms_of
 
 PROTON, HYDROXIDE, WATER = "H+", "OH-", "water"
 """Materials of the ionization of water, through which acids and bases react."""
@@ -360,9 +360,7 @@ def shipped_reactions_folder() -> Path:
     return Path(__file__).parent.parent / "data" / "reactions"
 
 
-def load_reactions(
-    name: str, materials: Mapping[str, Material], folder: Path | None = None, where: str = ""
-) -> ReactionFamily:
+def load_reactions(name: str, materials: Materials, folder: Path | None = None, where: str = "") -> ReactionFamily:
     """Load a family by bundled name or by path, and check it against the materials.
 
     Args:
@@ -389,7 +387,7 @@ def load_reactions(
     return family
 
 
-def check_reactions(family: ReactionFamily, materials: Mapping[str, Material], where: str) -> None:
+def check_reactions(family: ReactionFamily, materials: Materials, where: str) -> None:
     """Check that a chemistry can be built from a family.
 
     Args:

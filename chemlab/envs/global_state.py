@@ -70,22 +70,20 @@ class GlobalState:
     def _vessel_parts(self, members: IntArray) -> list[Quantity]:
         labs, shelf = self._laboratories, self._laboratories.shelf
         largest = labs.rules.arrays.largest_capacity
-        known = self._known
+        known, clock = self._known, (T_MIX, CLOCK_SETTLED)
         rows = shelf.vessels[members]
         air = rows[..., AIR] * GAS_CONSTANT * known.ambient_temperature / known.ambient_pressure
         dissolved = shelf.dissolved[members] * self._litres[known.dissolved][:, None]
         amounts = shelf.amounts[members] * self._litres
         return [
-            Quantity("present", "0 or 1", 0.0, 1.0, "whether there is a vessel, by vessel", rows[..., PRESENT]),
-            Quantity("capacity", "L", 0.0, largest, "by vessel", rows[..., CAPACITY]),
-            Quantity("temperature", "K", *VESSEL_TEMPERATURES_K, "by vessel", rows[..., TEMPERATURE]),
-            Quantity(
-                "clock", "clock", T_MIX, CLOCK_SETTLED, "how far layers have settled, by vessel", rows[..., CLOCK]
-            ),
-            Quantity("clock_was", "clock", T_MIX, CLOCK_SETTLED, "when solutes were last spread", rows[..., CLOCK_WAS]),
-            Quantity("air", "L", 0.0, largest, "air in the vessel, as at ambient conditions, by vessel", air),
-            Quantity("amounts", "L", 0.0, largest, "mol x molar volume, by vessel, material", amounts),
-            Quantity("dissolved", "L", 0.0, largest, "the same in each solvent, by vessel, solute, solvent", dissolved),
+            Quantity("present", "0 or 1", "whether there is a vessel, by vessel", rows[..., PRESENT]),
+            Quantity("capacity", "L", "by vessel", rows[..., CAPACITY], high=largest),
+            Quantity("temperature", "K", "by vessel", rows[..., TEMPERATURE], *VESSEL_TEMPERATURES_K),
+            Quantity("clock", "clock", "how far layers have settled, by vessel", rows[..., CLOCK], *clock),
+            Quantity("clock_was", "clock", "when solutes were last spread", rows[..., CLOCK_WAS], *clock),
+            Quantity("air", "L", "air in the vessel, as at ambient conditions, by vessel", air, high=largest),
+            Quantity("amounts", "L", "mol x molar volume, by vessel, material", amounts, high=largest),
+            Quantity("dissolved", "L", "the same in each solvent, by vessel, solute, solvent", dissolved, high=largest),
         ]
 
     def _shelf_parts(self, members: IntArray) -> list[Quantity]:
@@ -96,38 +94,20 @@ class GlobalState:
         age = np.where(state.age[members] < 0, rules.tick_limit, state.age[members])
         standing = sum(sum(vessel.contents.values()) for vessel in labs.scenario.shelf.vessel)
         everything = float(rules.first_stock.sum()) + standing
+        reserved = one_hot(state.reserved[members] + 1, len(labs.benches) + 1)
+        bench = one_hot(state.last_bench[members], rules.kinds + 1)
+        position = one_hot(state.last_position[members], rules.most_positions)
         return [
+            Quantity("reserved", "one-hot", "for nobody or a bench, by slot", reserved),
+            Quantity("last_bench", "one-hot", "none or its kind, by slot", bench),
+            Quantity("last_position", "one-hot", "position it had there, by slot", position),
+            Quantity("reading", "scaled", "last readings of instruments, by slot", state.reading[members]),
             Quantity(
-                "reserved",
-                "one-hot",
-                0.0,
-                1.0,
-                "for nobody or a bench, by slot",
-                one_hot(state.reserved[members] + 1, len(labs.benches) + 1),
+                "age", "ticks", "age of readings (never: the limit), by slot, instrument", age, high=rules.tick_limit
             ),
-            Quantity(
-                "last_bench",
-                "one-hot",
-                0.0,
-                1.0,
-                "none or its kind, by slot",
-                one_hot(state.last_bench[members], rules.kinds + 1),
-            ),
-            Quantity(
-                "last_position",
-                "one-hot",
-                0.0,
-                1.0,
-                "position it had there, by slot",
-                one_hot(state.last_position[members], rules.most_positions),
-            ),
-            Quantity("reading", "scaled", 0.0, 1.0, "last readings of instruments, by slot", state.reading[members]),
-            Quantity(
-                "age", "ticks", 0.0, rules.tick_limit, "age of readings (never: the limit), by slot, instrument", age
-            ),
-            Quantity("stock", "fraction", 0.0, 1.0, "left, by bottle", stock),
-            Quantity("waste", "mol", 0.0, everything, "of all there was, by material", labs.shelf.waste[members]),
-            Quantity("delivered", "mol", 0.0, everything, "with submitted vessels", state.delivered[members]),
+            Quantity("stock", "fraction", "left, by bottle", stock),
+            Quantity("waste", "mol", "of all there was, by material", labs.shelf.waste[members], high=everything),
+            Quantity("delivered", "mol", "with submitted vessels", state.delivered[members], high=everything),
         ]
 
     def _order_parts(self, members: IntArray) -> list[Quantity]:
@@ -135,10 +115,10 @@ class GlobalState:
         goal, submitted = state.goal[members], state.submitted[members]
         worth = submitted[..., 0] / labs.rules.arrays.maximum[goal]
         return [
-            Quantity("goal", "one-hot", 0.0, 1.0, "by order", one_hot(goal, len(labs.scenario.goals))),
-            Quantity("filled", "0 or 1", 0.0, 1.0, "by order", state.filled[members]),
-            Quantity("submitted", "fraction", 0.0, 1.0, "mol of the theoretical maximum, by order", worth),
-            Quantity("purity", "fraction", 0.0, 1.0, "of what has been submitted, by order", submitted[..., 1]),
+            Quantity("goal", "one-hot", "by order", one_hot(goal, len(labs.scenario.goals))),
+            Quantity("filled", "0 or 1", "by order", state.filled[members]),
+            Quantity("submitted", "fraction", "mol of the theoretical maximum, by order", worth),
+            Quantity("purity", "fraction", "of what has been submitted, by order", submitted[..., 1]),
             *self._terms_parts(members),
         ]
 
@@ -149,39 +129,33 @@ class GlobalState:
         parts = []
         if labs.scenario.demand.order:
             parts = [
-                Quantity(what, "scaled", 0.0, float(most[k]), f"{words}, by order", state.terms[members, :, k])
+                Quantity(what, "scaled", f"{words}, by order", state.terms[members, :, k], high=float(most[k]))
                 for k, (what, words) in enumerate(zip(ORDER_QUANTITIES, terms, strict=True))
             ]
-            parts.append(Quantity("paid", "scaled", 0.0, float(most[PRICE]), "so far, by order", state.paid[members]))
+            parts.append(Quantity("paid", "scaled", "so far, by order", state.paid[members], high=float(most[PRICE])))
         reports = state.report[members]
         if reports.shape[1]:
-            parts.append(
-                Quantity("report", "fraction", 0.0, 1.0, "by bench: mol, purity, ticks", state.report[members])
-            )
+            parts.append(Quantity("report", "fraction", "by bench: mol, purity, ticks", state.report[members]))
         if labs.scenario.grades:
             grades = [experiments.grade[members] for experiments in labs.experiments]
             hot = one_hot(np.stack(grades, axis=1), len(labs.scenario.grades))
-            parts.append(Quantity("grade", "one-hot", 0.0, 1.0, "of the last experiment, by bench", hot))
+            parts.append(Quantity("grade", "one-hot", "of the last experiment, by bench", hot))
         return parts
 
     def _turn_parts(self, members: IntArray) -> list[Quantity]:
         labs, rules, state = self._laboratories, self._laboratories.rules.arrays, self._laboratories.state
         budget = state.charges[members, INSTRUMENTS] / rules.budget
         return [
-            Quantity(
-                "turn", "one-hot", 0.0, 1.0, "who has it, by agent", one_hot(labs.turn_of(members), len(labs.agents))
-            ),
-            Quantity(
-                "finished", "0 or 1", 0.0, 1.0, "whether an experiment has ended in this tick", state.finished[members]
-            ),
-            Quantity("over", "0 or 1", 0.0, 1.0, "whether the episode is", state.status[members] != RUNNING),
-            Quantity("actions", "actions", 0.0, rules.action_limit, "of the manager so far", state.actions[members]),
-            Quantity("ticks", "ticks", 0.0, rules.tick_limit, "so far", state.ticks[members]),
-            Quantity("budget", "fraction", 0.0, 1.0, "of the budget for measurements spent", budget),
-            Quantity("charges", "score", 0.0, 1.0, "to the manager so far, by item", labs.charges(members)),
+            Quantity("turn", "one-hot", "who has it, by agent", one_hot(labs.turn_of(members), len(labs.agents))),
+            Quantity("finished", "0 or 1", "whether an experiment has ended in this tick", state.finished[members]),
+            Quantity("over", "0 or 1", "whether the episode is", state.status[members] != RUNNING),
+            Quantity("actions", "actions", "of the manager so far", state.actions[members], high=rules.action_limit),
+            Quantity("ticks", "ticks", "so far", state.ticks[members], high=rules.tick_limit),
+            Quantity("budget", "fraction", "of the budget for measurements spent", budget),
+            Quantity("charges", "score", "to the manager so far, by item", labs.charges(members)),
         ]
 
     def _world_parts(self, members: IntArray) -> list[Quantity]:
         worlds = self._laboratories.worlds
         meaning = "share of the prior below what was drawn, or which option: " + ", ".join(worlds.names)
-        return [Quantity("world", "fraction", 0.0, 1.0, meaning, worlds.positions(members))]
+        return [Quantity("world", "fraction", meaning, worlds.positions(members))]

@@ -18,6 +18,9 @@ from .inputs import checked_actions
 
 _MOST_TRIES = 1000
 
+Actions = npt.NDArray[Any]
+"""Of a batch: [B] int64, or [B, n] float64 for continuous actions."""
+
 
 class Policy(Protocol):
     """A policy for one role, evaluated on a batch; it has an agent's observation and the public scenario.
@@ -28,9 +31,7 @@ class Policy(Protocol):
     it reads the observation of a laboratory; it is given zeros where it does not.
     """
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """Return the actions for a batch.
 
         Args:
@@ -52,10 +53,7 @@ class _Called:
     def __init__(self, function: Callable[[ObservationArray, MaskArray | None], Any]) -> None:
         self._function = function
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`Policy`."""
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         actions = self._function(observation, mask)
         try:
             return np.asarray(actions)
@@ -74,9 +72,7 @@ class Watching:
     def __init__(self, policy: Policy, told: Callable[..., None]) -> None:
         self._policy, self._told = policy, told
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`Policy`."""
         actions = self._policy.act(observation, mask, step, members)
         self._told(observation, mask, step, members, actions)
@@ -154,10 +150,7 @@ class _RecurrentModel(Remembering):
         self._memory = Memory(*2 * [lstm.num_layers * lstm.hidden_size])
         self._size = model.observation_space.shape[0]
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`Policy`."""
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         if mask is not None and observation.shape[1] + mask.shape[1] == self._size:
             observation = np.concatenate([observation, mask], axis=1, dtype=np.float32)
         layers, hidden = self._shape
@@ -177,10 +170,7 @@ class _Model:
         self._model, self._deterministic = model, deterministic
         self._masked = "action_masks" in inspect.signature(model.predict).parameters
 
-    def act(
-        self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
-    ) -> npt.NDArray[Any]:
-        """See :class:`Policy`."""
+    def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         masks = {"action_masks": mask} if self._masked and mask is not None else {}
         actions, _ = self._model.predict(observation, deterministic=self._deterministic, **masks)
         return np.asarray(actions)

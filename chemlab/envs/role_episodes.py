@@ -211,26 +211,21 @@ class BenchEpisodes(RoleEpisodes):
 
     @property
     def action_meanings(self) -> list[str]:
-        """See :class:`RoleEpisodes`."""
         return self.bench.action_meanings
 
     def checked(self, action: Any) -> npt.NDArray[Any]:
-        """See :class:`RoleEpisodes`."""
         return self.bench.checked(self.agent, action)
 
     def seed(self, member: int, seed: int) -> None:
-        """See :class:`RoleEpisodes`."""
         self.batch.seed(member, seed)
 
     def begin(self, members: IntArray, goal: int | None, world: World | None) -> None:
-        """See :class:`RoleEpisodes`."""
         self._join()
         self.batch.reset(members, goal, world=world)
         for chunk, bench in self._chunks:
             self._look(chunk, bench)
 
     def play(self, actions: npt.NDArray[Any]) -> Ended:
-        """See :class:`RoleEpisodes`."""
         if self.threads == 1:
             return [self._step_chunk(*self._chunks[0], actions)]
         if self._pool is None or self._pool_process != os.getpid():
@@ -316,12 +311,10 @@ class BenchEpisodes(RoleEpisodes):
             bench.mask(shelf, experiments, members, self.masks[low:high])
 
     def arrays(self) -> State:
-        """See :class:`RoleEpisodes`."""
         self._join()
         return [*self.batch.arrays(), *super().arrays()]
 
     def text(self) -> str:
-        """See :class:`RoleEpisodes`."""
         experiments, bench = self.batch.experiments, self.bench
         lines = [
             f"{bench.scenario.title} - {bench.key}, goal {bench.goals.names[experiments.goal[0]]}, "
@@ -335,13 +328,11 @@ class BenchEpisodes(RoleEpisodes):
         return "\n".join(lines)
 
     def scene(self) -> Scene:
-        """See :class:`RoleEpisodes`."""
         from ..render.scene import bench_scene
 
         return bench_scene(self.batch)
 
     def close(self) -> None:
-        """See :class:`RoleEpisodes`."""
         if self._pool is not None and self._pool_process == os.getpid():
             self._pool.shutdown()
         self._pool = None
@@ -407,20 +398,16 @@ class LaboratoryEpisodes(RoleEpisodes):
 
     @property
     def action_meanings(self) -> list[str]:
-        """See :class:`RoleEpisodes`."""
         return self.laboratories.roles[self.focal].action_meanings
 
     def checked(self, action: Any) -> npt.NDArray[Any]:
-        """See :class:`RoleEpisodes`."""
         return self.laboratories.checked(self.focal, action)
 
     def seed(self, member: int, seed: int) -> None:
-        """See :class:`RoleEpisodes`."""
         self.laboratories.seed(member, seed)
         self._players.seed(member, seed)
 
     def begin(self, members: IntArray, goal: int | None, world: World | None) -> None:
-        """See :class:`RoleEpisodes`."""
         self._restart(members, None if goal is None else self.goals[goal], world)
         self._look()
 
@@ -431,12 +418,10 @@ class LaboratoryEpisodes(RoleEpisodes):
         self._last_turn[members] = self.laboratories.state.ticks[members]
 
     def clear(self, members: IntArray | slice) -> None:
-        """See :class:`RoleEpisodes`."""
         super().clear(members)
         self._lab_costs[members], self._elapsed[members] = 0.0, 0
 
     def play(self, actions: npt.NDArray[Any]) -> Ended:
-        """See :class:`RoleEpisodes`."""
         labs, members = self.laboratories, self.laboratories.members
         self.terminated[:] = False
         acting = members[~self.pending]
@@ -507,32 +492,25 @@ class LaboratoryEpisodes(RoleEpisodes):
             labs.mask(self.focal, members, self.masks)
 
     def more_infos(self) -> dict[str, npt.NDArray[Any]]:
-        """See :class:`RoleEpisodes`."""
         return {"lab_cost": self._lab_costs.copy(), "elapsed_ticks": self._elapsed.copy()}
 
     def accounts(self) -> dict[str, Any]:
-        """See :class:`RoleEpisodes`."""
         return self.laboratories.roles[self.focal].accounts(0)
 
     def arrays(self) -> State:
-        """See :class:`RoleEpisodes`."""
         own = [self._lab_costs, self._elapsed, self._last_turn]
         return [*self.laboratories.arrays(), *own, *super().arrays()]
 
     def get_memory(self) -> Any:
-        """See :class:`RoleEpisodes`."""
         return self._players.get_memory()
 
     def set_memory(self, memory: Any) -> None:
-        """See :class:`RoleEpisodes`."""
         self._players.set_memory(memory)
 
     def text(self) -> str:
-        """See :class:`RoleEpisodes`."""
         return describe_laboratory(self.laboratories)
 
     def scene(self) -> Scene:
-        """See :class:`RoleEpisodes`."""
         from ..render.scene import laboratory_scene
 
         return laboratory_scene(self.laboratories)

@@ -22,7 +22,7 @@ import numpy as np
 from ..config.catalogue import IDEAL_PAIR, SOURCES, CataloguePair
 from ..config.datafile import DataError
 from ..config.extras import needs
-from ..config.materials import Material
+from ..config.materials import Material, Materials
 from ..config.pairs import REFERENCE_K, log_activity_coefficients
 from .fits import FINE, QUICK, Array, Grid, fits
 
@@ -155,14 +155,14 @@ class Fit(NamedTuple):
     error: float
 
 
-def _apart(names: tuple[str, str], materials: Mapping[str, Material], form: Model) -> bool:
+def _apart(names: tuple[str, str], materials: Materials, form: Model) -> bool:
     """Return True if one of two materials is water and the other a hydrocarbon or its chloride."""
     others = [name for name in names if name != "water"]
     found = form.groups(others[0], materials[others[0]]) if len(others) == 1 else None
     return found is not None and {form.subgroups[number].group for number in found} <= APOLAR
 
 
-def _forms(names: tuple[str, str], materials: Mapping[str, Material]) -> Iterator[tuple[Model, list[Groups]]]:
+def _forms(names: tuple[str, str], materials: Materials) -> Iterator[tuple[Model, list[Groups]]]:
     """The forms of UNIFAC that have all groups and interactions of two materials, the best first, and their groups."""
     forms = models()
     if _apart(names, materials, forms[0]):
@@ -173,7 +173,7 @@ def _forms(names: tuple[str, str], materials: Mapping[str, Material]) -> Iterato
             yield form, groups
 
 
-def best_form(names: tuple[str, str], materials: Mapping[str, Material]) -> tuple[Model, list[Groups]] | None:
+def best_form(names: tuple[str, str], materials: Materials) -> tuple[Model, list[Groups]] | None:
     """Return the form of UNIFAC for two materials, and their groups in it.
 
     None if no form has all groups and interactions, and coefficients that are not extrapolated too far.
@@ -210,7 +210,7 @@ def pair_row(names: Sequence[str], found: Fit, low_k: float, high_k: float, sour
 
 
 def _fitted(
-    pairs: Sequence[tuple[str, str]], materials: Mapping[str, Material], grid: Grid, progress: Callable[[int], None]
+    pairs: Sequence[tuple[str, str]], materials: Materials, grid: Grid, progress: Callable[[int], None]
 ) -> list[tuple[str, Fit]]:
     """Return the form and the fit of each pair; :data:`~chemlab.config.catalogue.IDEAL_PAIR` where no form is sound."""
     keys: list[Any] = []
@@ -237,7 +237,7 @@ def is_molecule(material: Material) -> bool:
 
 def make_pairs(
     pairs: Sequence[tuple[str, str]],
-    materials: Mapping[str, Material],
+    materials: Materials,
     progress: Callable[[int], None] = lambda _: None,
     ideal: bool = False,
 ) -> list[dict[str, Any]]:
@@ -289,7 +289,7 @@ def make_pairs(
 
 def quick_pairs(
     pairs: Sequence[tuple[str, str]],
-    materials: Mapping[str, Material],
+    materials: Materials,
     progress: Callable[[int], None] = lambda _: None,
 ) -> list[CataloguePair]:
     """Return the NRTL parameters of some pairs by UNIFAC.

@@ -10,7 +10,7 @@ from typing import Any
 
 from ..config.datafile import DataError, read_toml, toml_key
 from ..config.datamodel import validated
-from ..config.materials import Material, shipped_materials
+from ..config.materials import Material, Materials, shipped_materials
 from .identity import Compound, canonical, compound_of
 from .names import is_mineral
 from .properties import DOUBTFUL, Properties, Value
@@ -81,7 +81,7 @@ def compounds(texts: Sequence[str], named: Mapping[str, str] | None = None) -> l
     return list(found.values())
 
 
-def known_as(compound: Compound, known: Mapping[str, Material]) -> str | None:
+def known_as(compound: Compound, known: Materials) -> str | None:
     """Return the id of a compound among some materials, or None."""
     return next(
         (key for key, m in known.items() if m.smiles and canonical(m.smiles, key) == compound.smiles),

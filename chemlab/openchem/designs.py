@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from ..config.datafile import DataError
-from ..config.materials import Material, litres_of
-from ..config.pairs import Pair, log_activity_coefficients, pair_table
+from ..config.materials import Material, Materials, litres_of
+from ..config.pairs import Pairs, log_activity_coefficients, pair_table
 from ..config.reactions import Reaction, ReactionFamily
 from ..config.scenario import SAFETY_EVENTS, RealSpec
 from ..physics.constants import ATMOSPHERE_PA, GAS_CONSTANT, ROOM_K
@@ -128,7 +128,7 @@ def _catalysts(goal: str, family: ReactionFamily) -> list[str]:
     return list(dict.fromkeys(name for step in steps for name in step.catalysts))
 
 
-def solvent_for(goal: str, family: ReactionFamily, materials: Mapping[str, Material]) -> str:
+def solvent_for(goal: str, family: ReactionFamily, materials: Materials) -> str:
     """Return a bundled solvent that boils far from the goal, preferably below it.
 
     A solvent that is a required catalyst is used first, else one that takes no part in reactions.
@@ -148,9 +148,7 @@ def solvent_for(goal: str, family: ReactionFamily, materials: Mapping[str, Mater
     return below[-1] if below else above[-1]
 
 
-def _dilute(
-    solute: str, solvent: str, materials: Mapping[str, Material], pairs: Mapping[frozenset[str], Pair]
-) -> float:
+def _dilute(solute: str, solvent: str, materials: Materials, pairs: Pairs) -> float:
     """Return the activity coefficient at infinite dilution, per litre instead of per mole of solvent, at 298.15 K."""
     tau = pair_table((solute, solvent), pairs).tau(ROOM_K)
     gamma = log_activity_coefficients(np.array([0.0, 1.0]), tau, pair_table((solute, solvent), pairs).alpha)[0]
@@ -176,13 +174,7 @@ def _tick(
     return significant(min(max(longest / _STEPS, _TICK_S[0]), _TICK_S[1]), 2)
 
 
-def _soluble(
-    solute: str,
-    solvent: str,
-    kelvin: float,
-    materials: Mapping[str, Material],
-    pairs: Mapping[frozenset[str], Pair],
-) -> float:
+def _soluble(solute: str, solvent: str, kelvin: float, materials: Materials, pairs: Pairs) -> float:
     """Return the solubility of a solid in mol per mol of solvent; ideal if the pair is unknown."""
     material = materials[solute]
     melts, heat = material.melting_point_k, material.real.fusion_enthalpy_j_mol if material.real else None
@@ -203,8 +195,8 @@ def _dissolving_s(
     solvent: str,
     solvent_mol: float,
     kelvin: float,
-    materials: Mapping[str, Material],
-    pairs: Mapping[frozenset[str], Pair],
+    materials: Materials,
+    pairs: Pairs,
 ) -> float:
     """Return the time in seconds in which the slowest charged crystals dissolve to 1/e.
 
@@ -218,7 +210,7 @@ def _dissolving_s(
     return max(lengthier, default=0.0) / RealSpec().crystal_rate
 
 
-def _column(goal: str, others: Collection[str], materials: Mapping[str, Material]) -> tuple[int, float]:
+def _column(goal: str, others: Collection[str], materials: Materials) -> tuple[int, float]:
     """Return theoretical stages and reflux ratio that separate the goal from its neighbours in boiling point.
 
     By Fenske (1932), with twice the stages of total reflux and ideal vapour pressures.
@@ -235,14 +227,12 @@ def _column(goal: str, others: Collection[str], materials: Mapping[str, Material
     return min(max(math.ceil(stages), 1), _MOST_STAGES), 1.0 if stages < 6.0 else 3.0
 
 
-def _charge_litres(fed: Mapping[str, float], mol: float, materials: Mapping[str, Material]) -> float:
+def _charge_litres(fed: Mapping[str, float], mol: float, materials: Materials) -> float:
     """Return the volume of a reaction's contents, solvent included."""
     return max(mol / _MOL_PER_L, 1.2 * litres_of(fed, materials))
 
 
-def check_design(
-    goal: str, solvent: str, family: ReactionFamily, materials: Mapping[str, Material], mol: float
-) -> None:
+def check_design(goal: str, solvent: str, family: ReactionFamily, materials: Materials, mol: float) -> None:
     """Check that a scenario can be designed; see :func:`design`.
 
     Raises:
@@ -283,8 +273,8 @@ def design(
     goal: str,
     solvent: str,
     family: ReactionFamily,
-    materials: Mapping[str, Material],
-    pairs: Mapping[frozenset[str], Pair],
+    materials: Materials,
+    pairs: Pairs,
     mol: float,
     files: Mapping[str, Any],
     wash: bool = True,
@@ -364,7 +354,7 @@ INSTRUMENTS: dict[str, dict[str, Any]] = {
 }
 
 
-def _heat(step: Reaction, materials: Mapping[str, Material]) -> float:
+def _heat(step: Reaction, materials: Materials) -> float:
     """Return the heat of reaction in J per mol of the step, from formation enthalpies."""
     total = 0.0
     for sign, side in ((-1.0, step.reactants), (1.0, step.products)):
@@ -374,13 +364,7 @@ def _heat(step: Reaction, materials: Mapping[str, Material]) -> float:
     return total
 
 
-def _washes(
-    goal: str,
-    solvent: str,
-    family: ReactionFamily,
-    materials: Mapping[str, Material],
-    pairs: Mapping[frozenset[str], Pair],
-) -> bool:
+def _washes(goal: str, solvent: str, family: ReactionFamily, materials: Materials, pairs: Pairs) -> bool:
     """Return True if water removes something from the solvent, but neither the solvent nor the goal.
 
     The same holds for water that a reaction makes.
@@ -403,7 +387,7 @@ def _washes(
     return bool(salts & present) or any(stays(key) < 0.1 * _STAYS for key in liquids)
 
 
-def _benches(charge: _Charge, materials: Mapping[str, Material]) -> dict[str, Any]:
+def _benches(charge: _Charge, materials: Materials) -> dict[str, Any]:
     """Return the tables of the benches."""
     goal, solvent = charge.goal, charge.solvent
     watts = charge.heat_j / (0.5 * _STEPS * charge.tick)
@@ -458,9 +442,7 @@ _WASHING = [
 ]
 
 
-def occurring(
-    goal: str, solvent: str, family: ReactionFamily, materials: Mapping[str, Material]
-) -> list[tuple[str, str]]:
+def occurring(goal: str, solvent: str, family: ReactionFamily, materials: Materials) -> list[tuple[str, str]]:
     """Return every pair of molecules whose activity coefficients a design may need."""
     names = [goal, solvent, WATER, *sorted(family.materials())]
     names += ["ethanol"] if _crystallizes(materials[goal]) else []

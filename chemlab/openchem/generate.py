@@ -21,10 +21,10 @@ from typing import Any
 
 from ..config.datafile import DataError
 from ..config.datamodel import validated
-from ..config.files import check_new, check_target, write_texts
+from ..config.files import check_target, write_texts
 from ..config.inherit import completed
 from ..config.loading import restore_scenario
-from ..config.materials import Material, litres_of, shipped_materials
+from ..config.materials import Material, Materials, litres_of, shipped_materials
 from ..config.reactions import ReactionFamily, side_words
 from ..config.scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario
 from ..physics.constants import GAS_CONSTANT
@@ -138,8 +138,7 @@ class Generated:
         """
         texts = {Path(folder) / name: text for name, text in self.files().items()}
         for path in texts:
-            check_new(path, force)
-            check_target(path)
+            check_target(path, force)
         write_texts(texts)
         return next(iter(texts))
 
@@ -261,7 +260,7 @@ def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, A
     return tables
 
 
-def _solvent(draws: Draws, materials: Mapping[str, Material], goals: list[str]) -> str:
+def _solvent(draws: Draws, materials: Materials, goals: list[str]) -> str:
     """Return the best dissolving bundled solvent that boils far below the goals."""
     shipped = shipped_materials()
     lowest = min(materials[goal].boiling_point_k for goal in goals)
@@ -273,13 +272,13 @@ def _solvent(draws: Draws, materials: Mapping[str, Material], goals: list[str]) 
     return draws.one_of(sorted(fitting, key=lambda name: (worst(name), name))[:2])
 
 
-def _mol(feeds: Sequence[str], materials: Mapping[str, Material]) -> float:
+def _mol(feeds: Sequence[str], materials: Materials) -> float:
     """Return the equal amount of each feed in mol; the route consumes them completely."""
     return min(significant(_FEEDS_L / litres_of(dict.fromkeys(feeds, 1.0), materials), 2), _MOL)
 
 
 def _paper(
-    head: Mapping[str, Any], network: Network, goals: list[str], materials: Mapping[str, Material], solvent: str
+    head: Mapping[str, Any], network: Network, goals: list[str], materials: Materials, solvent: str
 ) -> dict[str, Any]:
     """Return a scenario with the backend ``paper``, after ``fictitious``: a reaction bench and a distillation bench."""
     mol = _mol(network.feeds, materials)
@@ -324,7 +323,7 @@ def _real(
     head: Mapping[str, Any],
     network: Network,
     goals: list[str],
-    materials: Mapping[str, Material],
+    materials: Materials,
     solvent: str,
     family: Mapping[str, Any],
 ) -> dict[str, Any]:

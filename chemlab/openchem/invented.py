@@ -21,7 +21,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from ..config.materials import Material
+from ..config.materials import Material, Materials
 from ..physics.constants import ATMOSPHERE_PA, GAS_CONSTANT, ROOM_K
 from .reaction_networks import Draws, Network
 from .writing import significant
@@ -253,7 +253,7 @@ def _tau(log: float) -> float:
     return tau
 
 
-def pair_rows(materials: Mapping[str, Material]) -> list[dict[str, Any]]:
+def pair_rows(materials: Materials) -> list[dict[str, Any]]:
     """Return the rows of a pair file for every pair of liquids.
 
     Args:

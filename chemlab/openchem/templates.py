@@ -12,7 +12,7 @@ from typing import Any
 from ..config.datafile import DataError, toml_key
 from ..config.datamodel import validated, written
 from ..config.extras import needs
-from ..config.materials import Material
+from ..config.materials import Materials
 from ..config.reactions import ReactionFamily, load_reactions, shipped_reactions_folder, side_words
 from ..physics.constants import GAS_CONSTANT, ROOM_K
 from .identity import Compound, check_length, composition_of, compound_of, parsed
@@ -132,7 +132,7 @@ class _Pool:
     The key does not depend on the notation of a structure, nor on a bond drawn in sodium chloride.
     """
 
-    def __init__(self, materials: Mapping[str, Material], names: Mapping[str, str]) -> None:
+    def __init__(self, materials: Materials, names: Mapping[str, str]) -> None:
         self.species: dict[str, Species] = {}
         self._known: dict[str, tuple[str, str]] = {}
         for key, material in materials.items():
@@ -222,7 +222,7 @@ def _check_balance(reactants: Iterable[Any], products: Iterable[Any], where: str
 def expand(
     templates: Sequence[Template],
     reactants: Sequence[str],
-    materials: Mapping[str, Material],
+    materials: Materials,
     names: Mapping[str, str] | None = None,
     generations: int = 2,
 ) -> tuple[list[Found], list[Species]]:
@@ -272,7 +272,7 @@ def expand(
     return list(found.values()), list(pool.species.values())
 
 
-def _reactant(text: str, materials: Mapping[str, Material]) -> Any:
+def _reactant(text: str, materials: Materials) -> Any:
     if text in materials:
         smiles = materials[text].smiles
         if not smiles:
@@ -314,7 +314,7 @@ def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[
         )
 
 
-def heat_of_reaction(found: Found, materials: Mapping[str, Material]) -> float:
+def heat_of_reaction(found: Found, materials: Materials) -> float:
     """Return the heat of reaction in J/mol at 298.15 K of dissolved materials, from formation enthalpies.
 
     Raises:
@@ -336,7 +336,7 @@ def rate_constant(template: Template) -> float:
     return _GUESSED[template.side][0] if template.rate.constant is None else template.rate.constant
 
 
-def _entry(found: Found, materials: Mapping[str, Material], salts: Collection[str]) -> dict[str, Any]:
+def _entry(found: Found, materials: Materials, salts: Collection[str]) -> dict[str, Any]:
     """Return the table of a reaction; the dissolving ``salts`` react as their ions by mass action."""
     rate, template = found.template.rate, found.template
     constant = rate_constant(template)
@@ -367,7 +367,7 @@ def _entry(found: Found, materials: Mapping[str, Material], salts: Collection[st
     return values
 
 
-def _companions(keys: Iterable[str], materials: Mapping[str, Material]) -> dict[str, list[dict[str, Any]]]:
+def _companions(keys: Iterable[str], materials: Materials) -> dict[str, list[dict[str, Any]]]:
     """Return the reactions of bundled families with some materials: dissolution of salts, reactions with water."""
     here = set(keys)
     salts: dict[str, dict[str, Any]] = {}
@@ -387,7 +387,7 @@ def _companions(keys: Iterable[str], materials: Mapping[str, Material]) -> dict[
 def family_tables(
     name: str,
     found: Sequence[Found],
-    materials: Mapping[str, Material],
+    materials: Materials,
     command: str,
     catalysts: Sequence[str] = (),
 ) -> dict[str, Any]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from .. import __version__
 from ..config.datamodel import validated
-from ..config.files import check_new, check_target, locked, naming, sync_folder
+from ..config.files import check_target, locked, naming, sync_folder
 from ..config.loading import dump_scenario
 from ..kernels.arrays import IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
@@ -249,8 +249,7 @@ class Recorder:
         self._witness: Witness | None = None
         self._tick = 0
         for there in (self.path, self.part):
-            check_new(there, force)
-            check_target(there)
+            check_target(there, force)
 
     def __enter__(self) -> Recorder:
         return self

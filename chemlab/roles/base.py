@@ -27,11 +27,11 @@ class Quantity(NamedTuple):
 
     name: str
     unit: str
-    low: float
-    high: float
     meaning: str
     values: npt.NDArray[Any]
     """[B, ...] in ``unit``"""
+    low: float = 0.0
+    high: float = 1.0
 
 
 def one_hot(indices: IntArray, size: int) -> FloatArray:

@@ -745,7 +745,7 @@ class Bench(ABC):
                 if field.field.kept and "N" in field.axes:
                     array = np.moveaxis(getattr(experiments, field.name), field.axes.index("N"), 0)[members]
                     scaled = 0.5 + np.arctan(np.nan_to_num(array.astype(np.float64))) / np.pi
-                    found.append(Quantity(field.name, "scaled", 0.0, 1.0, "0.5 + arctan(x) / pi of its own", scaled))
+                    found.append(Quantity(field.name, "scaled", "0.5 + arctan(x) / pi of its own", scaled))
         return found
 
     def _handles(self, shelf: Shelf, experiments: Experiments) -> tuple[Handle, Handle, Handle, Handle]:

@@ -138,11 +138,11 @@ class BenchRole(Role):
         origin = one_hot(labs.state.origin[members, self.number], rules.slots) * busy[:, None]
         limit, steps, baseline = self.workplace.spec.step_limit, own.steps[members] * busy, own.baseline[members] * busy
         parts = [
-            Quantity("busy", "0 or 1", 0.0, 1.0, "whether an experiment is running", busy),
-            Quantity("goal", "one-hot", 0.0, 1.0, "its goal", goal),
-            Quantity("steps", "steps", 0.0, limit, "taken", steps),
-            Quantity("origin", "one-hot", 0.0, 1.0, "slot its vessel came from", origin),
-            Quantity("baseline", "mol", -most, most, "the score is the change from", baseline),
+            Quantity("busy", "0 or 1", "whether an experiment is running", busy),
+            Quantity("goal", "one-hot", "its goal", goal),
+            Quantity("steps", "steps", "taken", steps, high=limit),
+            Quantity("origin", "one-hot", "slot its vessel came from", origin),
+            Quantity("baseline", "mol", "the score is the change from", baseline, low=-most, high=most),
             *self.workplace.memory(self.experiments, members),
         ]
         return [part._replace(name=f"{name}_{part.name}") for part in parts]
@@ -155,10 +155,10 @@ class BenchRole(Role):
         gain, life = np.log(own.gain[members]), np.minimum(own.life[members], limit)
         repair = np.maximum(labs.state.ready[members, self.number] - labs.state.ticks[members], 0)
         parts = [
-            Quantity("gain", "ln", -most, most, "logarithm of it: stirring, heating", gain),
-            Quantity("life", "ticks", 0.0, limit, "of work until it breaks", life),
-            Quantity("broken", "0 or 1", 0.0, 1.0, "whether it is broken", own.broken[members]),
-            Quantity("repair", "ticks", 0.0, limit, "left of its repair", repair),
+            Quantity("gain", "ln", "logarithm of it: stirring, heating", gain, low=-most, high=most),
+            Quantity("life", "ticks", "of work until it breaks", life, high=limit),
+            Quantity("broken", "0 or 1", "whether it is broken", own.broken[members]),
+            Quantity("repair", "ticks", "left of its repair", repair, high=limit),
         ]
         return [part._replace(name=f"{self.name}_{part.name}") for part in parts]
 

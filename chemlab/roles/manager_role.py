@@ -219,10 +219,10 @@ class ManagerRole(Role):
         ticks = state.ticks[members, None]
         since, old = ticks - state.since[members], ticks - state.calibrated[members]
         return [
-            Quantity("bias", "scaled", -1.0, 1.0, "of readings when last worked out, by value", state.bias[members]),
-            Quantity("bias_age", "ticks", 0.0, limit, "since then, by instrument", since),
-            Quantity("trend", "scaled", -1.0, 1.0, "of the bias in a tick, by instrument", state.trend[members]),
-            Quantity("calibrated", "ticks", 0.0, limit, "since the calibration, by instrument", old),
+            Quantity("bias", "scaled", "of readings when last worked out, by value", state.bias[members], low=-1.0),
+            Quantity("bias_age", "ticks", "since then, by instrument", since, high=limit),
+            Quantity("trend", "scaled", "of the bias in a tick, by instrument", state.trend[members], low=-1.0),
+            Quantity("calibrated", "ticks", "since the calibration, by instrument", old, high=limit),
         ]
 
     def arrays(self, member: int) -> list[npt.NDArray[Any]]:

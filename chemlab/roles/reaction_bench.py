@@ -465,10 +465,10 @@ class ReactionBench(Bench):
     def memory(self, experiments: Experiments, members: IntArray) -> list[Quantity]:
         busy = experiments.busy[members][:, None]
         supply = experiments.supply[members] / np.maximum(self.rules.arrays.full, 1e-12) * busy
-        parts = [Quantity("supply", "fraction", 0.0, 1.0, "left of the supply, by reagent", supply)]
+        parts = [Quantity("supply", "fraction", "left of the supply, by reagent", supply)]
         if self.options.jacket_w_k is not None:
             jacket = experiments.jacket[members][:, None] * busy
-            parts.append(Quantity("jacket", "K", 0.0, VESSEL_TEMPERATURES_K[1], "temperature of the jacket", jacket))
+            parts.append(Quantity("jacket", "K", "temperature of the jacket", jacket, high=VESSEL_TEMPERATURES_K[1]))
         return [*parts, *super().memory(experiments, members)]
 
     def action_words(self, action: Any) -> str:

@@ -84,7 +84,7 @@ def make(out: Path, pages: Mapping[Path, Sequence[str]]) -> list[str]:
             "again (chemlab sweep) and --collect them, or take their rows from the tables"
         )
     lacking = write_figures(results, out)
-    page, laboratory = write_page(results, out, lacking), write_laboratory(LABORATORY, out)
+    page, (laboratory, left_out) = write_page(results, out, lacking), write_laboratory(LABORATORY, out)
     tables = {
         "paper": paper_table(results),
         "managers": brief_table(LABORATORY, shipped=True),
@@ -95,8 +95,7 @@ def make(out: Path, pages: Mapping[Path, Sequence[str]]) -> list[str]:
         for mark in marks:
             replace_between(file, mark, tables[mark])
     missing = [f"{stem}: missing: {'; '.join(what)}" for stem, what in lacking.items() if what]
-    left_out = laboratory.left_out if laboratory else []
-    written = [page, *([laboratory.page] if laboratory else []), *pages]
+    written = [page, *([laboratory] if laboratory else []), *pages]
     return [*missing, *(f"left out {line}" for line in left_out), *(f"wrote {path}" for path in written)]
 
 

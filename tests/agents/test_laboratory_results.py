@@ -122,7 +122,7 @@ def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
     assert collect_count(source) == 0
     assert collect(source, tables) == []
     assert not (tables / "managers.csv").exists()
-    assert write_laboratory(source, out) is None
+    assert write_laboratory(source, out) == (None, [])
     assert not out.exists()
     done = runner.invoke(app, ["plot", "runs", str(source), "-o", str(out)])
     assert done.exit_code == 0, done.output
@@ -148,10 +148,10 @@ def test_intervals_are_over_seeds(tmp_path: Path) -> None:
     names = [f"manager/seed-{seed}" for seed in range(3)]
     beside = [row("scripted", value, name) for name, value in zip(names, scripted, strict=True)]
     store(tmp_path, {**dict(zip(names, scores, strict=True)), "alone/seed-0": 0.25}, *beside)
-    written = write_laboratory(tmp_path, tmp_path / "out")
-    assert written is not None
-    assert written.left_out == []
-    rows = rows_of(written.page)
+    page, left_out = write_laboratory(tmp_path, tmp_path / "out")
+    assert page is not None
+    assert left_out == []
+    rows = rows_of(page)
     assert list(rows) == [
         ("scripted", name) for name in ("alone", "manager", *(text for _, text in BASELINES.values()))
     ]
@@ -171,10 +171,10 @@ def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     results, out = tmp_path / "results", tmp_path / "out"
     for seed in (0, 1):
         write_run(results / "manager" / f"seed-{seed}", seed)
-    written = write_laboratory(results, out)
-    assert written is not None
-    assert len(written.left_out) == 2
-    assert not rows_of(written.page)
+    page, left_out = write_laboratory(results, out)
+    assert page is not None
+    assert len(left_out) == 2
+    assert not rows_of(page)
     store(results, {"manager/seed-0": 0.7})
     done = runner.invoke(app, ["plot", "runs", str(results), "-o", str(out), "--format", "png", "--format", "svg"])
     assert done.exit_code == 0, done.output
@@ -228,10 +228,10 @@ def test_runs_without_checkpoints_keep_what_was_known(tmp_path: Path) -> None:
     assert [run.name for run in read_runs(tables)] == [
         path.relative_to(runs).as_posix() for path in (known, lost, empty)
     ]
-    written = write_laboratory(tables, tmp_path / "out")
-    assert written is not None
-    assert len(written.left_out) == 2
-    assert rows_of(written.page)["scripted", "manager"][0] == "0.700"
+    page, left_out = write_laboratory(tables, tmp_path / "out")
+    assert page is not None
+    assert len(left_out) == 2
+    assert rows_of(page)["scripted", "manager"][0] == "0.700"
 
 
 def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -131,7 +131,7 @@ def test_an_episode_is_played_by_clicks(tmp_path: Path, visitor: Any) -> None:
         seat.get_by_text("The episode is over.").first.wait_for()
         until(lambda: lab.lives[0].verdict[0] != "")
         assert lab.lives[0].verdict[0] == "ok"
-        assert read_record(lab.lives[0].record).end is not None
+        assert read_record(lab.lives[0].room.record).end is not None
         assert lab.lives[0].room.report()["seats"]["manager_0"]["wrong"] == 0
 
 
@@ -245,7 +245,7 @@ def test_a_policy_plays_unless_a_person_has_the_seat(tmp_path: Path) -> None:
         lab.step()
     lab.check()
     assert lab.verdict[0] == "ok"
-    assert set(read_record(lab.record).header["policies"].values()) == {"scripted"}
+    assert set(read_record(lab.room.record).header["policies"].values()) == {"scripted"}
 
 
 @pytest.mark.parametrize(
