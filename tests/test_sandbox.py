@@ -369,10 +369,7 @@ def test_a_product_that_crystallizes_draws_its_equilibrium(tmp_path: Path, rate:
     """What crystallizes meanwhile goes on being made: SciPy's integration, in one call as in many."""
     kelvin, solvent, seconds = 283.15, 1.0, 3600.0
     naphthalene = MATERIALS["naphthalene"]
-    assert naphthalene.real is not None
     fusion, melting = naphthalene.real.fusion_enthalpy_j_mol, naphthalene.melting_point_k
-    assert fusion is not None
-    assert melting is not None
     soluble = math.exp(-fusion / GAS_CONSTANT * (1.0 / kelvin - 1.0 / melting))
     begun = 1.0
 
@@ -415,10 +412,7 @@ def test_crystals_dissolve_while_they_react() -> None:
 def test_crystals_melt_by_the_heat_that_they_take() -> None:
     """At the melting point until all have: heat = capacity x warming + heat of fusion x what has melted."""
     mol, naphthalene = 0.5, MATERIALS["naphthalene"]
-    assert naphthalene.real is not None
     fusion, melting = naphthalene.real.fusion_enthalpy_j_mol, naphthalene.melting_point_k
-    assert fusion is not None
-    assert melting is not None
     molten = Flask({"naphthalene": mol}, temperature_k=melting + 1.0)
     assert [layer.name for layer in molten.layers] == ["organic"]
     assert molten.temperature_k == melting + 1.0
@@ -720,7 +714,6 @@ def test_it_has_a_picture() -> None:
     assert picture.shape == (200, 240, 3)
     assert picture.dtype == np.uint8
     layers = flask.scene().shelf[0].vessel
-    assert layers is not None
     column = [tuple(pixel) for pixel in picture[:, 105].tolist()]
     where = []
     for layer in layers.layers:

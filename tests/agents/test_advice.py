@@ -305,7 +305,6 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
     result = train(arguments(learning_rate=1e-12, bc_steps=2400, final_episodes=20), tmp_path / "run")
     assert result.mean == pytest.approx(result.scripted_mean, abs=0.1)
     best = Run(tmp_path / "run").checkpoint("best")
-    assert best is not None
     card = load_pretrained(best / "manager").card
     assert card.advice == "scripted"
     labs = Laboratories("rush", 2, split="validation")

@@ -278,12 +278,10 @@ def test_the_interval_of_a_row_of_several_runs_is_over_runs() -> None:
     assert runs == [0, 0, 1, 1, 0, 0, 1, 1]
     assert runs_of(1, 4, 8) is None
     found = on_scale(scores, np.zeros(8), np.ones(8), runs)
-    assert found is not None
     expected = stats.ttest_1samp([scores[[0, 1, 4, 5]].mean(), scores[[2, 3, 6, 7]].mean()], 0.0)
     ends = expected.confidence_interval(0.95)
     assert (found["low"], found["high"]) == pytest.approx((ends.low, ends.high))
     alone = on_scale(scores, np.zeros(8), np.ones(8))
-    assert alone is not None
     ends = stats.ttest_1samp(scores, 0.0).confidence_interval(0.95)
     assert (alone["low"], alone["high"]) == pytest.approx((ends.low, ends.high))
 
@@ -292,7 +290,6 @@ def test_where_nobody_is_above_random_play_there_is_no_scale() -> None:
     """A cell of such episodes is empty, instead of a score divided by next to nothing."""
     assert on_scale(np.array([-0.1, -0.2]), np.zeros(2), np.zeros(2)) is None
     half = on_scale(np.array([0.0, 0.5]), np.zeros(2), np.array([0.0, 1.0]))
-    assert half is not None
     assert half["value"] == 0.5
     assert half["low"] is None, "without the second episode there is no scale, so nobody knows how it varies"
 

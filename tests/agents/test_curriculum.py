@@ -235,7 +235,6 @@ def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: P
         arguments = training_arguments({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
         result = train(arguments, tmp_path / name)
         scores[name] = result.last_mean
-        assert result.scripted_mean is not None
     assert scores["clone"] > 0.6 * result.scripted_mean
     assert scores["scratch"] < 0.1 * result.scripted_mean
 
@@ -251,7 +250,6 @@ def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
         }
     )
     result = train(arguments, tmp_path / "run")
-    assert result.scripted_mean is not None
     assert result.mean > 0.5 * result.scripted_mean
 
 
@@ -291,7 +289,6 @@ def test_a_learner_that_plays_itself_is_shown_what_would_have_been_played() -> N
     np.testing.assert_array_equal(own.seen, alone.seen)
     np.testing.assert_array_equal(own.returns, alone.returns)
     np.testing.assert_array_equal(own.lengths, alone.lengths)
-    assert own.masks is not None
     assert own.masks[np.arange(len(own.actions)), own.actions].all()
     assert 0.1 < (own.actions != alone.actions).mean() < 1.0
 
@@ -355,7 +352,6 @@ def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path:
     expected = make_policies("scripted:unsafe", labs)
     assert vars(policies["dit_0"]).get("_careful") == vars(expected["dit_0"]).get("_careful")
     best = Run(run).checkpoint("best")
-    assert best is not None
     learner = as_policy(load_learner(best, "maskable-ppo"))
     seen, mask = begun(labs).observe(0, labs.members), labs.mask(0, labs.members)
     zero = np.zeros(1, dtype=np.int64)

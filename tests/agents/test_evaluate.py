@@ -30,7 +30,6 @@ def test_a_batch_plays_what_single_environments_play(bench: str, goal: str) -> N
     target = Target(load_scenario("wurtz_dodecane"), bench)
     batch = target.environment(4)
     played = play_bench(batch, bench_policy("scripted", batch.bench), goal, 30, record=True)
-    assert played.actions is not None
     for i in range(4):
         env = RoleEnv(target.scenario, bench=bench)
         env.reset(seed=30 + i, options={"goal": goal})

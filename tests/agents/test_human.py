@@ -35,7 +35,6 @@ def person(env: raw_env, agent: str, lines: Iterable[str], width: int = 80) -> t
 def turn(env: raw_env, policy: HumanPolicy, step: int = 0) -> Any:
     """What the person plays at the laboratory's next turn."""
     observation, _, _, _, info = env.last()
-    assert observation is not None
     mask = info.get("action_mask")
     return policy.act(observation[None], None if mask is None else mask[None], np.array([step]), np.array([0]))[0]
 

@@ -88,7 +88,6 @@ def test_no_reward_is_lost_or_another_agents(scenario: str, rewards: str | None)
 
 def weights(run: Path) -> dict[str, Any]:
     checkpoint = Run(run).checkpoint("last")
-    assert checkpoint is not None
     return {
         f"{file.stem} {name}": array
         for file in checkpoint.glob("*.safetensors")
@@ -269,7 +268,6 @@ def test_a_checkpoint_before_the_first_evaluation_plays_as_asked(tmp_path: Path)
     with pytest.raises(_Stop):
         train(IPPO(**given, roles=("manager",), play="sampled"), tmp_path, stopping)
     last = Run(tmp_path).checkpoint("last")
-    assert last is not None
     assert load_pretrained(last / "manager").card.sampled
 
 
@@ -401,7 +399,6 @@ def test_policies_of_single_benches_go_on_together(tmp_path: Path) -> None:
         team = team_of(IPPO(**SMALL, begin_from=text, net_arch=(64, 64)))
         for role in ("rxn", "dit", "ext"):
             best = Run(tmp_path / role).checkpoint("best")
-            assert best is not None
             single = load_pretrained(best / role).weights
             for name, value in team.weights(role).items():
                 np.testing.assert_array_equal(value, single[name], err_msg=f"{role} {name}")

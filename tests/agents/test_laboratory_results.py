@@ -149,7 +149,6 @@ def test_intervals_are_over_seeds(tmp_path: Path) -> None:
     beside = [row("scripted", value, name) for name, value in zip(names, scripted, strict=True)]
     store(tmp_path, {**dict(zip(names, scores, strict=True)), "alone/seed-0": 0.25}, *beside)
     written = write_laboratory(tmp_path, tmp_path / "out")
-    assert written is not None
     assert written.left_out == []
     rows = rows_of(written.page)
     assert list(rows) == [
@@ -172,7 +171,6 @@ def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     for seed in (0, 1):
         write_run(results / "manager" / f"seed-{seed}", seed)
     written = write_laboratory(results, out)
-    assert written is not None
     assert len(written.left_out) == 2
     assert not rows_of(written.page)
     store(results, {"manager/seed-0": 0.7})
@@ -229,7 +227,6 @@ def test_runs_without_checkpoints_keep_what_was_known(tmp_path: Path) -> None:
         path.relative_to(runs).as_posix() for path in (known, lost, empty)
     ]
     written = write_laboratory(tables, tmp_path / "out")
-    assert written is not None
     assert len(written.left_out) == 2
     assert rows_of(written.page)["scripted", "manager"][0] == "0.700"
 
@@ -281,7 +278,6 @@ def test_a_real_run_from_training_to_the_page(tmp_path: Path) -> None:
     assert {row["same_task"] for row in rows.values()} == {"True"}
     scores = {key: float(row["score"]) for key, row in rows.items()}
     result = Run(path).result()
-    assert result is not None
     assert scores["learned", "joint/seed-0"] == pytest.approx(result.mean, abs=1e-12)
     labs = Laboratories("wurtz_dodecane", 2)
     beside = make_policies("pretrained-isolated,manager=scripted,dit=scripted", labs)

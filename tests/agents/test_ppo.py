@@ -147,7 +147,6 @@ def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
     """Returns are sums of rewards to the end of each turn's episode; turns of open episodes wait."""
     made = team(self_imitation=1.0, batch_size=8)
     learner, best = made.learners["manager"], made._best
-    assert best is not None
     rows, track, reward, over = np.array([2, 5]), made._tracks["manager_0"], np.zeros(8), np.zeros(8, dtype=np.bool_)
     observed = np.random.default_rng(0).random((2, len(learner.columns)), dtype=np.float32)
     track.observed[1, rows], track.mask[1, rows] = observed, True
@@ -476,7 +475,6 @@ def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
     """Without a clone or hints it comes past the scripted manager over the same scripted benches."""
     made = IPPO(scenario="wurtz_dodecane", roles=("manager",), steps=60_000, evaluations=2, checkpoints=2, seed=1)
     result = train(made, tmp_path / "run")
-    assert result.scripted_mean is not None
     assert result.mean > result.scripted_mean > 0.7
 
 
@@ -499,7 +497,6 @@ def test_while_the_critic_learns_alone_no_own_turns_are_learned_again() -> None:
     made = managers("rush", tied=False, self_imitation=1.0, net_arch=(256, 256), rollout=200)
     made.learners["manager"].take(load_pretrained("rush_manager"))
     made.learners["manager"].critic_first, again = 2, list[int]()
-    assert made._best is not None
     made._best.learn = lambda learner, rng: again.append(learner.critic_first)  # type: ignore[method-assign]
     for rounds in range(3):
         made.learn(0.0, rounds)

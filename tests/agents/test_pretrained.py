@@ -123,7 +123,6 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
     assert card.memory == 16
     masked = algo.startswith("maskable")
     policy, folder = load_pretrained(tmp_path / "mine"), run.checkpoint("best")
-    assert folder is not None
     original: Any = as_policy(load_learner(folder, algo))
     draw, steps = np.random.default_rng(0), np.zeros(4, dtype=np.int64)
     kept, sees = None, policy.card.observation_size
@@ -180,7 +179,6 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
     assert "--gamma" not in policy.card.command
     policy.check(bench_of(env_id))
     folder = run.checkpoint("best")
-    assert folder is not None
     model: Any = load_learner(folder, algo)
     scenario, key = policy.card.scenario, policy.card.bench
     env = RoleVectorEnv(50, scenario, bench=key, autoreset_mode="SameStep")

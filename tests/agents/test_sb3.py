@@ -248,7 +248,6 @@ def test_ppo_learns_reproducibly_and_hears_of_episodes() -> None:
         return model
 
     model = learned(3, lambda: ChemlabVecEnv(4, bench="rxn"))
-    assert model.ep_info_buffer is not None
     assert len(model.ep_info_buffer) == 320 // 20  # an experiment has 20 steps
     assert {info["l"] for info in model.ep_info_buffer} == {20}
     np.testing.assert_array_equal(weights(learned(3, lambda: ChemlabVecEnv(4, bench="rxn"))), weights(model))

@@ -122,7 +122,6 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
     assert clone.config() is None, "the right name in the file is not another run"
     finished = Run(out / "FictitiousReaction" / "ppo" / "seed-0")
     result = finished.result()
-    assert result is not None
     assert done["mean"] == result.mean
     times = {path: path.stat().st_mtime_ns for path in finished.path.rglob("*")}
     assert "results" in runner.invoke(app, ["sweep", "--help"]).output
@@ -133,7 +132,6 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
     assert "2 failed, 1 done" in shown.output
     # Another task or other arguments in the same folder are neither done nor overwritten.
     config = finished.config()
-    assert config is not None
     finished.config_file.write_text(json.dumps({**config, "fingerprint": "another"}))
     changed = {one.name: status_of(one) for one in plan(file, out)}["FictitiousReaction/ppo/seed-0"]
     assert (changed.state, "fingerprint 'another' (now '" in changed.note) == ("other", True)

@@ -84,7 +84,6 @@ def small(algo: str, **more: Any) -> Single:
 def weights_of(run: Run, algo: str, kind: str = "last") -> Any:
     """All parameters of a checkpoint in one array."""
     folder = run.checkpoint(kind)
-    assert folder is not None
     model = load_learner(folder, algo)
     return weights(model)
 
@@ -238,7 +237,6 @@ def test_a_checkpoint_of_another_version_is_not_gone_on_with(tmp_path: Path) -> 
     with pytest.raises(Killed):
         train(small("a2c"), tmp_path, Stop(3))
     last = Run(tmp_path).checkpoint("last")
-    assert last is not None
     state = pickle.loads((last / "state.pkl").read_bytes())
     del state["progress"]["step"]
     (last / "state.pkl").write_bytes(pickle.dumps(state))
@@ -269,7 +267,6 @@ def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pyte
     assert (run.checkpoints / "new-192").is_dir()
     assert (run.checkpoints / "replay" / "64-96.npz").exists()
     last = run.checkpoint("last")
-    assert last is not None
     assert last.name == "last-128"
     with run.curve_file.open("a") as handle:
         handle.write('{"step": 256, "ret')
@@ -287,7 +284,6 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     first = runner.invoke(app, [*flags, "--json"])
     assert first.exit_code == 0, first.output
     result = Run(tmp_path / "run").result()
-    assert result is not None
     assert json.loads(first.stdout)["mean"] == result.mean
     monkeypatch.setattr(training, "train_in_rounds", None)
     again = runner.invoke(app, flags)
@@ -299,7 +295,6 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     assert "learning_rate 0.0003 (now 0.01)" in refused.output
     assert "--out" in refused.output
     config = Run(tmp_path / "run").config()
-    assert config is not None
     # Of before there was such an argument: it has its default.
     del config["arguments"]["gamma"]
     Run(tmp_path / "run").config_file.write_text(json.dumps(config))
@@ -342,7 +337,6 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
     result = train(arguments, tmp_path)
     (run,) = find_runs(tmp_path)
     config = run.config()
-    assert config is not None
     given = {**config["arguments"], "seed": config["seed"]}
     assert training_arguments(given) == arguments
     assert given["gamma"] == 0.99, "a default may change, what the run had does not"
@@ -355,7 +349,6 @@ def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> Non
     assert [evaluation.step for evaluation in evaluations] == [128, 256, 384]
     assert result.best_step == max(evaluations, key=lambda e: (e.mean, -e.step)).step
     best = run.checkpoint("best")
-    assert best is not None
     assert best.name == f"best-{result.best_step}"
     assert run.result() == result
 
@@ -467,7 +460,6 @@ def test_other_defaults_are_those_of_stable_baselines3(algo: str) -> None:
 def test_dqn_explores_as_the_paper_says(tmp_path: Path) -> None:
     train(small("dqn", exploration_steps=192, exploration_final=0.25), tmp_path)
     folder = Run(tmp_path).checkpoint("last")
-    assert folder is not None
     schedule = load_learner(folder, "dqn").exploration_schedule  # type: ignore[attr-defined]
     # The schedule takes what is left of the run's 384 steps.
     assert [schedule(left) for left in (1.0, 0.75, 0.5, 0.1)] == pytest.approx([1.0, 0.625, 0.25, 0.25])
@@ -701,10 +693,8 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
     assert BenchTask(load_scenario(values), "ext").warning() is None
     values["benches"]["ext"]["start"] = {}
     said = BenchTask(load_scenario(values), "ext").warning()
-    assert said is not None
     assert said.endswith("give it contents (moles by material); or train with --starts lab")
     new = BenchTask(load_scenario({**values, "name": "new"}), "ext").warning()
-    assert new is not None
     assert new.endswith("; or record vessels with chemlab export starts new, and train with --starts lab")
     assert BenchTask(load_scenario(values), "ext", starts="lab").warning() is None
 

@@ -126,9 +126,7 @@ def test_vector_wrappers() -> None:
 def test_episodes_are_shorter_than_the_spec_says(name: str, arguments: dict[str, Any]) -> None:
     """The longest episode there can be ends as it does without a time limit, also where clients put one by the spec."""
     env = gymnasium.make(name, **arguments)
-    assert env.spec is not None
     bound = env.spec.max_episode_steps
-    assert bound is not None
     limited = gymnasium.make(env.spec)
     found: Any = env
     while found is not env.unwrapped:
@@ -160,8 +158,6 @@ def test_episodes_are_shorter_than_the_spec_says(name: str, arguments: dict[str,
 def test_batches_are_not_cut_short() -> None:
     single = gymnasium.make("chemlab/WurtzReaction-v0")
     batch = gymnasium.make_vec(single.spec, num_envs=2)
-    assert batch.spec is not None
-    assert single.spec is not None
     assert batch.spec.max_episode_steps == single.spec.max_episode_steps == 21
     with pytest.raises(ValueError, match=r"max_episode_steps.*up to 20 steps.*given 7"):
         gymnasium.make_vec("chemlab/WurtzReaction-v0", num_envs=2, max_episode_steps=7)
@@ -193,14 +189,12 @@ def test_specs_are_json_that_makes_the_same_environment(how: str, tmp_path: Path
     }
     for name, arguments in made.items():
         env = gymnasium.make(name, scenario=scenario, **arguments)
-        assert env.spec is not None
         again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
         np.testing.assert_array_equal(env.reset(seed=5)[0], again.reset(seed=5)[0])
         one, other = (each.unwrapped.scenario for each in (env, again))  # type: ignore[attr-defined]
         assert scenario_hash(one) == scenario_hash(other)
         assert one.split == other.split
         batch = gymnasium.make_vec(name, num_envs=2, scenario=scenario, autoreset_mode=AutoresetMode.SAME_STEP)
-        assert batch.spec is not None
         repeated = gymnasium.make_vec(EnvSpec.from_json(batch.spec.to_json()))
         assert repeated.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
         np.testing.assert_array_equal(batch.reset(seed=5)[0], repeated.reset(seed=5)[0])
@@ -209,7 +203,6 @@ def test_specs_are_json_that_makes_the_same_environment(how: str, tmp_path: Path
 def test_arguments_of_a_spec_are_as_short_as_they_can_be(tmp_path: Path) -> None:
     def kept(scenario: Any) -> Any:
         spec = gymnasium.make("chemlab/Bench-v1", scenario=scenario).spec
-        assert spec is not None
         return spec.kwargs["scenario"]
 
     assert kept(_given("path", tmp_path)) == kept(_given("loaded from a file", tmp_path)) == str(tmp_path / "mine.toml")
@@ -221,7 +214,6 @@ def test_a_spec_has_no_salt() -> None:
     split = f"private:{'0f' * 16}"
     for arguments in ({"scenario": load_scenario("rush", split=split)}, {"scenario": "rush", "split": split}):
         env = gymnasium.make("chemlab/Bench-v1", bench="rxn", **arguments)
-        assert env.spec is not None
         assert "0f" * 16 not in env.spec.to_json()
         with pytest.raises(ValueError, match=r"split: must be .* or private:SALT"):
             gymnasium.make(env.spec)

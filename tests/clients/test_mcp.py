@@ -139,11 +139,8 @@ def test_the_command_keeps_its_secrets(given: bool, tmp_path: Path) -> None:
         env=environment,
         cwd=tmp_path / "HOME",
     )
-    assert process.stdin is not None
-    assert process.stdout is not None
 
     def send(method: str, params: dict[str, Any], **number: int) -> None:
-        assert process.stdin is not None
         process.stdin.write(
             json.dumps({"jsonrpc": "2.0", "method": method, "params": params, **number}).encode() + b"\n"
         )

@@ -127,7 +127,6 @@ def test_runs_find_their_cells(tmp_path: Path) -> None:
     write_run(tmp_path / "b", "wurtz_dit", "ppo", 0, finished=False)
     results = read_results(tmp_path)
     cell = results.cell("wurtz_rxn", "ppo")
-    assert cell is not None
     assert [run.result.seed for run in cell.runs] == [0, 1, 2]
     assert cell.steps == 1000
     assert results.missing("wurtz_rxn") == ["a2c", "sac", "td3"]
@@ -391,7 +390,6 @@ def test_traces_are_collected(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
     assert set(cases) == {"with NaCl", "without NaCl"}
     for trace in cases.values():
         assert EXPERIMENTS["wurtz_dit"].action_names[trace.actions[-1]] == "end the experiment"
-        assert trace.best_return is not None
         assert trace.best_return >= trace.mean_return - 1e-9
 
 

@@ -79,7 +79,6 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
                 assert dict(picture["vessel"]["contents"]) == pytest.approx(vessel.amounts(5e-6), rel=1e-3)
         for bench, experiments in zip(frame["benches"], labs.experiments, strict=True):
             assert bench["busy"] == experiments.busy[0]
-    assert found.end is not None
     assert data["results"][-1] == pytest.approx(found.end["end"]["score"], rel=1e-3)
     # Each experiment once, with its score; the scores are the benches' rewards.
     for agent, total in found.end["end"]["rewards"].items():
@@ -297,7 +296,6 @@ def turn(page: Any) -> int:
         then([document.querySelector('#now').innerText, document.querySelector('#scrub').value]))))"""
     )
     found = re.match(r"turn (\d+)/", now)
-    assert found is not None
     assert scrub == found[1]
     return int(found[1])
 
