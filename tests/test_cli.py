@@ -120,6 +120,9 @@ MISTAKES = {
     "evaluate chemlab/WurtzDistillation-v0 --policy clever --episodes 1": ["clever", "scripted", "path"],
     "evaluate chemlab/WurtzDistillation-v0 --goal gold --episodes 1": ["gold", "dodecane"],
     "evaluate wurtz_dodecane --policy clever --episodes 1": ["clever", "scripted"],
+    "audit unlabelled --budget huge": ["budget: known: small, full; given 'huge'"],
+    "audit plan salt_from_oil --budget some": ["some"],
+    "benchmark unlabelled --budget huge --out parts": ["budget: known: small, full; given 'huge'"],
     "crossplay unlabelled --budget huge": ["budget: known: small, full; given 'huge'"],
     "plot runs . --out .": ["contains no training runs; give"],
     # A group without the name of a kind stands for its first.

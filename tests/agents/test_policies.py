@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from helpers import refused
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -88,14 +89,9 @@ def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
     try:
         policies = make_policies(policy, env.laboratories, seed=0)
     except ValueError as error:
-        reason = {
-            "pretrained": "no pretrained policy fits",
-            "pretrained-isolated": "no pretrained policy fits",
-            "trained": "no pretrained policy fits",
-            "plan": "none is stored",
-            "scripted:memoryless": "has nothing to forget",
-            "scripted:fifo": "has no orders to choose from",
-        }
+        reason = dict.fromkeys(("pretrained", "pretrained-isolated", "trained"), "no pretrained policy fits")
+        reason |= {"scripted:memoryless": "has nothing to forget", "scripted:fifo": "has no orders to choose from"}
+        reason["plan"] = "none is stored"
         if policy not in reason or reason[policy] not in str(error):
             raise
         pytest.skip(f"{name}: policies come for the benches of wurtz_dodecane and those that are like them")
@@ -114,13 +110,11 @@ def test_random_policies_are_seeded_and_independent() -> None:
     env = raw_env("wurtz_dodecane")
     mask = np.ones((200, 31), dtype=np.int8)
     first, again, other = (make_policies("random", env.laboratories, seed=seed) for seed in (1, 1, 2))
-    streams = [
-        act(policies[agent], mask).tolist() for policies in (first, again, other) for agent in ("ext_0", "dit_0")
-    ]  # type: ignore[arg-type]
-    ext, dit, ext_again, dit_again, ext_other, _ = streams
-    assert (ext, dit) == (ext_again, dit_again)
-    assert ext != dit
-    assert ext != ext_other
+    agents = ((first, "ext_0"), (first, "dit_0"), (again, "ext_0"), (again, "dit_0"), (other, "ext_0"))
+    drawn = (act(policies[agent], mask).tolist() for policies, agent in agents)  # type: ignore[arg-type]
+    ext, dit, *repeated, ext_other = drawn
+    assert [ext, dit] == repeated
+    assert ext not in (dit, ext_other)
 
 
 @pytest.mark.parametrize("policy", ["random", "scripted@0.3", "scripted,manager=random", "trained:sampled@0.1"])
@@ -149,13 +143,10 @@ def test_what_a_policy_draws_depends_on_the_episode_s_seed_alone(policy: str) ->
 
 
 def test_an_unknown_policy_is_refused() -> None:
-    env = raw_env("fictitious")
-    with pytest.raises(ValueError, match="'omniscient'") as caught:
-        make_policies("omniscient", env.laboratories)
-    for name in policy_names():
-        assert name in str(caught.value)
-    with pytest.raises(ValueError, match=r"did you mean scripted\?"):
-        make_policies("scriptd", env.laboratories)
+    labs = Laboratories("fictitious")
+    said = refused("unknown", "'omniscient'", make_policies, "omniscient", labs)
+    assert [name for name in policy_names() if name not in said] == []
+    refused("mistyped", r"did you mean scripted\?", make_policies, "scriptd", labs)
 
 
 @pytest.fixture

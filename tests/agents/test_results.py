@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import command, refused
 from run_files import HEURISTIC, write_run
 from scipy import stats
-from typer.testing import CliRunner
 
 from chemlab.agents.evaluate.csv_tables import read_table, write_table
 from chemlab.agents.evaluate.curves import algorithm_style, average_curves
 from chemlab.agents.evaluate.results import cells_of, cells_table, read_runs, write_runs
-from chemlab.cli import app
-
-runner = CliRunner()
 
 
 @pytest.fixture
@@ -53,9 +50,8 @@ def test_tables_have_what_the_folders_have(runs: Path, tmp_path: Path) -> None:
 
 
 def test_returns_keep_every_digit_and_curves_five(tmp_path: Path) -> None:
-    write_run(
-        tmp_path / "runs" / "x", "lab", "rxn", {"a": 1.0 / 3.0}, curve=[(10, 2.0 / 3.0, None), (20, 2.0 / 3.0, 0.0)]
-    )
+    curve = [(10, 2.0 / 3.0, None), (20, 2.0 / 3.0, 0.0)]
+    write_run(tmp_path / "runs" / "x", "lab", "rxn", {"a": 1.0 / 3.0}, curve=curve)
     write_runs(tmp_path / "tables", read_runs(tmp_path / "runs"))
     (run,) = read_runs(tmp_path / "tables")
     assert run.finished.by_goal == {"a": 1.0 / 3.0}
@@ -63,21 +59,17 @@ def test_returns_keep_every_digit_and_curves_five(tmp_path: Path) -> None:
 
 
 def test_what_is_no_table_is_named(runs: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no such folder of results"):
-        read_runs(tmp_path / "nothing")
+    refused("no folder", "no such folder of results", read_runs, tmp_path / "nothing")
     tables = tmp_path / "tables"
     write_runs(tables, read_runs(runs))
     (tables / "curves.csv.gz").write_bytes(b"run,step,mean,std\n")
-    with pytest.raises(ValueError, match=r"curves\.csv\.gz: not a table"):
-        read_runs(tables)
+    refused("no table", r"curves\.csv\.gz: not a table", read_runs, tables)
     path = tmp_path / "any.csv"
     write_table(path, ("a", "b"), [{"a": 1, "b": "x, y"}, {"a": 2, "b": ""}])
     assert read_table(path, ("a", "b")) == [{"a": "1", "b": "x, y"}, {"a": "2", "b": ""}]
-    with pytest.raises(ValueError, match=r"has the columns a, b; needs a, c"):
-        read_table(path, ("a", "c"))
+    refused("columns", r"has the columns a, b; needs a, c", read_table, path, ("a", "c"))
     path.write_text("a,b\n1,2\n3\n")
-    with pytest.raises(ValueError, match=r"any\.csv:3: has not 2 cells"):
-        read_table(path, ("a", "b"))
+    refused("cells", r"any\.csv:3: has not 2 cells", read_table, path, ("a", "b"))
     assert read_table(tmp_path / "none.csv", ("a",)) == []
 
 
@@ -143,14 +135,10 @@ def test_variants_have_looks_of_their_own() -> None:
 def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     tables = tmp_path / "tables"
-    done = runner.invoke(app, ["plot", "runs", str(runs), "--out", str(tmp_path / "a"), "--collect", str(tables)])
-    assert done.exit_code == 0, done.output
+    command("plot", "runs", runs, "--out", tmp_path / "a", "--collect", tables)
     before = sorted(runs.rglob("*"))
-    done = runner.invoke(
-        app, ["plot", "runs", str(runs), "-o", str(tmp_path / "b"), "--format", "svg", "--format", "png"]
-    )
-    assert done.exit_code == 0, done.output
-    assert "left out z: not finished" in done.output
+    said = command("plot", "runs", runs, "-o", tmp_path / "b", "--format", "svg", "--format", "png")
+    assert "left out z: not finished" in said
     assert sorted(runs.rglob("*")) == before
     assert {path.name for path in (tmp_path / "b").iterdir()} == {"runs.md", "runs_curves.svg", "runs_curves.png"}
     ours, theirs = ((tmp_path / name / "runs.md").read_text() for name in "ab")
@@ -158,23 +146,17 @@ def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: 
     assert ours == theirs.replace(".svg", ".png").replace("- z: not finished\n", "")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["nothing"], "no such folder of results"),
-        (["runs", "--format", "bmp2"], "--format: must be one of png, svg, pdf; given bmp2"),
-        (["runs", "--out", "file"], "file: cannot write there"),
-        (["runs", "--collect", "file/tables"], "tables: cannot write there"),
-    ],
-)
 def test_what_is_wrong_is_said_before_anything_is_made(
-    runs: Path, tmp_path: Path, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("in the way")
-    before = sorted(runs.rglob("*"))
-    done = runner.invoke(app, ["plot", "runs", *arguments], env={"COLUMNS": "200"})
-    assert done.exit_code == 2
-    assert words in done.output
-    assert sorted(runs.rglob("*")) == before
-    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".md", ".csv", ".png")]
+    before = sorted(tmp_path.rglob("*"))
+    for arguments, words in (
+        ("nothing", "no such folder of results"),
+        ("runs --format bmp2", "--format: must be one of png, svg, pdf; given bmp2"),
+        ("runs --out file", "file: cannot write there"),
+        ("runs --collect file/tables", "tables: cannot write there"),
+    ):
+        assert words in command("plot", "runs", *arguments.split(), code=2)
+    assert sorted(tmp_path.rglob("*")) == before
