@@ -127,10 +127,9 @@ def test_heuristics_need_no_laboratory(name: str) -> None:
     episodes = recorded(name, range(3))
     env = raw_env(name)
     policies = make_policies("scripted", env.laboratories)
-    gone = [
-        weakref.ref(thing) for thing in (env, env.laboratories, env.laboratories.shelf, *env.laboratories.experiments)
-    ]
-    del env
+    labs = env.laboratories
+    gone = [weakref.ref(thing) for thing in (env, labs, labs.shelf, *labs.experiments)]
+    del env, labs
     gc.collect()
     assert all(reference() is None for reference in gone), "a policy holds on to the laboratory"
     for calls in episodes:
@@ -196,15 +195,9 @@ def test_the_manager_does_the_same_in_every_process() -> None:
         "played = target.play('pretrained,manager=scripted', '4,5-diethyloctane', 1, 2_000_023)\n"
         "print(next(iter({'NaCl', 'NaOH'})), played.returns[0])"
     )
-    said = [
-        subprocess.run(
-            [sys.executable, "-c", code],
-            env={**os.environ, "PYTHONHASHSEED": seed},
-            capture_output=True,
-            text=True,
-            check=True,
-        ).stdout.split()
-        for seed in ("0", "4")
-    ]
+    said = []
+    for seed in ("0", "4"):
+        given: Any = {"env": {**os.environ, "PYTHONHASHSEED": seed}, "capture_output": True, "text": True}
+        said.append(subprocess.run([sys.executable, "-c", code], check=True, **given).stdout.split())
     assert said[0][0] != said[1][0]
     assert said[0][1] == said[1][1]
