@@ -13,6 +13,7 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -315,8 +316,7 @@ def test_tables_break_no_word(
 def test_a_table_has_its_cells_in_their_columns(capsys: pytest.CaptureFixture[str]) -> None:
     show_table("", ("name", "number"), [("one", 1), (Text("[two]", style="red"), "22")], right=(1,))
     lines = [line.rstrip() for line in capsys.readouterr().out.splitlines() if line.strip()]
-    assert lines[0] == " name   number"
-    assert lines[2:] == [" one         1", " [two]      22"]
+    assert (lines[0], lines[2:]) == (" name   number", [" one         1", " [two]      22"])
 
 
 # -- describe ---------------------------------------------------------------------------------------------------------
@@ -328,8 +328,7 @@ def test_a_scenario_is_described_as_it_is(name: str) -> None:
     told = json.loads(command("describe", name, "--json"))
     labs = Laboratories(name)
     assert list(told["agents"]) == labs.agents
-    assert told["stock"] == dict(labs.scenario.stock)
-    assert told["limits"]["ticks"] == labs.scenario.limits.ticks
+    assert (told["stock"], told["limits"]["ticks"]) == (dict(labs.scenario.stock), labs.scenario.limits.ticks)
     for number, (agent, one) in enumerate(told["agents"].items()):
         ends = [0, *(channel["stop"] for channel in one["observation"]["channels"])]
         assert [channel["start"] for channel in one["observation"]["channels"]] == ends[:-1]
@@ -642,6 +641,7 @@ def test_who_stops_answering_leaves_no_file(tmp_path: Path, key: bytes) -> None:
         while b"reaction file: " not in said:
             said += os.read(ours, 1000)
         code = None
+        time.sleep(0.5)
         for _ in range(12):  # what comes between the question and its waiting for the answer is heard with the next
             if key == b"\x03":
                 process.send_signal(signal.SIGINT)

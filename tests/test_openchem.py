@@ -40,7 +40,7 @@ from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of  # noqa: E402
 from chemlab.openchem.properties import Properties, Value, fitted_vapor_pressure  # noqa: E402
 from chemlab.openchem.templates import Rate, Template, expand, family_tables, heat_of_reaction  # noqa: E402
-from chemlab.openchem.writing import family_text, material_text, toml, toml_tables  # noqa: E402
+from chemlab.openchem.writing import family_text, material_text, toml  # noqa: E402
 from chemlab.sandbox import Flask  # noqa: E402
 
 WURTZ = "[C:1][Cl:3].[C:2][Cl:4].[Na:5].[Na:6]>>[C:1][C:2].([Na+:5].[Cl-:3]).([Na+:6].[Cl-:4])"
@@ -527,11 +527,6 @@ def test_pairs_that_are_shipped_are_not_made_again(tmp_path: Path) -> None:
     assert not (tmp_path / "p.toml").exists()
 
 
-def test_tables_are_read_as_they_were_written() -> None:
-    values = {"a": 1.5, "b": 'x "y" \\ z', "t": {"1,2-x": {"k": [1, 2]}, "r": True}, "l": [{"m": {"n": 1}}, {"m": {}}]}
-    assert tomllib.loads("\n".join(toml_tables(values))) == values
-
-
 # A laboratory -------------------------------------------------------------------------------------------------------
 
 ASPIRIN = "acetylsalicylic_acid"
@@ -713,10 +708,11 @@ def test_a_template_of_any_length_is_refused_in_words(smarts: str) -> None:
     assert len(str(refused.value)) < 400
 
 
-def test_templates_that_explode_come_to_an_end() -> None:
+def test_templates_that_explode_come_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("chemlab.openchem.templates._MOST_OUTCOMES", 2000)
     known = shipped_materials()
     anything = "[*:1].[*:2].[*:3].[*:4]>>[*:1].[*:2].[*:3].[*:4]"
-    with pytest.raises(DataError, match="more than 20000 sets of products"):
+    with pytest.raises(DataError, match="more than 2000 sets of products"):
         expand([Template(anything)], ["C" * 12, *("C" * n for n in range(4, 10))], known)
 
 

@@ -711,8 +711,7 @@ def test_it_has_a_picture() -> None:
     pytest.importorskip("PIL")
     flask = Flask(MIXTURE, capacity_l=0.5)
     picture = flask.picture(240, 200)
-    assert picture.shape == (200, 240, 3)
-    assert picture.dtype == np.uint8
+    assert (picture.shape, picture.dtype) == ((200, 240, 3), np.uint8)
     layers = flask.scene().shelf[0].vessel
     column = [tuple(pixel) for pixel in picture[:, 105].tolist()]
     where = []

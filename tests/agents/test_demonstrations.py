@@ -120,8 +120,7 @@ def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: P
         for i, action in enumerate(d.actions):
             seen, reward, terminated, truncated, info = env.step(action)
             np.testing.assert_array_equal(d.observations[i + 1], seen)
-            assert d.rewards[i] == reward
-            assert d.costs[i + 1] == info["cost"]
+            assert (d.rewards[i], d.costs[i + 1]) == (reward, info["cost"])
             assert (terminated, truncated) == (i == len(d.actions) - 1, False)
             if d.masks:
                 np.testing.assert_array_equal(d.masks[i + 1], info["action_mask"])
@@ -157,8 +156,7 @@ def test_datasets_replay_in_the_environment_they_name(minari: Any, scripted: Pat
     assert [dataset.agent for dataset in written] == ["manager_0", "rxn_0", "ext_0", "dit_0"]
     dataset = minari.load_dataset("tests/wurtz/manager_0-v0")
     env = dataset.recover_environment()
-    assert env.observation_space == dataset.observation_space
-    assert env.action_space == dataset.action_space
+    assert (env.observation_space, env.action_space) == (dataset.observation_space, dataset.action_space)
     assert dataset.total_episodes == 2
     metadata = list(dataset.storage.get_episode_metadata([0, 1]))
     assert [entry["seed"] for entry in metadata] == [3, 4]
@@ -233,8 +231,7 @@ def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path
     for agent, key in (("rxn_0", "rxn"), ("ext_0", "ext"), ("dit_0", "dit")):
         dataset = minari.load_dataset(f"tests/benches/{agent}-v0")
         env = RoleEnv("wurtz_dodecane", bench=key)
-        assert dataset.observation_space == env.observation_space
-        assert dataset.action_space == env.action_space
+        assert (dataset.observation_space, dataset.action_space) == (env.observation_space, env.action_space)
         recovered = dataset.recover_environment()
         assert recovered.unwrapped.bench.key == key
         told = demonstrations(read_record(scripted))[agent]

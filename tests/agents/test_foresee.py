@@ -47,8 +47,7 @@ def test_it_is_for_worlds_of_numbers_in_vessels_that_are_alike() -> None:
     assert isinstance(scripted_manager(Laboratories("crude")), ForeseeingManager)
     assert foresees(load_scenario("selectivity"))
     # Six vessels have nothing in common; rate constants are the same in all three solutions, strengths are not.
-    assert _sizes(load_scenario("crude")) == (1, 512)
-    assert _sizes(load_scenario("selectivity")) == (12, 32)
+    assert (_sizes(load_scenario("crude")), _sizes(load_scenario("selectivity"))) == ((1, 512), (12, 32))
     values = mapping("crude")
     values["shelf"]["vessel"][0]["contents"]["NaCl"] = 0.2
     assert not foresees(load_scenario(values))

@@ -13,7 +13,7 @@ import pytest
 from helpers import refused
 from rich.console import Console
 
-from chemlab.agents.human import HumanPolicy, Left, LetterShades, Menu, _manager_paths, parse_numbers
+from chemlab.agents.human import HumanPolicy, LetterShades, Menu, _manager_paths, parse_numbers
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -236,13 +236,6 @@ def test_wrong_input_is_asked_again(env: raw_env) -> None:
     assert turn(env, policy) == env.laboratories.actions.encode("submit", 1)
     for part in ("'wait' is not possible now", "the list goes from 1 to", "type a number", "no action is called"):
         assert part in shown.getvalue()
-
-
-@pytest.mark.parametrize("lines", [["q"], ["Quit"], []])
-def test_leaving(env: raw_env, lines: list[str]) -> None:
-    policy, _ = person(env, "manager_0", lines)
-    with pytest.raises(Left):
-        turn(env, policy)
 
 
 def test_terminals_without_unicode(env: raw_env) -> None:

@@ -132,6 +132,7 @@ def test_a_stopped_run_goes_on_alike(kind: type[IPPO], more: dict[str, Any], tmp
     assert train(arguments, tmp_path / "whole") == whole, "what is finished is not run again"
 
 
+@pytest.mark.usefixtures("hasty")
 def test_what_others_draw_depends_on_the_seed_of_the_episode_alone() -> None:
     """And every agent, of those that are cloned, too, draws for itself."""
     given = {**SMALL, "rollout": 1, "scenario": "wurtz_two_lines", "background": "random"}
@@ -197,8 +198,7 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     assert arguments.tied is None
     train(arguments, tmp_path / "run")
     run = Run(tmp_path / "run")
-    assert run.evaluations()[0].step == 0
-    assert run.checkpoint("first") == run.checkpoints / "first-0"
+    assert (run.evaluations()[0].step, run.checkpoint("first")) == (0, run.checkpoints / "first-0")
     assert [row.name.rpartition(" ")[2] for row in find_rows([str(run.path)])] == ["(first)", "(best)", "(last)"]
     card = export_run(tmp_path / "run", tmp_path / "mine", "dit")
     assert (card.name, card.bench, card.background) == ("mine", "dit", "scripted")

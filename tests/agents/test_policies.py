@@ -10,8 +10,6 @@ import gymnasium
 import numpy as np
 import pytest
 from helpers import refused
-from hypothesis import given
-from hypothesis import strategies as st
 
 from chemlab.agents import policies as policies_module
 from chemlab.agents.background import role_env
@@ -36,17 +34,6 @@ def act(policy: RandomPolicy, mask: np.ndarray[Any, Any]) -> np.ndarray[Any, Any
     return policy.act(np.zeros((n, 1), dtype=np.float32), mask, np.zeros(n, dtype=np.int64), np.arange(n))
 
 
-@given(
-    st.lists(st.lists(st.booleans(), min_size=9, max_size=9).filter(any), min_size=1, max_size=6), st.integers(0, 2**32)
-)
-def test_random_actions_are_legal(legal: list[list[bool]], seed: int) -> None:
-    mask = np.array(legal, dtype=np.int8)
-    actions = act(RandomPolicy(0, seed), mask)
-    assert actions.shape == (len(mask),)
-    assert np.issubdtype(actions.dtype, np.integer)
-    assert mask[np.arange(len(mask)), actions].all()
-
-
 def test_random_actions_are_uniform_over_the_legal_ones() -> None:
     legal = [0, 1, 7, 8, 20, 33, 40]
     mask = np.zeros((7000, 41), dtype=np.int8)
@@ -65,21 +52,6 @@ def test_random_numbers_are_uniform_and_in_the_box() -> None:
     assert actions.max() < 1.0
     for column in actions.T:
         assert chi_square(np.histogram(column, bins=10, range=(0.0, 1.0))[0]) < 40.0  # 9 degrees of freedom
-
-
-@pytest.mark.parametrize("continuous", [False, True])
-def test_acting_on_a_batch_is_acting_one_by_one(continuous: bool) -> None:
-    rng = np.random.default_rng(0)
-    mask = (rng.random((50, 30)) < 0.4).astype(np.int8)
-    mask[:, 0] = 1
-    seen, step, members = np.zeros((50, 5), dtype=np.float32), np.zeros(50, dtype=np.int64), np.arange(50)
-    whole, single = RandomPolicy(4, 11), RandomPolicy(4, 11)
-    together = whole.act(seen, None if continuous else mask, step, members)
-    alone = [
-        single.act(seen[i : i + 1], None if continuous else mask[i : i + 1], step[i : i + 1], members[i : i + 1])
-        for i in range(50)
-    ]
-    np.testing.assert_array_equal(together, np.concatenate(alone))
 
 
 @pytest.mark.parametrize("policy", policy_names())
@@ -104,17 +76,6 @@ def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
         assert len(actions) == 3
         for action in actions:
             env.laboratories.checked(number, action)  # raises where it is outside the space
-
-
-def test_random_policies_are_seeded_and_independent() -> None:
-    env = raw_env("wurtz_dodecane")
-    mask = np.ones((200, 31), dtype=np.int8)
-    first, again, other = (make_policies("random", env.laboratories, seed=seed) for seed in (1, 1, 2))
-    agents = ((first, "ext_0"), (first, "dit_0"), (again, "ext_0"), (again, "dit_0"), (other, "ext_0"))
-    drawn = (act(policies[agent], mask).tolist() for policies, agent in agents)  # type: ignore[arg-type]
-    ext, dit, *repeated, ext_other = drawn
-    assert [ext, dit] == repeated
-    assert ext not in (dit, ext_other)
 
 
 @pytest.mark.parametrize("policy", ["random", "scripted@0.3", "scripted,manager=random", "trained:sampled@0.1"])

@@ -98,8 +98,7 @@ def test_actions_are_drawn_by_their_probabilities() -> None:
     torch.manual_seed(3)
     rows = torch.tensor([[0.0, 0.3, 0.0, 0.7, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]]).repeat(5000, 1)
     drawn = _drawn(rows)
-    assert drawn.shape == (10_000, 1)
-    assert drawn[1::2].unique().tolist() == [4]
+    assert (drawn.shape, drawn[1::2].unique().tolist()) == ((10_000, 1), [4])
     assert drawn[::2].unique().tolist() == [1, 3]
     assert float((drawn[::2] == 3).float().mean()) == pytest.approx(0.7, abs=0.03)
 
@@ -250,6 +249,7 @@ def test_failing_submissions_are_paid_in_part() -> None:
     assert orders.partial_worth(orders.members) == pytest.approx(0.25 * terms[..., PRICE].mean(axis=1))
 
 
+@pytest.mark.usefixtures("hasty")
 def test_observations_of_the_manager_are_normalized() -> None:
     """The exported weights are of the observation as it is; a policy that was cloned keeps its scale."""
     made = managers("rush")

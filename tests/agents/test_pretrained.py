@@ -190,19 +190,6 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
     assert largest_difference(model, policy, seen) > 1e-5
 
 
-def test_layers_activation_and_output_are_what_the_card_says() -> None:
-    bench = bench_of(RXN)
-    seen = np.random.default_rng(5).random((7, 212), dtype=np.float32)
-    for activation, hidden in (("tanh", np.tanh), ("relu", lambda x: np.maximum(x, 0.0))):
-        for output, shape in (("clip", lambda x: np.clip(x, 0, 1)), ("tanh", lambda x: (np.tanh(x) + 1.0) / 2.0)):
-            policy = made_up(bench, activation=activation, output=output)
-            (w0, b0), (w1, b1) = [(w.astype(np.float64), b.astype(np.float64)) for w, b in policy._layers]
-            expected = shape(hidden(seen @ w0 + b0) @ w1 + b1)
-            actions = act(policy, seen)
-            assert actions.dtype == np.float64
-            np.testing.assert_allclose(actions, expected, atol=1e-5)
-
-
 def test_sampled_actions_follow_the_logits_and_the_seed() -> None:
     """Shares of 4,000 draws are the softmax of the legal logits; a seed repeats them, whatever the batch."""
     policy = made_up(bench_of(DIT))

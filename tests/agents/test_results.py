@@ -89,8 +89,7 @@ def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
     row = [text.strip() for text in line.strip("|").split("|")]
     assert row[:4] == ["lab, rxn, 2 goals", "PPO", "4", "1,000"]
     ends = stats.ttest_1samp(means, 0.0).confidence_interval(0.95)
-    assert row[4] == f"0.567 [{ends.low:.3f}, {ends.high:.3f}]"
-    assert row[6:9] == ["0.717", "0.467", "0.500"]
+    assert (row[4], row[6:9]) == (f"0.567 [{ends.low:.3f}, {ends.high:.3f}]", ["0.717", "0.467", "0.500"])
     # Of 8 pairs with the scripted policy: goal a 0 + 1/2 + 1 + 1, goal b 0 + 3 x 1.
     assert row[9].startswith(f"{(2.5 + 3.0) / 8.0:.2f} [")
     # A run plays both goals: these are not twice as many runs, so the interval is that of four.

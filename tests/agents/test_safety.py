@@ -82,6 +82,9 @@ def test_the_score_is_charged(policy: str) -> None:
         worth = result.submitted_mol * result.purity / scenario.theoretical_maximum_mol[result.goal]
         assert result.score == pytest.approx(worth - sum(result.costs.values()), rel=1e-12)
         assert result.rewards["manager_0"] == pytest.approx(result.score, rel=1e-12)
+        # A tick is one turn of each busy bench; this manager keeps one bench busy at a time.
+        managed = sum(turn.agent == "manager_0" for turn in turns)
+        assert (result.manager_actions, result.ticks) == (managed, len(turns) - managed)
         # A bench pays for its own accidents as well.
         for agent in ("rxn_0", "ext_0", "dit_0"):
             own = [turn for turn in turns if turn.agent == agent]

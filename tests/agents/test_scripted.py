@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from helpers import FEATURED, slow_but
 
-from chemlab.agents.episodes import Played, PlayedTurn, play_episode, play_laboratory
+from chemlab.agents.episodes import Played, play_episode, play_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.config.inherit import scenario_names
 from chemlab.envs.aec import raw_env
@@ -70,25 +70,6 @@ def test_scripted_agents_are_safe_and_clearly_better_than_chance(name: str) -> N
     assert scripted.returns.mean() > random.returns.mean() + margin
     assert not scripted.illegal.any()
     assert not scripted.measures["unsafe"].any()
-
-
-def test_a_result_is_what_was_played() -> None:
-    env = raw_env("wurtz_dodecane")
-    policies = make_policies("scripted", env.laboratories)
-    turns: list[PlayedTurn] = []
-    result = play_episode(env, policies, 3, "scripted", watch=turns.append)
-    assert (result.scenario, result.policy, result.seed, result.goal) == ("wurtz_dodecane", "scripted", 3, "dodecane")
-    assert result.manager_actions == sum(turn.agent == "manager_0" for turn in turns)
-    assert result.score == pytest.approx(
-        result.submitted_mol * result.purity / 0.5 - sum(result.costs.values()), rel=1e-12
-    )
-    # The manager is not mixed with anybody here: its reward is its result.
-    assert result.rewards["manager_0"] == pytest.approx(result.score, rel=1e-12)
-    for agent in ("rxn_0", "ext_0", "dit_0"):
-        own = sum(turn.reward for turn in turns if turn.agent == agent)
-        assert result.rewards[agent] == pytest.approx(own, rel=1e-12)
-    # A tick is one turn of each busy bench; this manager keeps one bench busy at a time.
-    assert result.ticks == sum(turn.agent != "manager_0" for turn in turns)
 
 
 # -- what they see --------------------------------------------------------------------------------------------------

@@ -224,8 +224,7 @@ def test_two_seats_play_to_the_end(scenario: str, seats: tuple[str, ...], tmp_pa
     assert len(lines) == 1 + len(calls)
     assert "The episode is over" in lines[-1]
     found = verify_record(tmp_path / "a" / "episode-0000.jsonl", split=room.published()["split"])
-    assert found.status == "ok"
-    assert found.score == room.score
+    assert (found.status, found.score) == ("ok", room.score)
 
 
 def test_nothing_on_the_disk_tells_the_world_while_an_episode_runs(tmp_path: Path) -> None:

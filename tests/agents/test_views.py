@@ -56,17 +56,6 @@ def test_ids_make_batches() -> None:
 # -- who plays ------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name", [name for name in policy_names() if name not in ("trained", "plan", "scripted:memoryless", "scripted:fifo")]
-)
-def test_one_name_is_for_everybody(name: str) -> None:
-    policies = chosen(name)
-    expected = make_policies(name, Laboratories(LINES))
-    assert list(policies) == list(expected)
-    for agent, policy in policies.items():
-        assert type(policy) is type(expected[agent])
-
-
 def test_an_agents_own_policy_beats_its_kinds_and_that_beats_the_default() -> None:
     mine, ours = constant(40), constant(40)
     policies = chosen({"ext_1": mine, "ext": ours, "rxn": "random", "manager": "scripted:unsafe"})

@@ -86,8 +86,7 @@ def test_wrappers() -> None:
         earned += bare.step(action)[1]
         steps, over = steps + 1, terminated or truncated
     assert steps <= 7
-    assert info["episode"]["l"] == steps
-    assert info["episode"]["r"] == pytest.approx(earned, abs=1e-9)
+    assert (info["episode"]["l"], info["episode"]["r"]) == (steps, pytest.approx(earned, abs=1e-9))
 
 
 def test_vector_wrappers() -> None:
