@@ -33,6 +33,7 @@ from chemlab.envs.aec import raw_env
 from chemlab.envs.parallel import parallel_env
 from chemlab.lab.engine import Laboratories
 from chemlab.record import LIMITS, Play, Recorder, RecordError, read_record, verify_record
+from chemlab.roles.manager_actions import START, SUBMIT, WAIT
 
 SCENARIOS = scenario_names()
 runner = CliRunner()
@@ -160,22 +161,19 @@ def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
     recorder = Recorder(path, labs, rounds=True)
     observations, infos = env.reset(seed=4)
     recorder.begin(4)
-    rng = np.random.default_rng(0)
-    together = 0
+    rng, together = np.random.default_rng(0), 0
+    rare = np.where(np.isin(labs.actions.table[:, 0], (START, WAIT)), 1.0, 0.03)
+    rare[labs.actions.table[:, 0] == SUBMIT] = 1e-4
     while env.agents:
         acting = [agent for agent in labs.agents if infos[agent]["has_turn"]]
         actions: dict[str, Any] = {}
         for agent in acting:
             mask = infos[agent].get("action_mask")
-            legal = None if mask is None else np.flatnonzero(mask)
+            actions[agent] = random_legal(env.action_space(agent), mask, rng)
             if agent == "manager_0":
-                kinds = [str(labs.actions.decode(int(a))[0]) for a in legal]  # type: ignore[union-attr]
-                weights = np.array([{"start": 1.0, "wait": 1.0, "submit": 1e-4}.get(kind, 0.03) for kind in kinds])
-                actions[agent] = rng.choice(legal, p=weights / weights.sum())
-            else:
-                actions[agent] = rng.random(env.action_space(agent).shape) if legal is None else rng.choice(legal)
-                if legal is None and together % 2:
-                    actions[agent] = np.rint(actions[agent]).astype(np.int64)
+                actions[agent] = rng.choice(len(mask), p=mask * rare / (mask * rare).sum())
+            elif mask is None and together % 2:
+                actions[agent] = np.rint(actions[agent]).astype(np.int64)
         shown = [Play(labs.agents.index(a), observations[a], infos[a].get("action_mask"), actions[a]) for a in acting]
         observations, _, _, _, infos = env.step(actions)
         recorder.turn(shown)

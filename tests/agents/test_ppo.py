@@ -22,7 +22,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import RESULT_SEED, Run
 from chemlab.agents.saved import find_saved
-from chemlab.agents.train.arguments import IPPO, training_arguments
+from chemlab.agents.train.arguments import IPPO
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _drawn, _Shown, _Track
@@ -440,14 +440,6 @@ def test_a_policy_that_mostly_does_nothing_gets_a_note() -> None:
 
 def find_best(run: Path) -> Path:
     return next((run / "checkpoints").glob("best-*"))
-
-
-def test_the_manager_learns_by_it_unless_told_otherwise() -> None:
-    made = training_arguments({"scenario": "rush", "roles": "manager", "own_goals": 0.0, "steps": 1000})
-    assert isinstance(made, IPPO)
-    assert made.command_line().endswith("--roles manager --algo ippo --steps 1000 --seed 0 --own-goals 0.0")
-    assert training_arguments({"roles": "manager", "algo": "maskable-ppo"}).algo == "maskable-ppo"
-    assert training_arguments({"roles": "manager", "preset": "manager"}).algo == "maskable-ppo"
 
 
 @pytest.mark.slow

@@ -88,9 +88,8 @@ def test_card_says_the_preset() -> None:
         recorded_arguments({"env_id": "chemlab/WurtzExtraction-v0", "seed": 4, "gamma": 0.9}, "config.json")
 
 
-@pytest.mark.parametrize(("env_id", "algo"), [(RXN, "recurrent-ppo"), (DIT, "maskable-recurrent-ppo")])
-def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, tmp_path: Path) -> None:
-    """The same actions over experiments that begin and end at different times, in members that are not all there."""
+def exported(folder: Path, env_id: str, algo: str, **values: Any) -> tuple[PretrainedPolicy, Path, Any]:
+    """A policy that was trained for a moment and exported, its best checkpoint, and the learner in that."""
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.learners import load_learner
     from chemlab.agents.runs import Run
@@ -98,15 +97,22 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
     from chemlab.agents.train.export import export_run
     from chemlab.agents.train.learn import train
 
-    values: dict[str, Any] = {"scenario": env_id, "algo": algo, "envs": 2, "rollout": 16, "steps": 64, "memory": 16}
-    values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 1, "learning_rate": 0.003, "epochs": 2}
-    run = Run(tmp_path / "run")
-    train(training_arguments(values), run.path)
-    card = export_run(run.path, tmp_path / "mine")
-    assert card.memory == 16
-    masked = algo.startswith("maskable")
-    policy, folder = load_pretrained(tmp_path / "mine"), run.checkpoint("best")
-    original: Any = as_policy(load_learner(folder, algo))
+    values |= {"scenario": env_id, "algo": algo, "envs": 2, "evaluations": 1, "eval_episodes": 1, "final_episodes": 1}
+    run = Run(folder / "run")
+    train(training_arguments({**values, "learning_rate": 0.003}), run.path)
+    card = export_run(run.path, folder / "models" / "mine")
+    assert {path.name for path in (folder / "models").iterdir()} == {"mine.json", "mine.safetensors"}
+    policy, best = load_pretrained(folder / "models" / "mine.json"), run.checkpoint("best")
+    assert policy.card == card
+    return policy, best, load_learner(best, algo)  # type: ignore[arg-type, return-value]
+
+
+@pytest.mark.parametrize(("env_id", "algo"), [(RXN, "recurrent-ppo"), (DIT, "maskable-recurrent-ppo")])
+def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, tmp_path: Path) -> None:
+    """The same actions over experiments that begin and end at different times, in members that are not all there."""
+    policy, _, model = exported(tmp_path, env_id, algo, rollout=16, steps=64, memory=16, epochs=2)
+    assert policy.card.memory == 16
+    masked, original = algo.startswith("maskable"), as_policy(model)
     draw, steps = np.random.default_rng(0), np.zeros(4, dtype=np.int64)
     kept, sees = None, policy.card.observation_size
     for turn in range(30):
@@ -114,13 +120,12 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
         if not len(members):
             continue
         seen = draw.random((len(members), sees), dtype=np.float32)
-        mask = (draw.random((len(members), card.action_size)) < 0.5).astype(np.int8) if masked else None
+        mask = (draw.random((len(members), policy.card.action_size)) < 0.5).astype(np.int8) if masked else None
         if mask is not None:
             mask[:, -1] = 1
         ours, theirs = (one.act(seen, mask, steps[members], members) for one in (policy, original))
         np.testing.assert_allclose(ours, theirs, atol=1e-5)
-        if mask is not None:
-            assert mask[np.arange(len(members)), ours].all()
+        assert mask is None or mask[np.arange(len(members)), ours].all()
         steps[members] = np.where(draw.random(len(members)) < 0.1, 0, steps[members] + 1)
         if turn == 20:
             kept, after = policy.get_memory(), steps.copy()
@@ -136,34 +141,19 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
 @pytest.mark.parametrize(("algo", "env_id"), CASES)
 def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.learners import load_learner
-    from chemlab.agents.runs import Run
-    from chemlab.agents.train.arguments import training_arguments
-    from chemlab.agents.train.export import export_run, largest_difference
-    from chemlab.agents.train.learn import train
+    from chemlab.agents.train.export import largest_difference
 
-    values: dict[str, Any] = {"scenario": env_id, "algo": algo, "envs": 2, "rollout": 40, "steps": 240}
-    values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 2, "learning_rate": 0.003}
-    if algo in ("dqn", "qr-dqn", "sac", "td3"):
-        values |= {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
-    run = Run(tmp_path / "run")
-    train(training_arguments(values), run.path)
-    card = export_run(run.path, tmp_path / "models" / "mine")
-    assert {path.name for path in (tmp_path / "models").iterdir()} == {"mine.json", "mine.safetensors"}
-    policy = load_pretrained(tmp_path / "models" / "mine.json")
-    assert policy.card == card
+    values = {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
+    values = values if algo in ("dqn", "qr-dqn", "sac", "td3") else {}
+    policy, folder, model = exported(tmp_path, env_id, algo, rollout=40, steps=240, **values)
+    scenario, key = policy.card.scenario, policy.card.bench
     words = shlex.split(policy.card.command)
-    assert words[:2] == ["chemlab", "train"]
+    assert words[:3] == ["chemlab", "train", scenario]
     told = dict(zip(words[3::2], words[4::2], strict=True))
-    assert words[2] == policy.card.scenario
-    assert [told[flag] for flag in ("--bench", "--algo", "--steps", "--seed", "--envs")] == [
-        *(policy.card.bench, algo, "240", "0", "2")
-    ]
+    flags = ("--bench", "--algo", "--steps", "--seed", "--envs")
+    assert [told[flag] for flag in flags] == [key, algo, "240", "0", "2"]
     assert "--gamma" not in policy.card.command
     policy.check(bench_of(env_id))
-    folder = run.checkpoint("best")
-    model: Any = load_learner(folder, algo)
-    scenario, key = policy.card.scenario, policy.card.bench
     own = load_pretrained(folder / key)
     env = RoleVectorEnv(50, scenario, bench=key, autoreset_mode="SameStep")
     seen, infos = env.reset(seed=3)
