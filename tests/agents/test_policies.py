@@ -78,6 +78,16 @@ def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
             env.laboratories.checked(number, action)  # raises where it is outside the space
 
 
+def test_random_policies_are_seeded_and_independent() -> None:
+    labs, mask = Laboratories("wurtz_dodecane"), np.ones((200, 31), dtype=np.int8)
+    first, again, other = (make_policies("random", labs, seed=seed) for seed in (1, 1, 2))
+    agents = ((first, "ext_0"), (first, "dit_0"), (again, "ext_0"), (again, "dit_0"), (other, "ext_0"))
+    drawn = (act(policies[agent], mask).tolist() for policies, agent in agents)  # type: ignore[arg-type]
+    ext, dit, *repeated, ext_other = drawn
+    assert [ext, dit] == repeated
+    assert ext not in (dit, ext_other)
+
+
 @pytest.mark.parametrize("policy", ["random", "scripted@0.3", "scripted,manager=random", "trained:sampled@0.1"])
 def test_what_a_policy_draws_depends_on_the_episode_s_seed_alone(policy: str) -> None:
     """The same episode by itself, in a batch whatever its place, and in the manager's own environment."""
@@ -131,11 +141,11 @@ def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(un
         make_policies("scripted:unsafe", labs)
     assert isinstance(policies["fil_0"], RandomPolicy)
     assert not isinstance(policies["dit_0"], RandomPolicy)
+    drawn = [act(policies[agent], np.ones((200, 2), dtype=np.int8)).tolist() for agent in ("fil_0", "fil_1")]
+    assert drawn[0] != drawn[1], "every agent has dice of its own"
     mask = np.zeros((6000, 2), dtype=np.int8)
     mask[:, 1] = 1
     assert act(policies["fil_0"], mask).tolist() == [1] * 6000
-    drawn = [act(policies[agent], np.ones((200, 2), dtype=np.int8)).tolist() for agent in ("fil_0", "fil_1")]
-    assert drawn[0] != drawn[1], "every agent has dice of its own"
 
 
 def test_a_laboratory_with_such_a_bench_is_played_to_its_end(unscripted: Scenario) -> None:

@@ -67,6 +67,7 @@ def test_an_agents_own_policy_beats_its_kinds_and_that_beats_the_default() -> No
     assert policies["rxn_0"] is not policies["rxn_1"]
     assert type(policies["manager_0"]) is type(scripted["manager_0"])
     assert type(policies["dit_1"]) is type(scripted["dit_1"])
+    assert all(isinstance(policy, RandomPolicy) for policy in chosen("random").values()), "one name is for everybody"
 
 
 def test_policies_given_by_kind_play() -> None:
