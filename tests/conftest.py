@@ -131,6 +131,15 @@ def visitor(browser: Any) -> Iterator[Callable[..., Any]]:
 
 
 @pytest.fixture
+def hasty(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Clones are fitted for a moment, where it does not matter how well they play."""
+    from chemlab.agents.train import imitate
+
+    monkeypatch.setattr(imitate, "_UPDATES", 20)
+    monkeypatch.setattr(imitate, "_EPOCHS", 1)
+
+
+@pytest.fixture
 def in_time() -> Iterator[None]:
     """Fail a test that waits for ever, which would stop all others (where the system has alarms)."""
     if not hasattr(signal, "alarm"):

@@ -488,6 +488,23 @@ def refused(case: str, match: str, call: Callable[..., Any], *arguments: Any, **
     return message
 
 
+def command(*words: object, code: int = 0, **given: Any) -> str:
+    """What a chemlab command says, on one line; it must end with this code, and not with a traceback.
+
+    Args:
+        words: the command's.
+        given: what it is given to read, and the like: see ``typer.testing.CliRunner``.
+    """
+    from typer.testing import CliRunner
+
+    from chemlab.cli import app
+
+    done = CliRunner().invoke(app, list(map(str, words)), **{"env": {"COLUMNS": "500"}, **given})
+    assert done.exception is None or isinstance(done.exception, SystemExit), (words, done.exception)
+    assert done.exit_code == code, (words, done.output)
+    return " ".join(done.output.split())
+
+
 def choose(
     labs: Laboratories, number: int, member: int, rng: np.random.Generator, bold: float = 0.2, submit: float = 0.05
 ) -> Any:

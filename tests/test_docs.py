@@ -75,11 +75,8 @@ class Block:
 def blocks_of(page: Path) -> list[Block]:
     """Every fenced block that has a language."""
     text = page.read_text(encoding="utf-8")
-    found = re.finditer(r"^```(\w+)\n(.*?)^```$", text, re.S | re.M)
-    return [
-        Block(page, text[: m.start()].count("\n") + 1, m[1], m[2], m[1] == "text" and follows(text[: m.start()]))
-        for m in found
-    ]
+    found = [(text[: m.start()], *m.groups()) for m in re.finditer(r"^```(\w+)\n(.*?)^```$", text, re.S | re.M)]
+    return [Block(page, over.count("\n") + 1, kind, own, kind == "text" and follows(over)) for over, kind, own in found]
 
 
 def follows(text: str) -> bool:
@@ -106,9 +103,8 @@ def uses(block: Block, path: str) -> bool:
     if block.language != "bash":
         return False
     words = [word for command in block.commands() for given in command for word in re.split("[=,]", given)]
-    return any(
-        word == path or word.startswith((f"{path}/", f"{path}.")) or path.startswith(f"{word}/") for word in words
-    )
+    near = (f"{path}/", f"{path}.")
+    return any(word == path or word.startswith(near) or path.startswith(f"{word}/") for word in words)
 
 
 def parse(words: list[str], where: str) -> None:
@@ -196,9 +192,8 @@ def test_pages_show_exactly_what_their_code_prints(page: Path) -> None:
 def not_said(shown: str, said: str) -> str:
     """The first line of what a page shows that no line of what was said is; numbers may be 5 % off, as they are with
     other versions of what they are made with."""
-    return next(
-        (line for line in shown.splitlines() if line.strip() and not any(same(line, s) for s in said.splitlines())), ""
-    )
+    lines = [line for line in shown.splitlines() if line.strip()]
+    return next((line for line in lines if not any(same(line, told) for told in said.splitlines())), "")
 
 
 def same(one: str, other: str) -> bool:
@@ -247,50 +242,47 @@ def run(words: list[str], where: str) -> str:
     return said.getvalue()
 
 
-def test_what_was_not_made_is_not_asked_for() -> None:
-    made = Block(DOCS / "index.md", 1, "bash", "chemlab train manager --out runs/trial --quiet\n")
-    assert makes(made) == ["runs/trial"]
+def test_the_checks_of_pages_see_what_is_wrong() -> None:
+    """A command or an option that does not exist is found, and what was not made is not asked for."""
+    parse(["run", "fictitious", "--episodes", "3"], "here")
+    with pytest.raises(KeyError):
+        parse(["fly", "fictitious"], "here")
+    with pytest.raises(Exception, match="--altitude"):
+        parse(["run", "fictitious", "--altitude", "3"], "here")
+    assert makes(Block(DOCS, 1, "bash", "chemlab train manager --out runs/trial --quiet\n")) == ["runs/trial"]
     for command, expected in (
         ("chemlab evaluate fictitious --policy scripted,manager=runs/trial", True),
         ("chemlab plot runs runs", True),
         ("chemlab export runs/trial/best.zip", True),
         ("chemlab run fictitious --policy runs/trials", False),
     ):
-        assert uses(Block(DOCS / "index.md", 9, "bash", command + "\n"), "runs/trial") is expected
-
-
-def test_console_commands_are_checked() -> None:
-    """A command or an option that does not exist is found."""
-    parse(["run", "fictitious", "--episodes", "3"], "here")
-    with pytest.raises(KeyError):
-        parse(["fly", "fictitious"], "here")
-    with pytest.raises(Exception, match="--altitude"):
-        parse(["run", "fictitious", "--altitude", "3"], "here")
+        assert uses(Block(DOCS, 9, "bash", command + "\n"), "runs/trial") is expected
 
 
 PROSE = [*PAGES, *sorted(ROOT.glob("*.md"))]
 
 
+def prose(page: Path) -> str:
+    """A page without its blocks."""
+    return re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
+
+
 def anchors(page: Path) -> set[str]:
     """What links may name on a page: its headings as GitHub and MyST call them."""
-    headings = re.findall(
-        r"^#+ (.*)$", re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M), re.M
-    )
+    headings = re.findall(r"^#+ (.*)$", prose(page), re.M)
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
 @pytest.mark.parametrize("page", PROSE, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
     """Every relative link works in a checkout; pages that Sphinx makes are named by roles, which Sphinx checks."""
-    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.S | re.M)
-    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", text):
+    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", prose(page)):
         if "://" in target:
             continue
         file = page.parent / target if target else page
         assert file.exists(), f"{target} does not exist"
-        assert "generated" not in file.parts, (
-            f"{target}: not in a checkout; write {{doc}}`words <{target.removesuffix('.md')}>`"
-        )
+        made = f"{target}: not in a checkout; write {{doc}}`words <{target.removesuffix('.md')}>`"
+        assert "generated" not in file.parts, made
         if anchor:
             assert anchor in anchors(file), f"{target}#{anchor}: no such heading; there are {sorted(anchors(file))}"
 
@@ -435,18 +427,14 @@ def test_no_text_leaves_its_cell(built: Path, visitor: Any) -> None:
 
 
 @pytest.mark.slow
-def test_attributes_keep_their_sentences(built: Path) -> None:
-    """The words before a colon are not taken for an attribute's type: annotations alone give types."""
-    for file in (built / "generated" / "api").glob("*.html"):
-        assert 'Type<span class="colon">' not in file.read_text(encoding="utf-8"), file.name
-
-
-@pytest.mark.slow
 def test_pages_build_without_warnings(built: Path) -> None:
     """Every scenario, command and environment has its page, and the tables are those of the spaces."""
     pages = built / "generated"
     for name in scenario_names():
         assert load_scenario(name).title in (pages / "scenarios" / f"{name}.html").read_text(encoding="utf-8")
+    # The words before a colon are not taken for an attribute's type: annotations alone give types.
+    for file in (pages / "api").glob("*.html"):
+        assert 'Type<span class="colon">' not in file.read_text(encoding="utf-8"), file.name
     commands = (pages / "command.html").read_text(encoding="utf-8")
     for name in COMMAND.commands:
         assert f"chemlab {name}" in commands

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import command
 from refusals import refused
 from typer.testing import CliRunner
 
@@ -22,7 +23,7 @@ from chemlab.cli import app
 from chemlab.config.catalogue import catalogue_pairs
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.loading import load_scenario
-from chemlab.config.materials import Material, load_materials, shipped_materials
+from chemlab.config.materials import load_materials, shipped_materials
 from chemlab.config.pairs import load_pairs, shipped_pairs
 from chemlab.config.reactions import ReactionFamily, load_reactions
 from chemlab.config.scenario import RealSpec
@@ -39,10 +40,11 @@ from chemlab.openchem.designs import design, feeds, solvent_for  # noqa: E402
 from chemlab.openchem.identity import Compound, compound_of  # noqa: E402
 from chemlab.openchem.properties import Properties, Value, fitted_vapor_pressure  # noqa: E402
 from chemlab.openchem.templates import Rate, Template, expand, family_tables, heat_of_reaction  # noqa: E402
-from chemlab.openchem.writing import family_text, material_text, toml, toml_tables  # noqa: E402
+from chemlab.openchem.writing import family_text, material_text, toml  # noqa: E402
 from chemlab.sandbox import Flask  # noqa: E402
 
 WURTZ = "[C:1][Cl:3].[C:2][Cl:4].[Na:5].[Na:6]>>[C:1][C:2].([Na+:5].[Cl-:3]).([Na+:6].[Cl-:4])"
+ACYLATION = "[C:1](=[O:2])[O:3][C:4]=[O:5].[OX2H:6][CX4:7]>>[C:1](=[O:2])[O:6][C:7].[OH:3][C:4]=[O:5]"
 CHLOROHEXANES = ["1-chlorohexane", "2-chlorohexane", "3-chlorohexane"]
 ESTIMATED = {"ortho_pyrrolidinyl", "para_pyrrolidinyl", "bis_pyrrolidinyl"}
 """Nobody has measured these: what is shipped and what the command makes are estimates in different ways."""
@@ -65,32 +67,19 @@ def shipped_compound(key: str) -> Compound:
     return compound_of(material.cas or str(material.smiles), key)
 
 
-def run(*words: object, fails: bool = False) -> Any:
-    done = CliRunner().invoke(app, [str(word) for word in words])
-    assert (done.exit_code != 0) == fails, done.output
-    return done
-
-
 # Materials ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("key", LIQUIDS)
 def test_shipped_liquids_are_regenerated(key: str) -> None:
-    made = material_tables([shipped_compound(key)])[key]
-    material = shipped_materials()[key]
-    bounds = {
-        "boiling_point_k": 0.015,
-        "density_kg_l": 0.03,
-        "heat_capacity_j_mol_k": 0.05,
-        "vaporization_enthalpy_j_mol": 0.05,
-    }
-    for field, bound in bounds.items():
-        if (key, field) in DISAGREED:
-            continue
-        assert made[field] == pytest.approx(getattr(material, field), rel=bound), field
+    made: Any = material_tables([shipped_compound(key)])[key]
+    material: Any = shipped_materials()[key]
+    bounds = {"boiling_point_k": 0.015, "density_kg_l": 0.03, "heat_capacity_j_mol_k": 0.05}
+    for field, bound in (bounds | {"vaporization_enthalpy_j_mol": 0.05}).items():
+        if (key, field) not in DISAGREED:
+            assert made[field] == pytest.approx(getattr(material, field), rel=bound), field
     assert made["composition"] == material.composition
     assert made["molar_mass_g_mol"] == pytest.approx(material.molar_mass_g_mol, abs=1e-5)
-    assert material.real is not None
     assert made["real"]["formation_enthalpy_j_mol"] == pytest.approx(material.real.formation_enthalpy_j_mol, abs=20e3)
 
 
@@ -110,10 +99,7 @@ OUTVOTED = {
     ("CO2", "vaporization_enthalpy_j_mol"): "sublimes, and the heat of that is given",
     ("silica", "boiling_point_k"): "never boils here; two copies of an older number",
     ("acetic_anhydride", "heat_capacity_j_mol_k"): "see DISAGREED",
-    (
-        "salicylic_acid",
-        "fusion_enthalpy_j_mol",
-    ): "calorimetry, in the source; the compilation gives what its solubility denies",
+    ("salicylic_acid", "fusion_enthalpy_j_mol"): "calorimetry, in the source; its solubility denies the compilation's",
     ("acetylsalicylic_acid", "melting_point_k"): "calorimetry of a pure sample; it decomposes while it melts",
     ("acetylsalicylic_acid", "formation_enthalpy_j_mol"): "combustion calorimetry of 2000",
     ("pyrrolidine", "melting_point_k"): "adiabatic calorimetry, 215.31 K (1959); one compilation has the salt's, 330 K",
@@ -142,18 +128,13 @@ def test_a_material_file_is_loaded_with_its_sources_and_its_lock(tmp_path: Path)
     path = tmp_path / "m.toml"
     path.write_text(material_text(tables, "chemlab data material"))
     loaded = load_materials([path])
-    roles = {key: material.role for key, material in loaded.items()}
-    expected = ["solvent", "solvent", "solid", "gas", "solute"]
-    assert roles == dict(
-        zip(["cumene", "2,4-difluoronitrobenzene", "magnesium", "ethylene", "4-nitrotoluene"], expected, strict=True)
-    )
-    lock = read_toml(path)["lock"]
-    assert {"command", "chemicals", "thermo", "rdkit"} <= set(lock)
+    roles = [(key, material.role) for key, material in loaded.items()]
+    assert roles == list(zip(names, ["solvent", "solvent", "solid", "gas", "solute"], strict=True))
+    assert {"command", "chemicals", "thermo", "rdkit"} <= set(read_toml(path)["lock"])
     # Nobody measured how dense 2,4-difluoronitrobenzene is; its boiling point is in the handbook.
     source = loaded["2,4-difluoronitrobenzene"].source
     assert source["density_kg_l"].startswith("estimate: Girolami")
     assert "[CRC_ORG]" in source["boiling_point_k"]
-    assert loaded["4-nitrotoluene"].real is not None
     assert loaded["4-nitrotoluene"].real.fusion_enthalpy_j_mol is not None
 
 
@@ -162,10 +143,8 @@ def test_an_unknown_molecule_is_estimated_and_says_so() -> None:
     assert (made.cas, made.formula) == (None, "C10H11FN2O2")
     (table,) = material_tables([made]).values()
     sources = {**table["source"], **table["real"]["source"]}
-    assert {f for f, s in sources.items() if not s.startswith("estimate")} == {
-        "molar_mass_g_mol",
-        "color_shade_absorption",
-    }
+    known = {f for f, s in sources.items() if not s.startswith("estimate")}
+    assert known == {"molar_mass_g_mol", "color_shade_absorption"}
     assert "Joback" in sources["boiling_point_k"]
     assert "12.9 K" in sources["boiling_point_k"]
 
@@ -185,13 +164,13 @@ def test_number_name_and_structure_are_the_same_compound(text: str, same: str) -
 
 
 def test_a_fitted_vapor_pressure_is_the_curve_it_was_fitted_to() -> None:
+    def curve(kelvin: float) -> float:
+        return math.exp(60.0 - 6500.0 / kelvin - 5.5 * math.log(kelvin) + 3e-6 * kelvin**2)
+
     t = [300.0 + 5.0 * i for i in range(40)]
-    curve = [math.exp(60.0 - 6500.0 / x - 5.5 * math.log(x) + 3e-6 * x**2) for x in t]
-    made, error = fitted_vapor_pressure(t, curve)
+    made, error = fitted_vapor_pressure(t, [curve(x) for x in t])
     assert error < 1e-6
-    assert float(made.pascal(333.0)) == pytest.approx(
-        math.exp(60.0 - 6500.0 / 333 - 5.5 * math.log(333.0) + 3e-6 * 333**2), rel=1e-6
-    )
+    assert float(made.pascal(333.0)) == pytest.approx(curve(333.0), rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -288,30 +267,26 @@ def test_what_compilations_have_wrong_is_flagged(name: str, field: str, right: f
 
 def test_what_is_asked_for_is_a_file_to_fill_in(tmp_path: Path) -> None:
     wanted = "5-methyl-3a,4,7,7a-tetrahydro-2-benzofuran-1,3-dione"  # a key that needs quotes
-    refused = CliRunner(env={"COLUMNS": "500"}).invoke(
-        app, ["data", "material", wanted, "-o", str(tmp_path / "m.toml")]
-    )
+    words = ["data", "material", wanted, "-o", str(tmp_path / "m.toml")]
+    refused = CliRunner(env={"COLUMNS": "500"}).invoke(app, words)
     assert refused.exit_code != 0
-    text = refused.output[refused.output.index('["') :]
-    asked = tomllib.loads(text)
+    asked = tomllib.loads(refused.output[refused.output.index('["') :])
     assert asked[wanted]["fusion_enthalpy_j_mol"] == 0.0
     assert set(asked[wanted]["source"]) == set(asked[wanted]) - {"source"}
 
 
 def test_what_is_not_found_is_asked_for_and_can_be_given(tmp_path: Path) -> None:
     path, values = tmp_path / "m.toml", tmp_path / "own.toml"
-    done = run("data", "material", "diphenyl sulfone", "-o", path, fails=True)
-    assert "diphenyl_sulfone: fusion_enthalpy_j_mol" in done.output
+    words = ("data", "material", "diphenyl sulfone", "-o", path)
+    assert "diphenyl_sulfone: fusion_enthalpy_j_mol" in command(*words, code=2)
     assert not path.exists()
     values.write_text("[diphenyl_sulfone]\nfusion_enthalpy_j_mol = 18700\n")
-    done = run("data", "material", "diphenyl sulfone", "-o", path, "--values", values, fails=True)
-    assert "source" in done.output
+    assert "source" in command(*words, "--values", values, code=2)
     values.write_text(values.read_text() + '[diphenyl_sulfone.source]\nfusion_enthalpy_j_mol = "an example"\n')
-    run("data", "material", "diphenyl sulfone", "-o", path, "--values", values)
-    real = load_materials([path])["diphenyl_sulfone"].real
-    assert real is not None
+    command(*words, "--values", values)
+    real: Any = load_materials([path])["diphenyl_sulfone"].real
     assert (real.fusion_enthalpy_j_mol, real.source["fusion_enthalpy_j_mol"]) == (18700.0, "an example")
-    assert "already exists" in run("data", "material", "diphenyl sulfone", "-o", path, fails=True).output
+    assert "already exists" in command(*words, code=2)
 
 
 def test_own_values_far_from_the_compilations_are_named(tmp_path: Path) -> None:
@@ -320,32 +295,32 @@ def test_own_values_far_from_the_compilations_are_named(tmp_path: Path) -> None:
     for field, number, right in (("boiling_point_k", 153.7, 427.0), ("density_kg_l", 989.0 / 100, 0.99)):
         values.write_text(f'[anisole]\n{field} = {number}\nsource.{field} = "a label"\n')
         words = ("data", "material", "anisole", "--values", values, "--force", "-o", tmp_path / "m.toml")
-        assert f"check anisole: {field} = {number}: doubtful: compilations say" in " ".join(run(*words).output.split())
+        assert f"check anisole: {field} = {number}: doubtful: compilations say" in command(*words)
         values.write_text(values.read_text().replace(str(number), str(right)))
-        assert "check anisole" not in run(*words).output
+        assert "check anisole" not in command(*words)
 
 
 def test_values_of_ones_own_are_never_left_out_in_silence(tmp_path: Path) -> None:
     """Of a file that is not there, and of materials that are not written: shipped ones have theirs already."""
     path, values = tmp_path / "m.toml", tmp_path / "own.toml"
     for words in (["data", "material", "water"], ["data", "reactions", "--smarts", WURTZ, "--reactants", "water"]):
-        done = run(*words, "-o", path, "--values", tmp_path / "nope.toml", fails=True)
-        assert "nope.toml: no such file" in " ".join(done.output.split())
+        said = command(*words, "-o", path, "--values", tmp_path / "nope.toml", code=2)
+        assert "nope.toml: no such file" in said
     values.write_text('[water]\ndensity_kg_l = 1.1\nsource.density_kg_l = "an example"\n')
-    done = run("data", "material", "water", "-o", path, "--values", values, fails=True)
-    assert "water: is not written by this command" in " ".join(done.output.split())
+    said = command("data", "material", "water", "-o", path, "--values", values, code=2)
+    assert "water: is not written by this command" in said
     assert not path.exists()
 
 
 def test_a_result_never_replaces_another(tmp_path: Path) -> None:
     """Results of one command under one name. Files that it reads: tests/test_cli.py."""
-    words = ("data", "material", "benzyl chloride", "-o", tmp_path / "m.toml")
-    done = run(*words, "--pairs", tmp_path / "x" / ".." / "m.toml", fails=True)
-    assert "is given for two outputs" in " ".join(done.output.split())
-    done = run("data", "material", "--name", "toluene=CCCCCCCCCCCCO", *words[3:], fails=True)
-    assert "id of another bundled material" in " ".join(done.output.split())
-    done = run("data", "material", "--name", "x=anisole", "--name", "x=cumene", *words[3:], fails=True)
-    assert "'x' is given for 'anisole' and for 'cumene'" in " ".join(done.output.split())
+    same = tmp_path / "x" / ".." / "m.toml"
+    for words, said in (
+        (["benzyl chloride", "--pairs", same], "is given for two outputs"),
+        (["--name", "toluene=CCCCCCCCCCCCO"], "id of another bundled material"),
+        (["--name", "x=anisole", "--name", "x=cumene"], "'x' is given for 'anisole' and for 'cumene'"),
+    ):
+        assert said in command("data", "material", *words, "-o", tmp_path / "m.toml", code=2)
     assert not list(tmp_path.iterdir())
 
 
@@ -362,16 +337,14 @@ def test_a_molecule_that_estimates_are_not_made_for() -> None:
 def test_a_compilation_that_is_far_from_three_that_agree_is_not_taken() -> None:
     # 179 degrees C, says every handbook; one compilation has 174.
     found = Properties(compound_of("benzyl chloride"))
-    assert found.boiling_point is not None
     assert found.boiling_point.number == pytest.approx(452.3, abs=0.7)
-    assert found.vapor_pressure is not None
     assert not found.vapor_pressure[1].startswith("estimate")
 
 
 def test_the_command_writes_pairs_of_its_own_and_of_shipped_materials(tmp_path: Path) -> None:
     materials, pairs = tmp_path / "m.toml", tmp_path / "p.toml"
-    done = run("data", "material", "benzyl chloride", "hexane", "-o", materials, "--pairs", pairs, "--json")
-    assert json.loads(done.stdout)["shipped"] == {"hexane": "hexane"}
+    words = ["data", "material", "benzyl chloride", "hexane", "-o", str(materials), "--pairs", str(pairs), "--json"]
+    assert json.loads(CliRunner().invoke(app, words).stdout)["shipped"] == {"hexane": "hexane"}
     assert set(load_materials([materials])) == {"benzyl_chloride"}
     made = load_pairs([pairs])
     assert set(made) == {frozenset(("benzyl_chloride", "hexane"))}
@@ -404,11 +377,8 @@ def test_a_family_is_loaded_with_heats_and_rates_as_given(tmp_path: Path) -> Non
     assert (k, step.equilibrium_constant) == (pytest.approx(3e-4, rel=1e-5), 4.0)
     assert "a notebook" in step.source
     assert "guess" not in step.source
-    formation = {
-        key: materials[key].real.formation_enthalpy_j_mol
-        for key in ("acetic_acid", "ethanol", "ethyl_acetate", "water")
-    }  # type: ignore[union-attr]
-    expected = formation["ethyl_acetate"] + formation["water"] - formation["acetic_acid"] - formation["ethanol"]
+    signs = {"ethyl_acetate": 1, "water": 1, "acetic_acid": -1, "ethanol": -1}
+    expected = sum(sign * materials[key].real.formation_enthalpy_j_mol for key, sign in signs.items())  # type: ignore[union-attr]
     assert heat_of_reaction(found[0], materials) == pytest.approx(expected)
 
 
@@ -428,12 +398,17 @@ def test_products_react_on_and_side_reactions_are_guessed_as_such() -> None:
     assert len(main) >= 4
 
 
+def family_of(*steps: tuple[dict[str, int], dict[str, int]], rate: float = 1.0) -> ReactionFamily:
+    """A family of reactions (reactants, products) that are equally fast at any temperature."""
+    known = {"pre_exponential": rate, "activation_energy_j_mol": 0.0, "source": "made up"}
+    tables = [{"reactants": reactants, "products": products, **known} for reactants, products in steps]
+    return ReactionFamily.model_validate({"name": "made_up", "reaction": tables})
+
+
 def test_a_tick_is_as_long_as_crystals_take_to_dissolve() -> None:
     """However fast a reaction is: an experiment lasts eight times 1 / crystal_rate, or longer in a poor solvent."""
-    step = {"reactants": {"salicylic_acid": 1, "acetic_anhydride": 1}, "source": "made up"}
-    step |= {"products": {"acetylsalicylic_acid": 1, "acetic_acid": 1}}
-    step |= {"pre_exponential": 10.0, "activation_energy_j_mol": 0.0}
-    family = ReactionFamily.model_validate({"name": "one", "reaction": [step]})
+    made_of = {"salicylic_acid": 1, "acetic_anhydride": 1}
+    family = family_of((made_of, {"acetylsalicylic_acid": 1, "acetic_acid": 1}), rate=10.0)
     ticks = {}
     for solvent in ("ethanol", "toluene"):
         made = design("one", "acetylsalicylic_acid", solvent, family, shipped_materials(), shipped_pairs(), 0.25, {})
@@ -466,8 +441,7 @@ def test_a_reaction_of_a_template_may_have_a_rate_of_its_own(tmp_path: Path) -> 
     words = ["data", "reactions", "--smarts", "[c:1][F:2].[NX3H:3]>>[c:1][N:3].[F:2]", "-o", path]
     words += ["--reactants", "2,4-difluoronitrobenzene", "pyrrolidine", "--rate", 3e-4]
     second = "para_pyrrolidinyl + pyrrolidine -> bis_pyrrolidinyl + hydrofluoric_acid"
-    shown = " ".join(run(*words, "--rate", f"{second}=2e-6", "--activation", f"{second} = 80000").output.split())
-    assert "4 reactions share" not in shown
+    assert "4 reactions share" not in command(*words, "--rate", f"{second}=2e-6", "--activation", f"{second} = 80000")
     known = shipped_materials() | load_materials([tmp_path / "snar_materials.toml"])
     constants = {}
     for step in load_reactions("snar.toml", known, tmp_path).reaction:
@@ -476,10 +450,10 @@ def test_a_reaction_of_a_template_may_have_a_rate_of_its_own(tmp_path: Path) -> 
     assert constants.pop(second) == pytest.approx(2e-6, rel=1e-5)
     assert list(constants.values()) == pytest.approx([3e-4] * 3, rel=1e-5)
     # What the reactions of a template share is said, and a reaction that is none is refused.
-    assert "4 reactions share a template and its rate constant" in " ".join(run(*words, "--force").output.split())
-    refused = " ".join(run(*words, "--force", "--rate", "A -> B=1", fails=True).output.split())
+    assert "4 reactions share a template and its rate constant" in command(*words, "--force")
+    refused = command(*words, "--force", "--rate", "A -> B=1", code=2)
     assert "unknown reaction 'A -> B'; choose from 2,4-difluoronitrobenzene + pyrrolidine -> para" in refused
-    assert "must be NUMBER or REACTION=NUMBER" in run(*words, "--force", "--rate", "fast", fails=True).output
+    assert "must be NUMBER or REACTION=NUMBER" in command(*words, "--force", "--rate", "fast", code=2)
 
 
 def test_without_end_there_is_no_family() -> None:
@@ -490,24 +464,20 @@ def test_without_end_there_is_no_family() -> None:
 
 def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path) -> None:
     path = tmp_path / "ester.toml"
-    smarts = "[C:1](=[O:2])[O:3][C:4]=[O:5].[OX2H:6][CX4:7]>>[C:1](=[O:2])[O:6][C:7].[OH:3][C:4]=[O:5]"
-    words = ["data", "reactions", "--smarts", smarts, "--reactants", "acetic_anhydride", "1-butanol", "-o", path]
-    shown = run(*words, "--rate", 1e-3, "--activation", 55000, "--source", "a notebook", "--json").stdout
-    tables = json.loads(shown)
-    assert set(tables["materials"]) == {"1-butanol", "butyl_acetate"}
-    materials: dict[str, Material] = {
-        **shipped_materials(), **load_materials([path.with_name("ester_materials.toml")])
-    }  # fmt: skip
+    words = ["data", "reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "1-butanol", "-o", path]
+    given = ["--rate", 1e-3, "--activation", 55000, "--source", "a notebook"]
+    assert set(json.loads(command(*words, *given, "--json"))["materials"]) == {"1-butanol", "butyl_acetate"}
+    materials = {**shipped_materials(), **load_materials([path.with_name("ester_materials.toml")])}
     (step,) = load_reactions(str(path), materials).reaction
     assert step.words == "acetic_anhydride + 1-butanol -> butyl_acetate + acetic_acid"
-    assert "already exists" in run(*words, fails=True).output
-    done = run(*words, "--rate", 1e-3, "--activation", 55, "--source", "a notebook", "--json", "--force")
+    assert "already exists" in command(*words, code=2)
+    done = CliRunner().invoke(app, [str(w) for w in (*words, "--rate", 1e-3, "--activation", 55, "--json", "--force")])
     assert "55 J/mol of" in done.stderr
     assert json.loads(done.stdout)
-    run(*words, "--rate", 1e-3, "--activation", 55000, "--source", "a notebook", "--force")
+    command(*words, *given, "--force")
     # What the file says it was made by makes it again.
     again = tmp_path / "again" / "ester.toml"
-    run(*shlex.split(read_toml(path)["lock"]["command"])[1:], "-o", again)
+    command(*shlex.split(read_toml(path)["lock"]["command"])[1:], "-o", again)
     assert again.read_text() == path.read_text()
 
 
@@ -518,18 +488,18 @@ def test_the_command_writes_reactions_and_the_materials_they_need(tmp_path: Path
 def anhydride(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A material file of what UNIFAC has no groups for."""
     path = tmp_path_factory.mktemp("anhydride") / "m.toml"
-    run("data", "material", "maleic anhydride", "-o", path)
+    command("data", "material", "maleic anhydride", "-o", path)
     return path
 
 
 def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: Path) -> None:
     path = anhydride.with_name("p.toml")
     words = ["data", "pairs", "maleic_anhydride", "toluene", "water", "--materials", anhydride, "-o", path]
-    refused = " ".join(run(*words, fails=True).output.split())
+    refused = command(*words, code=2)
     assert "'maleic_anhydride' with 'toluene'; 'maleic_anhydride' with 'water'" in refused
     assert "--ideal" in refused
     assert not path.exists()
-    shown = " ".join(run(*words, "--ideal").output.split())
+    shown = command(*words, "--ideal")
     assert "fitting 2 pairs of liquids" in shown
     assert "ideal mixtures" in shown
     made = load_pairs([path])
@@ -544,7 +514,7 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
 
 def test_pairs_take_the_form_that_a_flask_takes(tmp_path: Path) -> None:
     """Catalogue's liquids are known by their key, and a form that extrapolates too far is no one's."""
-    run("data", "pairs", "acetone", "cyclohexane", "-o", tmp_path / "a.toml")
+    command("data", "pairs", "acetone", "cyclohexane", "-o", tmp_path / "a.toml")
     two = [("1,2-dichlorobenzene", "acetic_acid"), ("1,2-dichlorobenzene", "glycerol"), ("pyridine", "glycerol")]
     known = {name: Flask.material(name) for names in two for name in names}
     forms = [row["source"] for row in make_pairs(two, known, ideal=True)]
@@ -553,71 +523,53 @@ def test_pairs_take_the_form_that_a_flask_takes(tmp_path: Path) -> None:
 
 
 def test_pairs_that_are_shipped_are_not_made_again(tmp_path: Path) -> None:
-    refused = run("data", "pairs", "water", "ethanol", "-o", tmp_path / "p.toml", fails=True).output
-    assert "1 pair, all bundled" in " ".join(refused.split())
+    assert "1 pair, all bundled" in command("data", "pairs", "water", "ethanol", "-o", tmp_path / "p.toml", code=2)
     assert not (tmp_path / "p.toml").exists()
-
-
-def test_tables_are_read_as_they_were_written() -> None:
-    values = {"a": 1.5, "b": 'x "y" \\ z', "t": {"1,2-x": {"k": [1, 2]}, "r": True}, "l": [{"m": {"n": 1}}, {"m": {}}]}
-    assert tomllib.loads("\n".join(toml_tables(values))) == values
 
 
 # A laboratory -------------------------------------------------------------------------------------------------------
 
 ASPIRIN = "acetylsalicylic_acid"
-ACYLATION = "[C:1](=[O:2])[O:3][C:4]=[O:5].[OX2H:6][CX4:7]>>[C:1](=[O:2])[O:6][C:7].[OH:3][C:4]=[O:5]"
 
 
 @pytest.fixture
 def acetate(tmp_path: Path) -> Path:
     """Ethyl acetate of acetic anhydride: everything is shipped, pairs too."""
     path = tmp_path / "acetate.toml"
-    run("data", "reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "-o", path)
+    command("data", "reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "-o", path)
     return path
 
 
 def test_three_commands_make_a_laboratory_that_scripted_agents_play(acetate: Path) -> None:
     lab = acetate.with_name("lab.toml")
-    run("new", "acetate_lab", "--reactions", acetate, "-o", lab)
+    command("new", "acetate_lab", "--reactions", acetate, "-o", lab)
     spec = load_scenario(lab)
     assert (spec.name, spec.lab_goals, spec.physics) == ("acetate_lab", ("ethyl_acetate",), "real")
     assert not spec.pair_files
     assert spec.stock["acetic_anhydride"] == spec.stock["ethanol"] == 0.25
-    played = json.loads(run("run", lab, "--json").stdout)
+    played, random = (json.loads(command("run", lab, *more, "--json")) for more in ([], ["--policy", "random"]))
     # The ester boils between the ether and what was not used up or left: it has to be taken over.
-    assert played["submitted_mol"] > 0.1
-    assert played["purity"] > 0.9
-    assert played["score"] > 0.3
-    random = json.loads(run("run", lab, "--policy", "random", "--json").stdout)
+    assert (played["submitted_mol"] > 0.1, played["purity"] > 0.9, played["score"] > 0.3) == (True, True, True)
     assert played["score"] > random["score"] + 0.2
 
 
 def test_what_stays_solid_is_left_behind(tmp_path: Path) -> None:
     # Sodium must not meet water, so nothing is washed: the salt stays in the pot, and the goal is taken over.
     family, lab = tmp_path / "coupling.toml", tmp_path / "lab.toml"
-    run("data", "reactions", "--smarts", WURTZ, "--reactants", "1-chlorohexane", "Na", "-o", family)
-    run("new", "coupling_lab", "--reactions", family, "-o", lab)
+    command("data", "reactions", "--smarts", WURTZ, "--reactants", "1-chlorohexane", "Na", "-o", family)
+    command("new", "coupling_lab", "--reactions", family, "-o", lab)
     assert list(load_scenario(lab).benches) == ["rxn", "dit"]
-    played = json.loads(run("run", lab, "--json").stdout)
+    played = json.loads(command("run", lab, "--json"))
     assert played["submitted_mol"] > 0.2
     assert played["purity"] > 0.97
     assert played["safety_events"].get("metal_in_water_mol", 0.0) == 0.0
 
 
 def test_what_is_fed_follows_from_the_reactions_backwards() -> None:
-    steps = [
-        ({"a": 2, "b": 1}, {"m": 1}),
-        ({"m": 1, "c": 1}, {"goal": 2, "waste": 1}),
-        ({"goal": 1, "c": 1}, {"over": 1}),
-    ]
-    tables = [
-        {"reactants": r, "products": p, "pre_exponential": 1.0, "activation_energy_j_mol": 0.0, "source": "made up"}
-        for r, p in steps
-    ]
-    family = ReactionFamily.model_validate({"name": "steps", "reaction": tables})
+    goal = ({"m": 1, "c": 1}, {"goal": 2, "waste": 1})
+    family = family_of(({"a": 2, "b": 1}, {"m": 1}), goal, ({"goal": 1, "c": 1}, {"over": 1}))
     assert feeds("goal", family, 1.0) == {"a": 1.0, "b": 0.5, "c": 0.5}
-    with pytest.raises(DataError, match=r"no reaction of 'steps' makes it; choose from goal, m, over, waste"):
+    with pytest.raises(DataError, match=r"no reaction of 'made_up' makes it; choose from goal, m, over, waste"):
         feeds("a", family, 1.0)
 
 
@@ -625,9 +577,9 @@ def test_what_is_lighter_than_its_solvent_and_dilute_is_taken_over(tmp_path: Pat
     # So little ether in toluene that the pot boils far above ether from the start.
     family, lab = tmp_path / "ether.toml", tmp_path / "lab.toml"
     smarts = "[CX4:1][OH:2].[CX4:3][OH:4]>>[CX4:1][O:2][CX4:3].[O:4]"
-    run("data", "reactions", "--smarts", smarts, "--reactants", "ethanol", "--generations", 1, "-o", family)
-    run("new", "ether_lab", "--reactions", family, "--solvent", "toluene", "-o", lab)
-    played = json.loads(run("run", lab, "--json").stdout)
+    command("data", "reactions", "--smarts", smarts, "--reactants", "ethanol", "--generations", 1, "-o", family)
+    command("new", "ether_lab", "--reactions", family, "--solvent", "toluene", "-o", lab)
+    played = json.loads(command("run", lab, "--json"))
     assert played["submitted_mol"] > 0.15
     assert played["purity"] > 0.8
 
@@ -635,9 +587,7 @@ def test_what_is_lighter_than_its_solvent_and_dilute_is_taken_over(tmp_path: Pat
 def test_water_that_a_reaction_makes_is_parted_off() -> None:
     washed = {}
     for products in ({"toluene": 1}, {"toluene": 1, "water": 1}):
-        step = {"reactants": {"1-chlorohexane": 1, "diethyl_ether": 1}, "products": products, "source": "made up"}
-        step |= {"pre_exponential": 1.0, "activation_energy_j_mol": 0.0}
-        family = ReactionFamily.model_validate({"name": "one", "reaction": [step]})
+        family = family_of(({"1-chlorohexane": 1, "diethyl_ether": 1}, products))
         made = design("one", "toluene", "hexane", family, shipped_materials(), shipped_pairs(), 0.25, {})
         washed["water" in products] = "ext" in made["benches"]
     assert washed == {False: False, True: True}
@@ -646,11 +596,11 @@ def test_water_that_a_reaction_makes_is_parted_off() -> None:
 def test_hydrogen_is_matched_but_no_gas_is_put_in(tmp_path: Path) -> None:
     family = tmp_path / "hydrogenation.toml"
     words = ["--smarts", "[C:1]=[C:2].[H][H]>>[C:1][C:2]", "--reactants", "1-hexene", "H2"]
-    run("data", "reactions", *words, "-o", family)
+    command("data", "reactions", *words, "-o", family)
     (step,) = load_reactions(str(family), shipped_materials()).reaction
     assert step.words == "1-hexene + H2 -> hexane"
-    shown = run("new", "hydrogenation", "--reactions", family, "-o", tmp_path / "lab.toml", fails=True).output
-    assert "made of 'H2', a gas" in " ".join(shown.split())
+    shown = command("new", "hydrogenation", "--reactions", family, "-o", tmp_path / "lab.toml", code=2)
+    assert "made of 'H2', a gas" in shown
 
 
 def test_what_the_goal_falls_apart_into_is_not_made_of_it() -> None:
@@ -663,36 +613,26 @@ def test_what_the_goal_falls_apart_into_is_not_made_of_it() -> None:
 
 
 def test_a_catalyst_is_put_in_and_fed(tmp_path: Path) -> None:
-    path, lab = tmp_path / "acetate.toml", tmp_path / "lab.toml"
     words = ["data", "reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "--rate", 5e-3]
-    run(*words, "--catalyst", "pyrrolidine", "-o", path)
-    run("new", "catalysed", "--reactions", path, "--solvent", "toluene", "-o", lab)
-    spec = load_scenario(lab)
-    reagents = spec.benches["rxn"].model_extra["reagents"]
-    assert reagents == {"acetic_anhydride": 0.25, "ethanol": 0.25, "pyrrolidine": 0.025}
+    specs = []
+    for name, more in (("plain", []), ("catalysed", ["--catalyst", "pyrrolidine"])):
+        path, lab = tmp_path / f"{name}_reactions.toml", tmp_path / f"{name}.toml"
+        command(*words, *more, "-o", path)
+        command("new", name, "--reactions", path, "--solvent", "toluene", "-o", lab)
+        specs.append(load_scenario(lab))
+    spec, options = specs[1], [one.benches["rxn"].model_extra for one in specs]
+    assert options[1]["reagents"] == {"acetic_anhydride": 0.25, "ethanol": 0.25, "pyrrolidine": 0.025}
     assert spec.stock["pyrrolidine"] == 0.025
     assert "pyrrolidine" in spec.family.towards("ethyl_acetate")
     # At 0.025 mol in 0.31 L it is twelve times slower than with 1 mol/L of it.
-    run(*words, "-o", tmp_path / "plain.toml")
-    run(
-        "new",
-        "plain",
-        "--reactions",
-        tmp_path / "plain.toml",
-        "--solvent",
-        "toluene",
-        "-o",
-        tmp_path / "plain_lab.toml",
-    )
-    ticks = [load_scenario(p).benches["rxn"].model_extra["tick"] for p in (lab, tmp_path / "plain_lab.toml")]
-    assert ticks[0] > 5.0 * ticks[1]
+    assert options[1]["tick"] > 5.0 * options[0]["tick"]
 
 
 def test_a_catalyst_is_looked_up(tmp_path: Path) -> None:
     """And a number of kJ/mol is not taken for one of J/mol without a word."""
     path = tmp_path / "acetate.toml"
     words = ["data", "reactions", "--smarts", ACYLATION, "--reactants", "acetic_anhydride", "ethanol", "-o", path]
-    shown = run(*words, "--catalyst", "palladium", "--catalyst", "ethyl ether", "--activation", 60).output
+    shown = command(*words, "--catalyst", "palladium", "--catalyst", "ethyl ether", "--activation", 60)
     assert "60 J/mol of acetic_anhydride + ethanol -> ethyl_acetate + acetic_acid is next to nothing" in shown
     materials = load_materials([path.with_name("acetate_materials.toml")])
     family = load_reactions(str(path), {**shipped_materials(), **materials})
@@ -704,7 +644,7 @@ def test_what_was_refused_has_left_nothing_behind(acetate: Path) -> None:
     lab = acetate.with_name("lab.toml")
     before = sorted(acetate.parent.iterdir())
     # 1-chlorohexane and acetic anhydride are no shipped pair: pairs are made before the scenario is found wrong.
-    run("new", "Wrong", "--reactions", acetate, "--solvent", "1-chlorohexane", "-o", lab, fails=True)
+    command("new", "Wrong", "--reactions", acetate, "--solvent", "1-chlorohexane", "-o", lab, code=2)
     assert sorted(acetate.parent.iterdir()) == before
 
 
@@ -726,10 +666,7 @@ def test_the_solvent_takes_no_part_and_boils_far_from_the_goal() -> None:
     [
         (["--goal", "toluene"], ["no reaction of 'acetate' makes it"]),
         (["--goal", "unobtainium"], ["unknown material", "acetic_acid"]),
-        (
-            ["--solvent", "ethyl ether"],
-            ["--solvent", "unknown material", "chemlab data material 'ethyl ether' -o FILE"],
-        ),
+        (["--solvent", "ethyl ether"], ["--solvent", "unknown", "chemlab data material 'ethyl ether' -o FILE"]),
         (["--solvent", "NaCl"], ["is not a known liquid"]),
         (["--solvent", "ethyl_acetate"], ["is the goal itself"]),
         (["--reactions", "fischer"], ["catalyst 'H+'", "is an ion", "shipped fischer"]),
@@ -738,9 +675,8 @@ def test_the_solvent_takes_no_part_and_boils_far_from_the_goal() -> None:
 )
 def test_a_laboratory_that_cannot_be_is_refused(acetate: Path, words: list[str], parts: list[str]) -> None:
     lab = acetate.with_name("lab.toml")
-    shown = run("new", "acetate_lab", "--reactions", acetate, "-o", lab, *words, fails=True).output
-    for part in parts:
-        assert part in " ".join(shown.split())
+    shown = command("new", "acetate_lab", "--reactions", acetate, "-o", lab, *words, code=2)
+    assert [part for part in parts if part not in shown] == []
     assert not lab.exists()
 
 
@@ -772,31 +708,25 @@ def test_a_template_of_any_length_is_refused_in_words(smarts: str) -> None:
     assert len(str(refused.value)) < 400
 
 
-def test_templates_that_explode_come_to_an_end() -> None:
+def test_templates_that_explode_come_to_an_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("chemlab.openchem.templates._MOST_OUTCOMES", 2000)
     known = shipped_materials()
     anything = "[*:1].[*:2].[*:3].[*:4]>>[*:1].[*:2].[*:3].[*:4]"
-    with pytest.raises(DataError, match="more than 20000 sets of products"):
+    with pytest.raises(DataError, match="more than 2000 sets of products"):
         expand([Template(anything)], ["C" * 12, *("C" * n for n in range(4, 10))], known)
 
 
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf, 0.0, -1.0])
 def test_rates_are_numbers(number: float) -> None:
-    with pytest.raises(DataError, match="above 0"):
-        Rate(constant=number)
-    with pytest.raises(DataError, match="above 0"):
-        Rate(equilibrium_constant=number)
-    if number:
-        with pytest.raises(DataError, match="0 to 500000"):
-            Rate(activation_j_mol=number)
+    for name, bound in (("constant", "above 0"), ("equilibrium_constant", "above 0"), ("activation_j_mol", "500000")):
+        if number or name != "activation_j_mol":
+            refused(lambda name=name: Rate(**{name: number}), bound)  # type: ignore[misc]
 
 
-def test_whatever_a_text_has_in_it_it_stays_that_text(tmp_path: Path) -> None:
+def test_whatever_a_text_has_in_it_it_stays_that_text() -> None:
     """A source, which anybody may give, is no way to write a table of one's own into the file."""
-    texts = ['a"b', "a\\", "a\nb = 1", "\t#", "\x7f", "'", "é\u2028", '"""', "\\u0041"]
-    for text in texts:
-        written = tmp_path / "a.toml"
-        written.write_text(f"text = {toml(text)}\n", encoding="utf-8")
-        content = written.read_text(encoding="utf-8")
+    for text in ('a"b', "a\\", "a\nb = 1", "\t#", "\x7f", "'", "é\u2028", '"""', "\\u0041"):
+        content = f"text = {toml(text)}\n"
         assert len(content.split("\n")) == 2
         assert tomllib.loads(content) == {"text": text}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from typer.testing import CliRunner
@@ -48,7 +49,7 @@ def test_a_person_at_a_bench(tmp_path: Path) -> None:
     assert verify_record(path).status == "ok"
 
 
-@pytest.mark.parametrize("last", [["q"], []])
+@pytest.mark.parametrize("last", [["q"], ["Quit"], []])
 def test_leaving_keeps_the_record_so_far(last: list[str], tmp_path: Path) -> None:
     path = tmp_path / "left.jsonl"
     code, shown = play(path, [*SCRIPT[:2], *last])
@@ -61,12 +62,7 @@ def test_leaving_keeps_the_record_so_far(last: list[str], tmp_path: Path) -> Non
 
 
 def test_the_keyboards_interrupt(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import rich.console
-
-    def interrupt(*_: object, **__: object) -> str:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(rich.console.Console, "input", interrupt)
+    monkeypatch.setattr("rich.console.Console.input", Mock(side_effect=KeyboardInterrupt))
     code, shown = play(tmp_path / "stopped.jsonl", [])
     assert code == 130
     assert "interrupted" in shown

@@ -33,25 +33,24 @@ FloatArray = npt.NDArray[np.float64]
 ROOT = Path(__file__).parent.parent
 MATERIALS = shipped_materials()
 TIERS = ("paper", "real")
+NAPHTHALENE: Any = MATERIALS["naphthalene"]
+FUSION, MELTING = NAPHTHALENE.real.fusion_enthalpy_j_mol, NAPHTHALENE.melting_point_k
 MIXTURE = {"diethyl_ether": 2.0, "dodecane": 0.2, "water": 10.0, "NaCl": 0.5}
 
-FIRST_ORDER = """
-name = "first_order"
 
-[[reaction]]
-reactants = { "2-chlorohexane" = 1 }
-products = { "1-chlorohexane" = 1 }
-pre_exponential = 0.01
-activation_energy_j_mol = 0.0
-source = "made up for a test"
-"""
+def first_order(reactant: str, products: str, rate: float, equilibrium: float | None = None) -> str:
+    """A file of one reaction at any temperature; products are names."""
+    made = ", ".join(f'"{product}" = 1' for product in products.split(", "))
+    text = f'name = "family"\n[[reaction]]\nreactants = {{ "{reactant}" = 1 }}\nproducts = {{ {made} }}\n'
+    text += f'pre_exponential = {rate}\nactivation_energy_j_mol = 0.0\nsource = "made up for a test"\n'
+    return text + (f"equilibrium_constant = {equilibrium}\n" if equilibrium else "")
 
 
 @pytest.fixture
-def first_order(tmp_path: Path) -> str:
+def decay(tmp_path: Path) -> str:
     """A reaction file with one reaction, k = 0.01 / s."""
-    path = tmp_path / "first_order.toml"
-    path.write_text(FIRST_ORDER, encoding="utf-8")
+    path = tmp_path / "decay.toml"
+    path.write_text(first_order("2-chlorohexane", "1-chlorohexane", 0.01), encoding="utf-8")
     return str(path)
 
 
@@ -244,20 +243,20 @@ def test_a_flask_cools_in_the_room() -> None:
 
 
 @pytest.mark.parametrize("physics", TIERS)
-def test_a_reaction_of_first_order(physics: str, first_order: str) -> None:
-    flask = Flask({"2-chlorohexane": 1.0, "dodecane": 1.0}, physics=physics, reactions=first_order)
+def test_a_reaction_of_first_order(physics: str, decay: str) -> None:
+    flask = Flask({"2-chlorohexane": 1.0, "dodecane": 1.0}, physics=physics, reactions=decay)
     flask.react(100.0, 320.0)
     assert flask.amounts["2-chlorohexane"] == pytest.approx(math.exp(-1.0), rel=1e-5)
     assert flask.amounts["1-chlorohexane"] == pytest.approx(1.0 - math.exp(-1.0), rel=1e-5)
     assert flask.temperature_k == 320.0
 
 
-def test_an_edited_file_is_read_again(first_order: str) -> None:
-    path = Path(first_order)
-    text, old = path.read_text(), Flask({"2-chlorohexane": 1.0}, reactions=first_order)
+def test_an_edited_file_is_read_again(decay: str) -> None:
+    path = Path(decay)
+    text, old = path.read_text(), Flask({"2-chlorohexane": 1.0}, reactions=decay)
     factor = 3.0
     path.write_text(re.sub(r"pre_exponential = (\S+)", lambda m: f"pre_exponential = {factor * float(m[1])}", text))
-    new = Flask({"2-chlorohexane": 1.0}, reactions=first_order)
+    new = Flask({"2-chlorohexane": 1.0}, reactions=decay)
     left = []
     for flask in (old, new):
         flask.react(100.0, 330.0)
@@ -329,51 +328,27 @@ source = "ideal, for a test"
 
 def isomers(folder: Path, rate: float) -> dict[str, Any]:
     """Arguments of a flask in which a liquid turns into naphthalene and back, K = 1, and all mixtures are ideal."""
-    table = MATERIALS["naphthalene"].model_dump(mode="json")
-    table |= {"name": "an isomer", "cas": "", "smiles": "", "melting_point_k": 250.0}
-    table["real"] |= {"fusion_enthalpy_j_mol": None, "formation_state": "l"}
-    table["real"]["formation_enthalpy_j_mol"] += MATERIALS["naphthalene"].real.fusion_enthalpy_j_mol
+    table = NAPHTHALENE.model_dump(mode="json", exclude_none=True)
+    del table["cas"], table["smiles"], table["real"]["fusion_enthalpy_j_mol"]
+    table |= {"name": "an isomer", "melting_point_k": 250.0}
+    table["real"] |= {"formation_state": "l"}
+    table["real"]["formation_enthalpy_j_mol"] += FUSION
     table["real"]["source"] = {k: v for k, v in table["real"]["source"].items() if not k.startswith("fusion")}
-    made = {key: value for key, value in table.items() if value not in (None, "")}
-    made["real"] = {key: value for key, value in made["real"].items() if value is not None}
-    (folder / "isomer.toml").write_text(material_text({"isomer": made}, "by hand", ()), encoding="utf-8")
-    (folder / "family.toml").write_text(
-        f"""
-name = "isomers"
-
-[[reaction]]
-reactants = {{ isomer = 1 }}
-products = {{ naphthalene = 1 }}
-equilibrium_constant = 1.0
-pre_exponential = {rate}
-activation_energy_j_mol = 0.0
-source = "made up for a test"
-""",
-        encoding="utf-8",
-    )
     pairs = [IDEAL.format(other=other) for other in ("isomer", "toluene")]
     pairs.append(IDEAL.replace("naphthalene", "isomer").format(other="toluene"))
-    files = []
-    for number, text in enumerate(pairs):
-        files.append(str(folder / f"pair_{number}.toml"))
-        Path(files[-1]).write_text(text, encoding="utf-8")
-    return {
-        "reactions": str(folder / "family.toml"),
-        "material_files": [str(folder / "isomer.toml")],
-        "pair_files": files,
-    }
+    files = [folder / f"pair_{number}.toml" for number in range(3)]
+    texts = [material_text({"isomer": table}, "by hand", ()), first_order("isomer", "naphthalene", rate, 1.0), *pairs]
+    for file, text in zip((folder / "isomer.toml", folder / "family.toml", *files), texts, strict=True):
+        file.write_text(text, encoding="utf-8")
+    materials = [str(folder / "isomer.toml")]
+    return {"reactions": str(folder / "family.toml"), "material_files": materials, "pair_files": list(map(str, files))}
 
 
 @pytest.mark.parametrize("rate", [2e-4, 2e-2])
 def test_a_product_that_crystallizes_draws_its_equilibrium(tmp_path: Path, rate: float) -> None:
     """What crystallizes meanwhile goes on being made: SciPy's integration, in one call as in many."""
     kelvin, solvent, seconds = 283.15, 1.0, 3600.0
-    naphthalene = MATERIALS["naphthalene"]
-    assert naphthalene.real is not None
-    fusion, melting = naphthalene.real.fusion_enthalpy_j_mol, naphthalene.melting_point_k
-    assert fusion is not None
-    assert melting is not None
-    soluble = math.exp(-fusion / GAS_CONSTANT * (1.0 / kelvin - 1.0 / melting))
+    soluble = math.exp(-FUSION / GAS_CONSTANT * (1.0 / kelvin - 1.0 / MELTING))
     begun = 1.0
 
     def slopes(time: float, y: FloatArray) -> list[float]:
@@ -414,22 +389,18 @@ def test_crystals_dissolve_while_they_react() -> None:
 
 def test_crystals_melt_by_the_heat_that_they_take() -> None:
     """At the melting point until all have: heat = capacity x warming + heat of fusion x what has melted."""
-    mol, naphthalene = 0.5, MATERIALS["naphthalene"]
-    assert naphthalene.real is not None
-    fusion, melting = naphthalene.real.fusion_enthalpy_j_mol, naphthalene.melting_point_k
-    assert fusion is not None
-    assert melting is not None
-    molten = Flask({"naphthalene": mol}, temperature_k=melting + 1.0)
+    mol = 0.5
+    molten = Flask({"naphthalene": mol}, temperature_k=MELTING + 1.0)
     assert [layer.name for layer in molten.layers] == ["organic"]
-    assert molten.temperature_k == melting + 1.0
+    assert molten.temperature_k == MELTING + 1.0
     flask = Flask({"naphthalene": mol}, temperature_k=340.0)
-    warming = heat_capacity(flask) * (melting - 340.0)
-    flask.heat(warming + 0.25 * fusion * mol)
-    assert flask.temperature_k == pytest.approx(melting, abs=1e-6)
+    warming = heat_capacity(flask) * (MELTING - 340.0)
+    flask.heat(warming + 0.25 * FUSION * mol)
+    assert flask.temperature_k == pytest.approx(MELTING, abs=1e-6)
     assert flask.layers[-1].contents["naphthalene"] == pytest.approx(0.25 * mol, rel=1e-6)
-    flask.heat(0.75 * fusion * mol + 10.0 * heat_capacity(flask))
+    flask.heat(0.75 * FUSION * mol + 10.0 * heat_capacity(flask))
     assert [layer.name for layer in flask.layers] == ["organic"]
-    assert flask.temperature_k == pytest.approx(melting + 10.0, abs=1e-6)
+    assert flask.temperature_k == pytest.approx(MELTING + 10.0, abs=1e-6)
 
 
 def test_a_cooling_solution_crystallizes_alike_in_one_tick_and_in_many() -> None:
@@ -545,21 +516,8 @@ def test_a_buffer_gives_what_a_reaction_takes(tmp_path: Path) -> None:
 
 def test_gas_does_not_come_back_to_an_open_flask(tmp_path: Path) -> None:
     """What leaves is no reactant: first order to its end under a condenser, an equilibrium where it is kept in."""
-    path, rate = tmp_path / "family.toml", 1e-3
-    path.write_text(
-        f"""
-name = "dehydrogenation"
-
-[[reaction]]
-reactants = {{ hexane = 1 }}
-products = {{ 1-hexene = 1, H2 = 1 }}
-equilibrium_constant = 0.1
-pre_exponential = {rate}
-activation_energy_j_mol = 0.0
-source = "made up for a test"
-""",
-        encoding="utf-8",
-    )
+    path = tmp_path / "family.toml"
+    path.write_text(first_order("hexane", "1-hexene, H2", 1e-3, 0.1), encoding="utf-8")
     for calls in (1, 10):
         flask = Flask({"hexane": 0.1, "dodecane": 2.0}, reactions=str(path))
         for _ in range(calls):
@@ -639,11 +597,9 @@ def test_a_thermostat_that_would_boil_an_open_flask() -> None:
         flask.react(10.0, temperature_k=300.0)
 
 
-def test_a_salt_that_a_reaction_file_forgets(first_order: str) -> None:
-    with pytest.warns(
-        SaltWarning, match=r"NaOH has no \[\[salt\]\] entry in first_order\.toml, so it does not"
-    ) as caught:
-        flask = Flask({"water": 10.0, "NaOH": 0.1}, reactions=first_order)
+def test_a_salt_that_a_reaction_file_forgets(decay: str) -> None:
+    with pytest.warns(SaltWarning, match=r"NaOH has no \[\[salt\]\] entry in decay\.toml, so it does not") as caught:
+        flask = Flask({"water": 10.0, "NaOH": 0.1}, reactions=decay)
     with pytest.warns(SaltWarning, match="NaCl has no") as more:
         flask.add("NaCl", 0.1)
     assert [one.filename for one in (*caught, *more)] == [__file__, __file__]
@@ -717,10 +673,8 @@ def test_it_has_a_picture() -> None:
     pytest.importorskip("PIL")
     flask = Flask(MIXTURE, capacity_l=0.5)
     picture = flask.picture(240, 200)
-    assert picture.shape == (200, 240, 3)
-    assert picture.dtype == np.uint8
+    assert (picture.shape, picture.dtype) == ((200, 240, 3), np.uint8)
     layers = flask.scene().shelf[0].vessel
-    assert layers is not None
     column = [tuple(pixel) for pixel in picture[:, 105].tolist()]
     where = []
     for layer in layers.layers:

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import command, refused
 from scipy import stats
-from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.evaluate import statistics
@@ -28,7 +28,6 @@ from chemlab.agents.policies import make_policies, policy_files
 from chemlab.agents.pretrained import load_pretrained, save_policy
 from chemlab.agents.runs import Run
 from chemlab.agents.seats import Room
-from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
@@ -36,20 +35,17 @@ from chemlab.record import Recorder, RecordError, verify_record
 from studies.tools.seats import play_scripted
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
-ROWS = [
-    Row("scripted", ("scripted",)),
-    Row("scripted:unsafe", ("scripted:unsafe",)),
-    Row("scripted:fifo", ("scripted:fifo",)),
-]
+Played = tuple[dict[str, Any], Path]
+ROWS = [Row(name, (name,)) for name in ("scripted", "scripted:unsafe", "scripted:fifo")]
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], Path]:
+def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
     folder = tmp_path_factory.mktemp("benchmark")
     return benchmark(["unlabelled"], ROWS, TINY, 2, keep=folder / "parts"), folder
 
 
-def test_random_is_0_and_whoever_knows_the_world_1(played: tuple[dict[str, Any], Path]) -> None:
+def test_random_is_0_and_whoever_knows_the_world_1(played: Played) -> None:
     cells = played[0]["scenarios"]["unlabelled"]["cells"]
     assert [cells[name]["value"] for name in ("random", "oracle")] == pytest.approx([0.0, 1.0], abs=1e-12)
     assert all(cell["value"] <= 1.0 + 1e-12 for cell in cells.values() if cell["value"] is not None)
@@ -57,7 +53,7 @@ def test_random_is_0_and_whoever_knows_the_world_1(played: tuple[dict[str, Any],
     assert "has no orders to choose from" in cells["scripted:fifo"]["reason"]
 
 
-def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -> None:
+def test_scores_are_those_of_the_episodes(played: Played) -> None:
     """Played again by hand: the whole, and each replication's part of it."""
     one = played[0]["scenarios"]["unlabelled"]
     labs = Laboratories("unlabelled", 5, split="test")
@@ -82,7 +78,7 @@ def test_scores_are_those_of_the_episodes(played: tuple[dict[str, Any], Path]) -
     assert "over_baseline" not in cell
 
 
-def test_rows_are_compared_over_scenarios(played: tuple[dict[str, Any], Path]) -> None:
+def test_rows_are_compared_over_scenarios(played: Played) -> None:
     found = {row["policy"]: row for row in played[0]["rows"]}
     cells = played[0]["scenarios"]["unlabelled"]["cells"]
     assert found["scripted"]["improvement"] is None
@@ -109,7 +105,7 @@ def test_profiles_are_shares_of_samples_with_intervals() -> None:
     assert half.high - half.low == pytest.approx(2 * 1.96 * np.sqrt(0.25 / 4000), rel=0.1)
 
 
-def test_it_goes_on_where_it_was_and_writes_what_others_read(played: tuple[dict[str, Any], Path]) -> None:
+def test_it_goes_on_where_it_was_and_writes_what_others_read(played: Played) -> None:
     found, folder = played
     spec = load_scenario("unlabelled")
     files = sorted((folder / "parts" / "unlabelled").glob("*.json"))
@@ -130,7 +126,7 @@ def test_it_goes_on_where_it_was_and_writes_what_others_read(played: tuple[dict[
     assert np.mean(last["step_0"]["return"]) == pytest.approx(cell["replications"][1])
 
 
-def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any], Path]) -> None:
+def test_the_leaderboard_has_records_that_prove_it(played: Played) -> None:
     found, folder = played
     spec = load_scenario("unlabelled")
     path = folder / "leaderboard.json"
@@ -150,7 +146,7 @@ def test_the_leaderboard_has_records_that_prove_it(played: tuple[dict[str, Any],
     assert lines["unlabelled", "scripted:fifo"]["reason"]
 
 
-def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+def test_lines_of_several_commands_are_on_one_scale(played: Played, tmp_path: Path) -> None:
     """That of whoever was best in any of them; the planner of the command that ends lower does not lower it again."""
     found, _ = played
     spec = load_scenario("unlabelled")
@@ -195,21 +191,17 @@ def test_lines_of_several_commands_are_on_one_scale(played: tuple[dict[str, Any]
     assert [lines[line["policy"]] for line in others] == others
 
 
-def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path: Path) -> None:
     """Mean, scale, intervals and records are computed again; whatever is changed is found, and no other line is."""
     found, _ = played
     write_benchmark(tmp_path, found, [load_scenario("unlabelled")], ROWS)
     path = tmp_path / "leaderboard.json"
-    whole = path.read_text()
     checks = {check.policy: check for check in check_leaderboard(path)}
-    assert {name: check.proof for name, check in checks.items()} == dict.fromkeys(checks, "all") | {
-        "scripted:fifo": "empty"
-    }
+    proofs = dict.fromkeys(checks, "all") | {"scripted:fifo": "empty"}
+    assert {name: check.proof for name, check in checks.items()} == proofs
     assert [check.faults for check in checks.values()] == [[]] * len(checks)
     assert {name for name, check in checks.items() if check.records} == {"scripted", "scripted:unsafe", "plan"}
-    done = CliRunner().invoke(app, ["verify", str(path)])
-    assert done.exit_code == 0, done.output
-    assert "6 lines; 5 follow from their scores" in " ".join(done.output.split())
+    assert "6 lines; 5 follow from their scores" in command("verify", path)
     by_name = {line["policy"]: line for line in leaderboard_lines(path)}
     hasty, first = by_name["scripted:unsafe"], by_name["scripted:unsafe"]["records"][0]
     scores, mean, ends = hasty["scores"], hasty["over_baseline"], hasty["scale"]
@@ -239,9 +231,7 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, 
         wrong = {check.policy: check.faults for check in check_leaderboard(path) if check.faults}
         assert set(wrong) == {"scripted:unsafe"}, changed
         assert any(what in fault for fault in wrong["scripted:unsafe"]), (changed, wrong)
-    done = CliRunner().invoke(app, ["verify", str(path)])
-    assert done.exit_code == 1
-    assert "unlabelled, scripted:unsafe: ../leaderboard.json" in " ".join(done.output.split())
+    assert "unlabelled, scripted:unsafe: ../leaderboard.json" in command("verify", path, code=1)
     # Without scores nothing can be computed, which is said; without the planner's, the mean alone.
     lines = [{key: value for key, value in line.items() if key != "scores"} for line in by_name.values()]
     path.write_text(json.dumps({"lines": lines}))
@@ -251,10 +241,9 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: tuple[dict[str, 
     lines = [line if line is not by_name["oracle"] else lines[k] for k, line in enumerate(by_name.values())]
     path.write_text(json.dumps({"lines": lines}))
     assert {check.policy: check.proof for check in check_leaderboard(path)}["scripted:unsafe"] == "score"
-    path.write_text(whole)
 
 
-def test_a_longer_scale_is_computed_from_its_scores(played: tuple[dict[str, Any], Path], tmp_path: Path) -> None:
+def test_a_longer_scale_is_computed_from_its_scores(played: Played, tmp_path: Path) -> None:
     """A planner that comes to more in each episode, not to a constant more: intervals are those of its own scale."""
     write_benchmark(tmp_path, played[0], [load_scenario("unlabelled")], ROWS, records=0)
     path = tmp_path / "leaderboard.json"
@@ -277,48 +266,36 @@ def test_the_interval_of_a_row_of_several_runs_is_over_runs() -> None:
     runs = runs_of(2, 4, 8)
     assert runs == [0, 0, 1, 1, 0, 0, 1, 1]
     assert runs_of(1, 4, 8) is None
-    found = on_scale(scores, np.zeros(8), np.ones(8), runs)
-    assert found is not None
-    expected = stats.ttest_1samp([scores[[0, 1, 4, 5]].mean(), scores[[2, 3, 6, 7]].mean()], 0.0)
-    ends = expected.confidence_interval(0.95)
-    assert (found["low"], found["high"]) == pytest.approx((ends.low, ends.high))
-    alone = on_scale(scores, np.zeros(8), np.ones(8))
-    assert alone is not None
-    ends = stats.ttest_1samp(scores, 0.0).confidence_interval(0.95)
-    assert (alone["low"], alone["high"]) == pytest.approx((ends.low, ends.high))
+    means = [scores[[0, 1, 4, 5]].mean(), scores[[2, 3, 6, 7]].mean()]
+    for of, sample in ((runs, means), (None, scores)):
+        found: Any = on_scale(scores, np.zeros(8), np.ones(8), of)
+        ends = stats.ttest_1samp(sample, 0.0).confidence_interval(0.95)
+        assert (found["low"], found["high"]) == pytest.approx((ends.low, ends.high))
 
 
 def test_where_nobody_is_above_random_play_there_is_no_scale() -> None:
     """A cell of such episodes is empty, instead of a score divided by next to nothing."""
     assert on_scale(np.array([-0.1, -0.2]), np.zeros(2), np.zeros(2)) is None
-    half = on_scale(np.array([0.0, 0.5]), np.zeros(2), np.array([0.0, 1.0]))
-    assert half is not None
+    half: Any = on_scale(np.array([0.0, 0.5]), np.zeros(2), np.array([0.0, 1.0]))
     assert half["value"] == 0.5
     assert half["low"] is None, "without the second episode there is no scale, so nobody knows how it varies"
 
 
-def recorded(
-    path: Path,
-    seed: int,
-    split: str = "test",
-    who: str = "human",
-    goal: str | None = None,
-    scenario: Any = "unlabelled",
-) -> float:
-    """A game of unlabelled, as `chemlab play` writes it; the manager's part has a policy that looks at nothing."""
-    env = raw_env(scenario, split=split)
+def recorded(path: Path, seed: int, split: str = "test", who: str = "human", **more: Any) -> float:
+    """A game of unlabelled, as `chemlab play` writes it; the manager's part has a policy that looks at nothing.
+
+    ``more`` is a scenario, or a goal that is asked for.
+    """
+    env = raw_env(more.pop("scenario", "unlabelled"), split=split)
     labs = env.laboratories
+    policies = make_policies("scripted,manager=scripted:unsafe", labs, seed)
     names = dict.fromkeys(labs.agents, "scripted") | {labs.agents[0]: who}
-    policies = make_policies("scripted", labs, seed) | {
-        labs.agents[0]: make_policies("scripted:unsafe", labs, seed)[labs.agents[0]]
-    }
-    options = None if goal is None else {"goal": goal}
     with Recorder(path, labs, policies=names) as recorder:
-        return float(play_episode(env, policies, seed, who, None, options, recorder).score)
+        return float(play_episode(env, policies, seed, who, None, more or None, recorder).score)
 
 
 @pytest.mark.slow
-def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, played: tuple[dict[str, Any], Path]) -> None:
+def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, played: Played) -> None:
     """They have played two of five episodes: their scores are those of the records, on the scale of these two."""
     games, keep = tmp_path / "people", tmp_path / "out"
     games.mkdir()
@@ -347,10 +324,8 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
     write_benchmark(keep, found, [load_scenario("unlabelled")], rows, records=0)
     (line,) = (line for line in leaderboard_lines(keep / "leaderboard.json") if line["policy"] == str(games))
     assert (line["episodes"], line["value"]) == (2, cell["value"])
-    assert [(entry["seed"], entry["score"]) for entry in line["records"]] == [
-        (AUDIT_SEED, scores[0]),
-        (AUDIT_SEED + 3, scores[1]),
-    ]
+    seeds = zip((AUDIT_SEED, AUDIT_SEED + 3), scores, strict=True)
+    assert [(entry["seed"], entry["score"]) for entry in line["records"]] == list(seeds)
     for entry in line["records"]:
         assert verify_record(keep / entry["file"]).status == "ok"
     assert str(games) not in json.loads((keep / "marl_eval.json").read_text())["chemlab"]["unlabelled"]
@@ -362,15 +337,14 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
 def test_people_play_the_worlds_that_are_scored(tmp_path: Path) -> None:
     file = tmp_path / "people" / "game.jsonl"
     words = ["play", "selectivity", "--split", "test", "--seed", str(AUDIT_SEED), "--record", str(file)]
-    done = CliRunner().invoke(app, words, input="start rxn_0 on slot 0\nwait\nsubmit slot 0\n")
-    assert done.exit_code == 0, done.output
+    command(*words, input="start rxn_0 on slot 0\nwait\nsubmit slot 0\n")
     (row,) = find_rows([str(file)])
     assert [(name, record.path) for name, record in row.records] == [("selectivity", file)]
     assert find_rows([str(file.parent) + "/"])[0].name == str(file.parent), "one folder has one name"
 
 
 def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_path: Path) -> None:
-    def refused(match: str, *files: Path) -> None:
+    def refuse(match: str, *files: Path) -> None:
         rows, keep, seen = [ROWS[0], *find_rows([str(files[0].parent)])], tmp_path / "parts", list[str]()
         with pytest.raises(ValueError, match=match):
             benchmark(["unlabelled"], rows, TINY, 2, keep=keep, watch=seen.append)
@@ -383,30 +357,30 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
         recorded(path, *arguments, **others)
         return path
 
-    refused("seeds 4000000 to 4000004, split test.*its seed is 7", game("seed", 7))
-    refused("its split train", game("split", AUDIT_SEED, split="train"))
+    refuse("seeds 4000000 to 4000004, split test.*its seed is 7", game("seed", 7))
+    refuse("its split train", game("split", AUDIT_SEED, split="train"))
     goal = load_scenario("unlabelled").lab_goals[0]
-    refused("it was asked for goal", game("goal", AUDIT_SEED, goal=goal))
-    refused("is of seed 4000000, and so is", game("twice", AUDIT_SEED), game("twice", AUDIT_SEED))
+    refuse("it was asked for goal", game("goal", AUDIT_SEED, goal=goal))
+    refuse("is of seed 4000000, and so is", game("twice", AUDIT_SEED), game("twice", AUDIT_SEED))
     torn = game("torn", AUDIT_SEED)
     torn.write_text("".join(torn.read_text().splitlines(keepends=True)[:-1]))
-    refused("the end is missing", torn)
+    refuse("the end is missing", torn)
     better = game("better", AUDIT_SEED)
     *lines, end = better.read_text().splitlines()
     told = json.loads(end)
     told["end"]["score"] = 0.99
     better.write_text("\n".join([*lines, json.dumps(told)]) + "\n")
-    refused("0.99", better)
+    refuse("0.99", better)
     spec = load_scenario("unlabelled")
     costs = spec.costs.model_copy(update={"tick": spec.costs.tick + 1e-3})
     cheap = spec.model_copy(update={"costs": costs})
     other = tmp_path / "other" / "0.jsonl"
     other.parent.mkdir()
     recorded(other, AUDIT_SEED, scenario=cheap)
-    refused(r"is of another unlabelled than .*unlabelled.toml", other)
+    refuse(r"is of another unlabelled than .*unlabelled.toml", other)
     header, *rest = other.read_text().splitlines()
     other.write_text("\n".join([json.dumps(json.loads(header) | {"chemlab": "0.0.1"}), *rest]) + "\n")
-    refused(r"is of another unlabelled than .*unlabelled.toml", other)
+    refuse(r"is of another unlabelled than .*unlabelled.toml", other)
     with pytest.raises(ValueError, match=r"p/q.*: given twice"):
         find_rows([str(tmp_path / "p/q"), str(tmp_path / "p_q")])
     with pytest.raises(ValueError, match=r"baseline: .*0.jsonl: must have played all episodes"):
@@ -424,10 +398,7 @@ def test_checkpoints_and_names_of_policies_are_no_records(tmp_path: Path, monkey
         folder.mkdir(parents=True)
         (folder / "curve.jsonl").write_text("{}\n")
     monkeypatch.chdir(tmp_path)
-    assert find_rows([str(checkpoint), "scripted"]) == [
-        Row(str(checkpoint), (str(checkpoint),)),
-        Row("scripted", ("scripted",)),
-    ]
+    assert find_rows([str(checkpoint), "scripted"]) == [Row(name, (name,)) for name in (str(checkpoint), "scripted")]
     with pytest.raises(RecordError, match="is not a record of an episode"):
         find_rows([str(checkpoint / "curve.jsonl")])
 
@@ -443,10 +414,8 @@ def test_what_is_no_leaderboard_is_said_before_anything_is_played(tmp_path: Path
     texts += [json.dumps({"lines": [{**line, "policy": "\x1b[31m"}]}), json.dumps({"lines": [line] * 20_000})]
     for text in texts:
         path.write_text(text)
-        done = CliRunner().invoke(app, ["benchmark", "unlabelled", "--out", str(tmp_path)])
-        assert done.exit_code == 2, text[:80]
-        assert "leaderboard.json" in done.output.replace("\n", ""), text[:80]
-        assert "\x1b" not in done.output
+        said = command("benchmark", "unlabelled", "--out", tmp_path, code=2)
+        assert ("leaderboard.json" in said, "\x1b" in said) == (True, False), text[:80]
     assert sorted(tmp_path.iterdir()) == [path]
 
 
@@ -483,45 +452,27 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> 
         benchmark(["unlabelled"], rows, TINY, 1, baseline="random")
 
 
-def test_the_command(played: tuple[dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command(played: Played, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # It goes on from what has been played, but for what it is asked for besides.
     shutil.copytree(played[1] / "parts", tmp_path / "parts")
     monkeypatch.setitem(BUDGETS, "small", TINY)
-    words = [
-        "benchmark",
-        "unlabelled",
-        "--policy",
-        "scripted:unsafe",
-        "--seeds",
-        "2",
-        "--processes",
-        "1",
-        "--out",
-        str(tmp_path),
-    ]
-    result = CliRunner().invoke(app, words)
-    assert result.exit_code == 0, result.output
+    words = f"benchmark unlabelled --policy scripted:unsafe --seeds 2 --processes 1 --out {tmp_path}".split()
+    said = command(*words)
     for name in ("random", "plan", "scripted", "scripted:unsafe", "oracle", "2 replications"):
-        assert name in result.output
+        assert name in said
     assert (tmp_path / "leaderboard.json").exists()
-    result = CliRunner().invoke(app, [*words, "--json"])
-    assert json.loads(result.output)["kind"] == "benchmark"
-    result = CliRunner().invoke(app, [*words, "--seeds", "6"])
-    assert result.exit_code == 2
-    assert "from 1 to the 5 episodes of the budget, given 6" in " ".join(result.output.split())
+    assert json.loads(command(*words, "--json"))["kind"] == "benchmark"
+    assert "from 1 to the 5 episodes of the budget, given 6" in command(*words, "--seeds", 6, code=2)
 
 
 def test_what_cannot_be_is_refused() -> None:
-    with pytest.raises(ValueError, match="budget: known"):
-        benchmark(["unlabelled"], [], "huge")
-    with pytest.raises(ValueError, match="baseline: known: random, plan, oracle; given 'scripted'"):
-        benchmark(["unlabelled"], [], TINY, 2)
-    with pytest.raises(ValueError, match=r"policies: scriptd: .*did you mean scripted"):
-        check_rows([load_scenario("unlabelled")], find_rows(["scriptd"]))
-    elsewhere = Row("team (best)", ("scripted",), scenario="rush")
-    with pytest.raises(ValueError, match=r"policies: team \(best\): was trained in rush"):
-        check_rows([load_scenario("unlabelled")], [elsewhere])
-    check_rows([load_scenario("unlabelled"), load_scenario("rush")], [elsewhere, *find_rows(["scripted"])])
+    spec, row = load_scenario("unlabelled"), Row("team (best)", ("scripted",), scenario="rush")
+    baseline = "baseline: known: random, plan, oracle; given 'scripted'"
+    refused("baseline", baseline, benchmark, ["unlabelled"], [], TINY, 2)
+    mistyped = r"policies: scriptd: .*did you mean scripted"
+    refused("mistyped", mistyped, lambda: check_rows([spec], find_rows(["scriptd"])))
+    refused("elsewhere", r"policies: team \(best\): was trained in rush", check_rows, [spec], [row])
+    check_rows([spec, load_scenario("rush")], [row, *find_rows(["scripted"])])
 
 
 def test_a_run_on_a_file_fits_the_file_however_it_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -557,10 +508,9 @@ def test_a_cached_part_belongs_to_the_weights_that_played(tmp_path: Path) -> Non
 def test_seats_are_entered_with_condition_calls_and_tokens(tmp_path: Path) -> None:
     """All episodes of a ledger count, those without calls left as they stood; a salt known to the operator alone."""
     folder, keep, salt = tmp_path / "seats", tmp_path / "out", "0123456789abcdef" * 2
+    seat: dict[str, Any] = {"folder": folder, "salt": salt, "condition": "tools only"}
     for episode, budget in ((0, 400), (3, 400)):
-        room = Room(
-            "unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + episode, calls=budget, condition="tools only"
-        )
+        room = Room("unlabelled", calls=budget, seed=AUDIT_SEED + episode, **seat)
         room.spent("manager_0", 500)
         if episode == 0:
             calls = len(play_scripted(room))
@@ -573,21 +523,15 @@ def test_seats_are_entered_with_condition_calls_and_tokens(tmp_path: Path) -> No
     cell = found["scenarios"]["unlabelled"]["cells"][str(folder)]
     assert cell["scores"][1:] == [None, None, pytest.approx(-0.1), None]
     assert cell["scores"][0] > 0.0
-    counts = {
-        "calls": (calls + 401) / 2,
-        "tokens": 500.0,
-        "wrong": 200.0,
-        "condition": "tools only",
-        "names": "plain",
-        "budget": 400,
-    }
+    counts = {"calls": (calls + 401) / 2, "tokens": 500.0, "wrong": 200.0}
+    counts |= {"condition": "tools only", "names": "plain", "budget": 400}
     assert counts.items() <= cell["seats"].items()
     write_benchmark(keep, found, [load_scenario("unlabelled")], [ROWS[0], row], records=0)
     checks = [check for check in check_leaderboard(keep / "leaderboard.json") if check.policy == str(folder)]
     assert [(check.proof, check.records, check.faults) for check in checks] == [("all", 2, [])]
     with pytest.raises(ValueError, match=r"0\.jsonl: "):  # another salt
         benchmark(["unlabelled"], [ROWS[0], row], TINY, 2, split="private:" + "f" * 32)
-    room = Room("unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + 1, calls=400, condition="tools only")
+    room = Room("unlabelled", calls=400, seed=AUDIT_SEED + 1, **seat)
     with pytest.raises(ValueError, match="this episode has no end"):
         find_rows([str(folder)])
     room.close()

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import command, refused
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_laboratory
@@ -23,11 +24,11 @@ from chemlab.lab.engine import Laboratories
 from chemlab.record import verify_record
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
-runner = CliRunner()
+Played = tuple[dict[str, Any], dict[str, Any], Path]
 
 
 @pytest.fixture(scope="module")
-def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], dict[str, Any], Path]:
+def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
     """A benchmark, crossplay that goes on from its parts, and the folder of parts."""
     keep = tmp_path_factory.mktemp("parts")
     scored = benchmark(["unlabelled"], [Row("scripted", ("scripted",))], TINY, 1, keep=keep)
@@ -45,13 +46,12 @@ def played(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Any], di
 
 
 def cell(found: dict[str, Any], manager: str, benches: str) -> dict[str, Any]:
-    (one,) = (one for one in found["cells"] if (one["manager"], one["benches"]) == (manager, benches))
-    return dict(one)
+    return dict(next(one for one in found["cells"] if (one["manager"], one["benches"]) == (manager, benches)))
 
 
 @pytest.mark.slow
 def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
-    played: tuple[dict[str, Any], dict[str, Any], Path],
+    played: Played,
 ) -> None:
     scored, found, _ = played
     row = scored["cells"]["scripted"]
@@ -63,7 +63,7 @@ def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
 
 
 @pytest.mark.slow
-def test_a_cell_is_its_manager_over_its_benches(played: tuple[dict[str, Any], dict[str, Any], Path]) -> None:
+def test_a_cell_is_its_manager_over_its_benches(played: Played) -> None:
     """Put together by hand, agent by agent."""
     labs = Laboratories("unlabelled", 5, split="test")
     policies = make_policies("scripted@0.2", labs, AUDIT_SEED)
@@ -73,13 +73,11 @@ def test_a_cell_is_its_manager_over_its_benches(played: tuple[dict[str, Any], di
 
 
 @pytest.mark.slow
-def test_a_cell_can_be_played_and_proved(played: tuple[dict[str, Any], dict[str, Any], Path], tmp_path: Path) -> None:
+def test_a_cell_can_be_played_and_proved(played: Played, tmp_path: Path) -> None:
     one = cell(played[1], "scripted:unsafe", "scripted")
     words = ["run", "unlabelled", "--policy", one["policy"], "--split", "test", "--seed", str(AUDIT_SEED)]
     words += ["--episodes", "5", "--json", "--record", str(tmp_path / "a.jsonl")]
-    done = runner.invoke(app, words)
-    assert done.exit_code == 0, done.output
-    scores = [json.loads(line)["score"] for line in done.output.splitlines()]
+    scores = [json.loads(line)["score"] for line in CliRunner().invoke(app, words).output.splitlines()]
     assert np.mean(scores) == pytest.approx(one["score"], rel=1e-9)
     for path in tmp_path.iterdir():
         assert verify_record(path).status == "ok"
@@ -87,7 +85,7 @@ def test_a_cell_can_be_played_and_proved(played: tuple[dict[str, Any], dict[str,
 
 @pytest.mark.slow
 def test_a_gap_is_the_partners_score_less_the_mean_of_strangers(
-    played: tuple[dict[str, Any], dict[str, Any], Path],
+    played: Played,
 ) -> None:
     found = played[1]
     gaps = {(one["side"], one["policy"]): one for one in found["gaps"]}
@@ -108,19 +106,22 @@ def test_a_gap_is_the_partners_score_less_the_mean_of_strangers(
 
 def test_partners_that_learning_had_are_played_too() -> None:
     # The shipped manager of wurtz_dodecane has learned over benches that had learned alone, with nobody.
-    managers, benches = find_players(load_scenario("wurtz_dodecane"), ["trained"], ["scripted"])
-    assert [(player.name, player.partner) for player in managers] == [
-        ("trained", "pretrained-isolated"),
-        ("scripted", "scripted"),
-    ]
-    assert [(player.name, player.partner) for player in benches] == [
-        ("scripted", "scripted"),
-        ("pretrained-isolated", None),
-    ]
+    scripted, isolated = ("scripted", "scripted"), "pretrained-isolated"
+    managers, benches = partners("wurtz_dodecane", ["trained"], ["scripted"])
+    assert managers == [("trained", isolated), scripted]
+    assert benches == [scripted, (isolated, None)]
     # Benches of wurtz_any have learned in a running laboratory, under the scripted manager.
-    managers, benches = find_players(load_scenario("wurtz_any"), ["scripted:unsafe"], ["pretrained", "pretrained@0.1"])
-    assert [player.name for player in managers] == ["scripted:unsafe", "scripted"]
-    assert [player.partner for player in benches] == ["scripted", None, "scripted"]
+    managers, benches = partners("wurtz_any", ["scripted:unsafe"], ["pretrained", "pretrained@0.1"])
+    assert [name for name, _ in managers] == ["scripted:unsafe", "scripted"]
+    assert [partner for _, partner in benches] == ["scripted", None, "scripted"]
+    # Bundled managers with notes have the partners of their training.
+    assert partners("rush", ["trained"], ["scripted"]) == [[("trained", "scripted"), scripted], [scripted]]
+    refused("rush", "there it stands for 'scripted'", partners, "rush", ["scripted"], ["trained"])
+
+
+def partners(scenario: str, *names: list[str]) -> list[list[tuple[str, str | None]]]:
+    """Names of managers and of benches, with those that they have learned with."""
+    return [[(one.name, one.partner) for one in found] for found in find_players(load_scenario(scenario), *names)]
 
 
 @pytest.mark.slow
@@ -142,11 +143,8 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     assert [player.name for player in managers] == [str(first), str(tmp_path / "runs" / "seed-1"), team, "scripted"]
     assert managers[0].policy == str(Run(first).checkpoint("best"))
     assert [player.partner for player in managers] == ["scripted", "scripted", team, "scripted"]
-    assert [(player.name, player.partner) for player in benches] == [
-        ("scripted:unsafe", None),
-        (team, team),
-        ("scripted", "scripted"),
-    ]
+    expected = [("scripted:unsafe", None), (team, team), ("scripted", "scripted")]
+    assert [(player.name, player.partner) for player in benches] == expected
     found = crossplay(spec, managers, benches, TINY)
     labs = Laboratories(spec, 5, split="test")
     scores = play_laboratory(labs, make_policies(team, labs, AUDIT_SEED), None, AUDIT_SEED).returns
@@ -163,23 +161,11 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
         find_players(spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
 
 
-def test_bundled_managers_with_notes_have_the_partners_of_their_training() -> None:
-    managers, benches = find_players(load_scenario("rush"), ["trained"], ["scripted"])
-    assert [(one.name, one.partner) for one in managers] == [("trained", "scripted"), ("scripted", "scripted")]
-    assert [one.name for one in benches] == ["scripted"]
-    with pytest.raises(ValueError, match="there it stands for 'scripted'"):
-        find_players(load_scenario("rush"), ["scripted"], ["trained"])
-
-
 @pytest.mark.parametrize(
     ("managers", "benches", "message"),
     [
         (["pretrained"], ["scripted"], "manager: pretrained has none of its own: there it stands for 'scripted'"),
-        (
-            ["scripted"],
-            ["scripted:no-extraction"],
-            "benches: scripted:no-extraction has none of its own: there it stands for 'scripted'",
-        ),
+        (["scripted"], ["scripted:no-extraction"], "no-extraction has none of its own: there it stands for 'scripted'"),
         (["scripted"], ["trained"], "benches: trained has none of its own: there it stands for 'pretrained-isolated'"),
         (["scripted,rxn=random"], ["scripted"], "give one policy; benches are given with --benches"),
         (["scripted"], ["scripted,manager=random"], "there it stands for 'scripted'; give that"),
@@ -195,23 +181,16 @@ def test_who_cannot_play_is_refused(managers: list[str], benches: list[str], mes
 
 
 @pytest.mark.slow
-def test_the_command(
-    played: tuple[dict[str, Any], dict[str, Any], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_command(played: Played, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(played[2], tmp_path / "parts")
     monkeypatch.setitem(BUDGETS, "small", TINY)
-    monkeypatch.setenv("COLUMNS", "80")
     words = ["crossplay", "unlabelled", "--manager", "scripted:unsafe", "--manager", "scripted", "--processes", "1"]
     words += [word for name in ("scripted", "scripted@0.2", "scripted:unsafe") for word in ("--benches", name)]
     words += ["--keep", str(tmp_path / "parts"), "--out", str(tmp_path / "found.json")]
-    done = runner.invoke(app, words)
-    assert done.exit_code == 0, done.output
-    assert max(map(len, done.output.splitlines())) <= 80
+    done = CliRunner(env={"COLUMNS": "80"}).invoke(app, words)
+    assert max(map(len, done.output.splitlines())) <= 80, done.output
     for text in ("scripted:unsafe", "scripted@0.2", "trained together", "Scores with unseen partners", "gap"):
         assert text in done.output
     written = json.loads((tmp_path / "found.json").read_text())
     assert {**written, "budget": "own"} == json.loads(json.dumps(played[1]))
-    assert json.loads(runner.invoke(app, [*words, "--force", "--json"]).output) == written
-    done = runner.invoke(app, ["crossplay", "unlabelled", "--budget", "huge"])
-    assert done.exit_code == 2
-    assert "budget: known: small, full; given 'huge'" in done.output
+    assert json.loads(command(*words, "--force", "--json")) == written

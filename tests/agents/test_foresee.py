@@ -21,14 +21,8 @@ from chemlab.roles.manager_state import INSTRUMENTS
 
 def test_recipes_keep_the_order_of_the_benches() -> None:
     wash, cut, strip, react = ("ext_0", "p"), ("dit_0", "p"), ("dit_0", "q"), ("rxn_0", "p")
-    assert list(_stages([(wash, 1), (cut, 1), (strip, 1)])) == [
-        (),
-        (wash,),
-        (cut,),
-        (strip,),
-        (wash, cut),
-        (wash, strip),
-    ]
+    expected = [(), (wash,), (cut,), (strip,), (wash, cut), (wash, strip)]
+    assert list(_stages([(wash, 1), (cut, 1), (strip, 1)])) == expected
     # Up to three reactions, and then a wash or none.
     found = list(_stages([(react, 3), (wash, 1)]))
     assert sorted(map(len, found)) == [0, 1, 1, 2, 2, 3, 3, 4]
@@ -53,8 +47,7 @@ def test_it_is_for_worlds_of_numbers_in_vessels_that_are_alike() -> None:
     assert isinstance(scripted_manager(Laboratories("crude")), ForeseeingManager)
     assert foresees(load_scenario("selectivity"))
     # Six vessels have nothing in common; rate constants are the same in all three solutions, strengths are not.
-    assert _sizes(load_scenario("crude")) == (1, 512)
-    assert _sizes(load_scenario("selectivity")) == (12, 32)
+    assert (_sizes(load_scenario("crude")), _sizes(load_scenario("selectivity"))) == ((1, 512), (12, 32))
     values = mapping("crude")
     values["shelf"]["vessel"][0]["contents"]["NaCl"] = 0.2
     assert not foresees(load_scenario(values))

@@ -9,8 +9,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from helpers import refused
 
 from chemlab.agents import policies as policies_module
 from chemlab.agents.background import role_env
@@ -35,17 +34,6 @@ def act(policy: RandomPolicy, mask: np.ndarray[Any, Any]) -> np.ndarray[Any, Any
     return policy.act(np.zeros((n, 1), dtype=np.float32), mask, np.zeros(n, dtype=np.int64), np.arange(n))
 
 
-@given(
-    st.lists(st.lists(st.booleans(), min_size=9, max_size=9).filter(any), min_size=1, max_size=6), st.integers(0, 2**32)
-)
-def test_random_actions_are_legal(legal: list[list[bool]], seed: int) -> None:
-    mask = np.array(legal, dtype=np.int8)
-    actions = act(RandomPolicy(0, seed), mask)
-    assert actions.shape == (len(mask),)
-    assert np.issubdtype(actions.dtype, np.integer)
-    assert mask[np.arange(len(mask)), actions].all()
-
-
 def test_random_actions_are_uniform_over_the_legal_ones() -> None:
     legal = [0, 1, 7, 8, 20, 33, 40]
     mask = np.zeros((7000, 41), dtype=np.int8)
@@ -66,21 +54,6 @@ def test_random_numbers_are_uniform_and_in_the_box() -> None:
         assert chi_square(np.histogram(column, bins=10, range=(0.0, 1.0))[0]) < 40.0  # 9 degrees of freedom
 
 
-@pytest.mark.parametrize("continuous", [False, True])
-def test_acting_on_a_batch_is_acting_one_by_one(continuous: bool) -> None:
-    rng = np.random.default_rng(0)
-    mask = (rng.random((50, 30)) < 0.4).astype(np.int8)
-    mask[:, 0] = 1
-    seen, step, members = np.zeros((50, 5), dtype=np.float32), np.zeros(50, dtype=np.int64), np.arange(50)
-    whole, single = RandomPolicy(4, 11), RandomPolicy(4, 11)
-    together = whole.act(seen, None if continuous else mask, step, members)
-    alone = [
-        single.act(seen[i : i + 1], None if continuous else mask[i : i + 1], step[i : i + 1], members[i : i + 1])
-        for i in range(50)
-    ]
-    np.testing.assert_array_equal(together, np.concatenate(alone))
-
-
 @pytest.mark.parametrize("policy", policy_names())
 @pytest.mark.parametrize("name", ["relay", "unlabelled", "wurtz_two_lines"])
 def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
@@ -88,14 +61,9 @@ def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
     try:
         policies = make_policies(policy, env.laboratories, seed=0)
     except ValueError as error:
-        reason = {
-            "pretrained": "no pretrained policy fits",
-            "pretrained-isolated": "no pretrained policy fits",
-            "trained": "no pretrained policy fits",
-            "plan": "none is stored",
-            "scripted:memoryless": "has nothing to forget",
-            "scripted:fifo": "has no orders to choose from",
-        }
+        reason = dict.fromkeys(("pretrained", "pretrained-isolated", "trained"), "no pretrained policy fits")
+        reason |= {"scripted:memoryless": "has nothing to forget", "scripted:fifo": "has no orders to choose from"}
+        reason["plan"] = "none is stored"
         if policy not in reason or reason[policy] not in str(error):
             raise
         pytest.skip(f"{name}: policies come for the benches of wurtz_dodecane and those that are like them")
@@ -111,16 +79,13 @@ def test_there_is_a_policy_for_every_agent(name: str, policy: str) -> None:
 
 
 def test_random_policies_are_seeded_and_independent() -> None:
-    env = raw_env("wurtz_dodecane")
-    mask = np.ones((200, 31), dtype=np.int8)
-    first, again, other = (make_policies("random", env.laboratories, seed=seed) for seed in (1, 1, 2))
-    streams = [
-        act(policies[agent], mask).tolist() for policies in (first, again, other) for agent in ("ext_0", "dit_0")
-    ]  # type: ignore[arg-type]
-    ext, dit, ext_again, dit_again, ext_other, _ = streams
-    assert (ext, dit) == (ext_again, dit_again)
-    assert ext != dit
-    assert ext != ext_other
+    labs, mask = Laboratories("wurtz_dodecane"), np.ones((200, 31), dtype=np.int8)
+    first, again, other = (make_policies("random", labs, seed=seed) for seed in (1, 1, 2))
+    agents = ((first, "ext_0"), (first, "dit_0"), (again, "ext_0"), (again, "dit_0"), (other, "ext_0"))
+    drawn = (act(policies[agent], mask).tolist() for policies, agent in agents)  # type: ignore[arg-type]
+    ext, dit, *repeated, ext_other = drawn
+    assert [ext, dit] == repeated
+    assert ext not in (dit, ext_other)
 
 
 @pytest.mark.parametrize("policy", ["random", "scripted@0.3", "scripted,manager=random", "trained:sampled@0.1"])
@@ -149,13 +114,10 @@ def test_what_a_policy_draws_depends_on_the_episode_s_seed_alone(policy: str) ->
 
 
 def test_an_unknown_policy_is_refused() -> None:
-    env = raw_env("fictitious")
-    with pytest.raises(ValueError, match="'omniscient'") as caught:
-        make_policies("omniscient", env.laboratories)
-    for name in policy_names():
-        assert name in str(caught.value)
-    with pytest.raises(ValueError, match=r"did you mean scripted\?"):
-        make_policies("scriptd", env.laboratories)
+    labs = Laboratories("fictitious")
+    said = refused("unknown", "'omniscient'", make_policies, "omniscient", labs)
+    assert [name for name in policy_names() if name not in said] == []
+    refused("mistyped", r"did you mean scripted\?", make_policies, "scriptd", labs)
 
 
 @pytest.fixture
@@ -179,11 +141,11 @@ def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(un
         make_policies("scripted:unsafe", labs)
     assert isinstance(policies["fil_0"], RandomPolicy)
     assert not isinstance(policies["dit_0"], RandomPolicy)
+    drawn = [act(policies[agent], np.ones((200, 2), dtype=np.int8)).tolist() for agent in ("fil_0", "fil_1")]
+    assert drawn[0] != drawn[1], "every agent has dice of its own"
     mask = np.zeros((6000, 2), dtype=np.int8)
     mask[:, 1] = 1
     assert act(policies["fil_0"], mask).tolist() == [1] * 6000
-    drawn = [act(policies[agent], np.ones((200, 2), dtype=np.int8)).tolist() for agent in ("fil_0", "fil_1")]
-    assert drawn[0] != drawn[1], "every agent has dice of its own"
 
 
 def test_a_laboratory_with_such_a_bench_is_played_to_its_end(unscripted: Scenario) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers import refused
 
 pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
@@ -20,7 +22,7 @@ from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import RESULT_SEED, Run
 from chemlab.agents.saved import find_saved
-from chemlab.agents.train.arguments import IPPO, training_arguments
+from chemlab.agents.train.arguments import IPPO
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _drawn, _Shown, _Track
@@ -35,6 +37,8 @@ from chemlab.roles.manager_actions import DISCARD, MEASURE, START, SUBMIT
 from chemlab.roles.manager_state import LEAST_AMOUNT, PRICE
 
 QUICK = {"envs": 8, "rollout": 16, "batch_size": 64, "evaluations": 2, "eval_episodes": 4, "final_episodes": 4}
+
+NO_HELP = dict.fromkeys(("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0)
 
 
 def direct(rewards: list[float], values: list[float], last: float, gamma: float, lam: float) -> list[float]:
@@ -94,20 +98,28 @@ def test_actions_are_drawn_by_their_probabilities() -> None:
     torch.manual_seed(3)
     rows = torch.tensor([[0.0, 0.3, 0.0, 0.7, 0.0], [0.0, 0.0, 0.0, 0.0, 1.0]]).repeat(5000, 1)
     drawn = _drawn(rows)
-    assert drawn.shape == (10_000, 1)
-    assert drawn[1::2].unique().tolist() == [4]
+    assert (drawn.shape, drawn[1::2].unique().tolist()) == ((10_000, 1), [4])
     assert drawn[::2].unique().tolist() == [1, 3]
     assert float((drawn[::2] == 3).float().mean()) == pytest.approx(0.7, abs=0.03)
 
 
-def team(**given: Any) -> PPOTeam:
-    arguments = IPPO(scenario="wurtz_dodecane", roles=("manager",), **{**QUICK, **given})
-    return PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted", False)
+def managers(scenario: str = "wurtz_dodecane", **given: Any) -> PPOTeam:
+    """A manager that learns in a scenario."""
+    arguments = IPPO(scenario=scenario, roles=("manager",), **{**QUICK, **given})
+    return PPOTeam(load_scenario(scenario), ["manager"], arguments, "scripted", False)
+
+
+def through(weights: Mapping[str, Any], x: Any) -> Any:
+    """What exported layers make of observations."""
+    for layer in range(3):
+        x = x @ weights[f"{layer}.weight"].T + weights[f"{layer}.bias"]
+        x = np.tanh(x) if layer < 2 else x
+    return x
 
 
 def test_help_is_of_the_mask_and_ends() -> None:
     """Raw vessels are not submitted, nothing is discarded, and every second laboratory starts for its order alone."""
-    made = team(processed=0.5, own_goals=0.8)
+    made = managers(processed=0.5, own_goals=0.8)
     table, rows = made.labs.actions.table, made.labs.members
     mask = made._infos["manager_0"]["action_mask"].astype(np.bool_)
     helped = made._helped(mask, rows, 0.0)
@@ -131,7 +143,7 @@ def test_help_is_of_the_mask_and_ends() -> None:
 
 def test_a_refund_makes_the_sum_of_rewards_not_negative() -> None:
     """It comes with each cost, and is taken back as far as the score rises again."""
-    made = team(refund=1.0, rollout=400, envs=4, self_imitation=0.0)
+    made = managers(refund=1.0, rollout=400, envs=4, self_imitation=0.0)
     made.collect(1.0)
     track = made._tracks["manager_0"]
     ends = np.flatnonzero(track.ended[:, 0])
@@ -145,9 +157,8 @@ def test_a_refund_makes_the_sum_of_rewards_not_negative() -> None:
 
 def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
     """Returns are sums of rewards to the end of each turn's episode; turns of open episodes wait."""
-    made = team(self_imitation=1.0, batch_size=8)
+    made = managers(self_imitation=1.0, batch_size=8)
     learner, best = made.learners["manager"], made._best
-    assert best is not None
     rows, track, reward, over = np.array([2, 5]), made._tracks["manager_0"], np.zeros(8), np.zeros(8, dtype=np.bool_)
     observed = np.random.default_rng(0).random((2, len(learner.columns)), dtype=np.float32)
     track.observed[1, rows], track.mask[1, rows] = observed, True
@@ -173,12 +184,6 @@ def test_own_turns_that_went_better_than_expected_are_learned_again() -> None:
     before = probability()
     best.learn(learner, np.random.default_rng(1))
     assert probability() == before
-
-
-def managers(scenario: str, **given: Any) -> PPOTeam:
-    """A manager that learns in a scenario."""
-    arguments = IPPO(scenario=scenario, roles=("manager",), **{**QUICK, **given})
-    return PPOTeam(load_scenario(scenario), ["manager"], arguments, "scripted", False)
 
 
 def test_instruments_read_ever_fewer_vessels_unasked() -> None:
@@ -223,7 +228,7 @@ def test_a_rollout_is_as_long_as_half_of_the_manager_s_actions() -> None:
     names = {"wurtz_dodecane": 32, "runaway": 40, "rush": 100, "campaign": 128}
     found = {name: PPOTeam(load_scenario(name), ["manager"], IPPO(envs=2), "scripted").rounds for name in names}
     assert found == names
-    assert team().rounds == QUICK["rollout"]
+    assert managers().rounds == QUICK["rollout"]
 
 
 def test_failing_submissions_are_paid_in_part() -> None:
@@ -244,6 +249,7 @@ def test_failing_submissions_are_paid_in_part() -> None:
     assert orders.partial_worth(orders.members) == pytest.approx(0.25 * terms[..., PRICE].mean(axis=1))
 
 
+@pytest.mark.usefixtures("hasty")
 def test_observations_of_the_manager_are_normalized() -> None:
     """The exported weights are of the observation as it is; a policy that was cloned keeps its scale."""
     made = managers("rush")
@@ -254,24 +260,13 @@ def test_observations_of_the_manager_are_normalized() -> None:
     weights, seen = made.weights("manager"), made._noted("manager_0", np.arange(made.settings.envs))
     whole = np.zeros((len(seen), learner.size), dtype=np.float32)
     whole[:, learner.columns] = seen
-    for layer in range(3):
-        whole = whole @ weights[f"{layer}.weight"].T + weights[f"{layer}.bias"]
-        whole = np.tanh(whole) if layer < 2 else whole
+    whole = through(weights, whole)
     learner.network.eval()
     with torch.no_grad():
         assert whole == pytest.approx(learner.network.logits(torch.from_numpy(seen), None).numpy(), abs=1e-4)
     same = learner.network.scale.clone()
-    learner.clone(
-        {
-            "observed": seen,
-            "seen": seen,
-            "mask": None,
-            "action": np.zeros(len(seen), np.int64),
-            "target": np.zeros(len(seen), np.float32),
-        },
-        made.rng,
-        0.1,
-    )
+    batch = {"observed": seen, "seen": seen, "mask": None, "action": np.zeros(len(seen), np.int64)}
+    learner.clone({**batch, "target": np.zeros(len(seen), np.float32)}, made.rng, 0.1)
     learner.normalize(seen)
     assert torch.equal(learner.network.scale, same)
 
@@ -291,20 +286,17 @@ def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> N
 @pytest.mark.parametrize("scenario", ["failing", "crude", "rush"])
 def test_credit_comes_at_once_and_adds_up_to_the_score(scenario: str) -> None:
     """Without help, the rewards of an episode are its score, less what its vessels were nearly worth at first."""
-    none = dict.fromkeys(("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0)
-    made = managers(scenario, **{**none, "rollout": 600, "envs": 2, "self_imitation": 0.0})
+    made = managers(scenario, **NO_HELP, rollout=600, envs=2, self_imitation=0.0)
     before = made._earned.copy()
     made.collect(1.0)
     track, earlier = made._tracks["manager_0"], 0
     ends = np.argwhere(track.ended)
     assert len(ends)
     firsts = {int(member): int(t) for t, member in ends[::-1]}
-    scores = {
-        member: made.scores[int(np.flatnonzero((ends == (t, member)).all(axis=1))[0])] for member, t in firsts.items()
-    }
     for member, t in firsts.items():
         rewards = track.reward[: t + 1, member]
-        assert rewards.sum() == pytest.approx(scores[member] - before[member], abs=1e-5)
+        score = made.scores[int(np.flatnonzero((ends == (t, member)).all(axis=1))[0])]
+        assert rewards.sum() == pytest.approx(score - before[member], abs=1e-5)
         earlier += int((np.abs(rewards[:-1]) > 1e-7).sum())
     assert earlier > len(firsts), "costs and progress are credited before the end"
 
@@ -312,10 +304,9 @@ def test_credit_comes_at_once_and_adds_up_to_the_score(scenario: str) -> None:
 @pytest.mark.parametrize("given", [{"manager_gamma": 0.9}, {"manager_gamma": 0.99, "by_ticks": True}])
 def test_unfinished_work_shifts_a_discounted_return_by_a_constant(given: dict[str, Any]) -> None:
     """The same turns are worth the same with and without it, but for what vessels are worth at the beginning."""
-    none = dict.fromkeys(("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings"), 0.0)
     sums, shifts = list[Any](), np.zeros(2)
     for counts in (True, False):
-        made = managers("rush", **{**none, "rollout": 600, "envs": 2, **given})
+        made = managers("rush", **NO_HELP, rollout=600, envs=2, **given)
         if not counts:
             shifts, made._earned = made._earned, np.zeros(2)
             made.labs.unfinished_worth = np.zeros_like  # type: ignore[method-assign, assignment]
@@ -373,11 +364,8 @@ def test_slots_and_orders_share_weights() -> None:
     x[:, learner.columns[kept]] = seen[:, kept].numpy()
     seen[:, ~kept] = 0.0
     assert (learner.seen(x) == seen.numpy()).all()
-    for i in range(3):
-        x = x @ weights[f"{i}.weight"].T + weights[f"{i}.bias"]
-        x = np.tanh(x) if i < 2 else x
     with torch.no_grad():
-        assert learner.network.logits(seen, None).numpy() == pytest.approx(x, abs=1e-5)
+        assert learner.network.logits(seen, None).numpy() == pytest.approx(through(weights, x), abs=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -387,7 +375,7 @@ def test_weights_are_shared_where_parameters_are_hidden(scenario: str, given: di
     """Level 1 reveals them."""
     layers = managers(scenario, **given).learners["manager"].network.actor
     assert isinstance(layers[0], TiedLinear) == tied
-    assert not isinstance(team().learners["manager"].network.actor[0], TiedLinear)
+    assert not isinstance(managers().learners["manager"].network.actor[0], TiedLinear)
 
 
 def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
@@ -398,16 +386,14 @@ def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
     assert result.mean == pytest.approx(train(arguments, out).mean)
     policy = load_pretrained(find_best(out) / "manager")
     made = PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted", False)
-    labs = make_laboratories()
+    labs = Laboratories("wurtz_dodecane", 3)
+    labs.begin()
     observation = np.asarray(labs.observe(0, labs.members))
     columns = made.learners["manager"].columns
     assert policy.weights["0.weight"].shape[1] == observation.shape[1] > len(columns)
     dropped = np.setdiff1d(np.arange(observation.shape[1]), columns)
     assert not policy.weights["0.weight"][:, dropped].any()
-    x = observation[:, columns].astype(np.float64)
-    x = np.tanh(x @ policy.weights["0.weight"][:, columns].T + policy.weights["0.bias"])
-    x = np.tanh(x @ policy.weights["1.weight"].T + policy.weights["1.bias"])
-    expected = x @ policy.weights["2.weight"].T + policy.weights["2.bias"]
+    expected = through(policy.weights, observation.astype(np.float64))
     assert policy.values(observation) == pytest.approx(expected, rel=1e-5, abs=1e-6)
     assert set(find_saved(str(out)).load) == {"manager"}
 
@@ -444,9 +430,9 @@ def test_a_policy_that_mostly_does_nothing_gets_a_note() -> None:
 
     usual = row("scripted", limit=0.1, nothing=0.0)
     results = {"baseline": "scripted", "policies": [usual, row("random", limit=0.9, nothing=0.6), row("a", limit=0.5)]}
-    assert notes(results) == [
-        "random ran out of actions or ticks in 90% of the episodes",
-        "random submitted nothing in 60% of the episodes",
+    assert [line.partition(" of the episodes")[0] for line in notes(results)] == [
+        "random ran out of actions or ticks in 90%",
+        "random submitted nothing in 60%",
     ]
     results["policies"][0] = row("scripted", limit=1.0, nothing=0.0)  # type: ignore[index]
     assert len(notes(results)) == 1
@@ -456,50 +442,32 @@ def find_best(run: Path) -> Path:
     return next((run / "checkpoints").glob("best-*"))
 
 
-def make_laboratories() -> Any:
-
-    labs = Laboratories(load_scenario("wurtz_dodecane"), 3)
-    labs.begin()
-    return labs
-
-
-def test_the_manager_learns_by_it_unless_told_otherwise() -> None:
-    made = training_arguments({"scenario": "rush", "roles": "manager", "own_goals": 0.0, "steps": 1000})
-    assert isinstance(made, IPPO)
-    assert made.command_line().endswith("--roles manager --algo ippo --steps 1000 --seed 0 --own-goals 0.0")
-    assert training_arguments({"roles": "manager", "algo": "maskable-ppo"}).algo == "maskable-ppo"
-    assert training_arguments({"roles": "manager", "preset": "manager"}).algo == "maskable-ppo"
-
-
 @pytest.mark.slow
 def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
     """Without a clone or hints it comes past the scripted manager over the same scripted benches."""
     made = IPPO(scenario="wurtz_dodecane", roles=("manager",), steps=60_000, evaluations=2, checkpoints=2, seed=1)
     result = train(made, tmp_path / "run")
-    assert result.scripted_mean is not None
     assert result.mean > result.scripted_mean > 0.7
 
 
-def test_returns_of_self_imitation_are_not_discounted() -> None:
-    assert IPPO(scenario="rush", roles=("manager",), manager_gamma=0.9).self_imitation == 0.0
-    with pytest.raises(ValueError, match="self_imitation: learns from returns that are not discounted"):
-        IPPO(scenario="rush", roles=("manager",), manager_gamma=0.9, self_imitation=1.0)
-
-
 def test_a_policy_to_begin_from_has_no_shared_weights_and_learns_in_small_steps() -> None:
-    begun, new = (IPPO(scenario="rush", roles=("manager",), begin_from=policy) for policy in ("runs/first", None))
+    """And returns of self-imitation are not discounted."""
+    rush: dict[str, Any] = {"scenario": "rush", "roles": ("manager",)}
+    assert IPPO(**rush, manager_gamma=0.9).self_imitation == 0.0
+    with pytest.raises(ValueError, match="self_imitation: learns from returns that are not discounted"):
+        IPPO(**rush, manager_gamma=0.9, self_imitation=1.0)
+    begun, new = (IPPO(**rush, begin_from=policy) for policy in ("runs/first", None))
     assert begun.tied is False
     assert (begun.learning_rate, begun.ent_coef) < (new.learning_rate, new.ent_coef)
     assert (new.rollout, begun.rollout, begun.batch_size) == (None, 128, 4 * new.batch_size)
     with pytest.raises(ValueError, match="tied: the policy of begin_from has weights of its own for each slot"):
-        IPPO(scenario="rush", roles=("manager",), begin_from="runs/first", tied=True)
+        IPPO(**rush, begin_from="runs/first", tied=True)
 
 
 def test_while_the_critic_learns_alone_no_own_turns_are_learned_again() -> None:
     made = managers("rush", tied=False, self_imitation=1.0, net_arch=(256, 256), rollout=200)
     made.learners["manager"].take(load_pretrained("rush_manager"))
     made.learners["manager"].critic_first, again = 2, list[int]()
-    assert made._best is not None
     made._best.learn = lambda learner, rng: again.append(learner.critic_first)  # type: ignore[method-assign]
     for rounds in range(3):
         made.learn(0.0, rounds)
@@ -544,11 +512,11 @@ def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
     other = export_run(tmp_path / "without", tmp_path / "other")
     assert other.observation_size == card.observation_size - notes_size(labs.manager.workplace)
     hidden = tuple(len(load_pretrained(tmp_path / "own").weights[f"{layer}.bias"]) for layer in range(2))
-    blind = managers("failing", tied=False, notes=False, net_arch=hidden).learners["manager"]
-    with pytest.raises(ValueError, match="observes its notes, which are off here; add --notes"):
-        blind.take(load_pretrained(tmp_path / "own"))
+    blind, seeing = (
+        managers("failing", tied=False, notes=notes, net_arch=hidden).learners["manager"] for notes in (False, True)
+    )
     own = load_pretrained(tmp_path / "own")
-    managers("failing", tied=False, net_arch=hidden).learners["manager"].take(own)
+    refused("notes", "observes its notes, which are off here; add --notes", blind.take, own)
+    seeing.take(own)
     own.card = own.card.model_copy(update={"notes": False, "advice": "scripted"})
-    with pytest.raises(ValueError, match="observes the hints of scripted, which ippo and mappo do not give"):
-        managers("failing", tied=False, net_arch=hidden).learners["manager"].take(own)
+    refused("hints", "observes the hints of scripted, which ippo and mappo do not give", seeing.take, own)

@@ -10,9 +10,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import slow_but
+from helpers import command, refused, slow_but
 from run_files import write_run
-from typer.testing import CliRunner
 
 from chemlab.agents import pretrained
 from chemlab.agents.policies import make_policies
@@ -26,7 +25,6 @@ from chemlab.agents.pretrained import (
     pretrained_names,
 )
 from chemlab.agents.train.tasks import task_of
-from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.players import as_policy
 from chemlab.envs.role_env import RoleVectorEnv
@@ -50,28 +48,13 @@ def made_up(bench: Any, seed: int = 0, **changes: Any) -> PretrainedPolicy:
     for i in range(2):
         weights[f"{i}.weight"] = rng.normal(size=(sizes[i + 1], sizes[i])).astype(np.float32)
         weights[f"{i}.bias"] = rng.normal(size=sizes[i + 1]).astype(np.float32)
-    card = Card(
-        name="made_up",
-        env_id="chemlab/Bench-v1",
-        scenario=bench.scenario.name,
-        bench=bench.key,
-        goals=list(bench.goals.names),
-        starts="paper",
-        fingerprint=fingerprint(bench),
-        interface=interface(bench),
-        observation_size=sizes[0],
-        action_size=sizes[-1],
-        algo="ppo",
-        label="ppo",
-        seed=seed,
-        step=1,
-        command="chemlab train chemlab/Bench-v1",
-        versions={},
-        activation="tanh",
-        output="argmax" if bench.action_count else "clip",
-        evaluation={},
-    )
-    return PretrainedPolicy(card.model_copy(update=changes), weights)
+    told: dict[str, Any] = {"env_id": "chemlab/Bench-v1", "command": "chemlab train chemlab/Bench-v1"}
+    told |= {"scenario": bench.scenario.name, "bench": bench.key, "goals": list(bench.goals.names), "starts": "paper"}
+    told |= {"fingerprint": fingerprint(bench), "interface": interface(bench)}
+    told |= {"output": "argmax" if bench.action_count else "clip"}
+    told |= {"algo": "ppo", "label": "ppo", "seed": seed, "step": 1, "activation": "tanh", **changes}
+    sized = {"observation_size": sizes[0], "action_size": sizes[-1]}
+    return PretrainedPolicy(Card(name="made_up", versions={}, evaluation={}, **sized, **told), weights)
 
 
 def ship(policy: PretrainedPolicy, folder: Path, name: str) -> None:
@@ -105,9 +88,8 @@ def test_card_says_the_preset() -> None:
         recorded_arguments({"env_id": "chemlab/WurtzExtraction-v0", "seed": 4, "gamma": 0.9}, "config.json")
 
 
-@pytest.mark.parametrize(("env_id", "algo"), [(RXN, "recurrent-ppo"), (DIT, "maskable-recurrent-ppo")])
-def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, tmp_path: Path) -> None:
-    """The same actions over experiments that begin and end at different times, in members that are not all there."""
+def exported(folder: Path, env_id: str, algo: str, **values: Any) -> tuple[PretrainedPolicy, Path, Any]:
+    """A policy that was trained for a moment and exported, its best checkpoint, and the learner in that."""
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.learners import load_learner
     from chemlab.agents.runs import Run
@@ -115,16 +97,22 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
     from chemlab.agents.train.export import export_run
     from chemlab.agents.train.learn import train
 
-    values: dict[str, Any] = {"scenario": env_id, "algo": algo, "envs": 2, "rollout": 16, "steps": 64, "memory": 16}
-    values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 1, "learning_rate": 0.003, "epochs": 2}
-    run = Run(tmp_path / "run")
-    train(training_arguments(values), run.path)
-    card = export_run(run.path, tmp_path / "mine")
-    assert card.memory == 16
-    masked = algo.startswith("maskable")
-    policy, folder = load_pretrained(tmp_path / "mine"), run.checkpoint("best")
-    assert folder is not None
-    original: Any = as_policy(load_learner(folder, algo))
+    values |= {"scenario": env_id, "algo": algo, "envs": 2, "evaluations": 1, "eval_episodes": 1, "final_episodes": 1}
+    run = Run(folder / "run")
+    train(training_arguments({**values, "learning_rate": 0.003}), run.path)
+    card = export_run(run.path, folder / "models" / "mine")
+    assert {path.name for path in (folder / "models").iterdir()} == {"mine.json", "mine.safetensors"}
+    policy, best = load_pretrained(folder / "models" / "mine.json"), run.checkpoint("best")
+    assert policy.card == card
+    return policy, best, load_learner(best, algo)  # type: ignore[arg-type, return-value]
+
+
+@pytest.mark.parametrize(("env_id", "algo"), [(RXN, "recurrent-ppo"), (DIT, "maskable-recurrent-ppo")])
+def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, tmp_path: Path) -> None:
+    """The same actions over experiments that begin and end at different times, in members that are not all there."""
+    policy, _, model = exported(tmp_path, env_id, algo, rollout=16, steps=64, memory=16, epochs=2)
+    assert policy.card.memory == 16
+    masked, original = algo.startswith("maskable"), as_policy(model)
     draw, steps = np.random.default_rng(0), np.zeros(4, dtype=np.int64)
     kept, sees = None, policy.card.observation_size
     for turn in range(30):
@@ -132,13 +120,12 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
         if not len(members):
             continue
         seen = draw.random((len(members), sees), dtype=np.float32)
-        mask = (draw.random((len(members), card.action_size)) < 0.5).astype(np.int8) if masked else None
+        mask = (draw.random((len(members), policy.card.action_size)) < 0.5).astype(np.int8) if masked else None
         if mask is not None:
             mask[:, -1] = 1
         ours, theirs = (one.act(seen, mask, steps[members], members) for one in (policy, original))
         np.testing.assert_allclose(ours, theirs, atol=1e-5)
-        if mask is not None:
-            assert mask[np.arange(len(members)), ours].all()
+        assert mask is None or mask[np.arange(len(members)), ours].all()
         steps[members] = np.where(draw.random(len(members)) < 0.1, 0, steps[members] + 1)
         if turn == 20:
             kept, after = policy.get_memory(), steps.copy()
@@ -154,35 +141,20 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
 @pytest.mark.parametrize(("algo", "env_id"), CASES)
 def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    from chemlab.agents.learners import load_learner
-    from chemlab.agents.runs import Run
-    from chemlab.agents.train.arguments import training_arguments
-    from chemlab.agents.train.export import export_run, largest_difference
-    from chemlab.agents.train.learn import train
+    from chemlab.agents.train.export import largest_difference
 
-    values: dict[str, Any] = {"scenario": env_id, "algo": algo, "envs": 2, "rollout": 40, "steps": 240}
-    values |= {"evaluations": 1, "eval_episodes": 1, "final_episodes": 2, "learning_rate": 0.003}
-    if algo in ("dqn", "qr-dqn", "sac", "td3"):
-        values |= {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
-    run = Run(tmp_path / "run")
-    train(training_arguments(values), run.path)
-    card = export_run(run.path, tmp_path / "models" / "mine")
-    assert {path.name for path in (tmp_path / "models").iterdir()} == {"mine.json", "mine.safetensors"}
-    policy = load_pretrained(tmp_path / "models" / "mine.json")
-    assert policy.card == card
+    values = {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
+    values = values if algo in ("dqn", "qr-dqn", "sac", "td3") else {}
+    policy, folder, model = exported(tmp_path, env_id, algo, rollout=40, steps=240, **values)
+    scenario, key = policy.card.scenario, policy.card.bench
     words = shlex.split(policy.card.command)
-    assert words[:2] == ["chemlab", "train"]
+    assert words[:3] == ["chemlab", "train", scenario]
     told = dict(zip(words[3::2], words[4::2], strict=True))
-    assert words[2] == policy.card.scenario
-    assert [told[flag] for flag in ("--bench", "--algo", "--steps", "--seed", "--envs")] == [
-        *(policy.card.bench, algo, "240", "0", "2")
-    ]
+    flags = ("--bench", "--algo", "--steps", "--seed", "--envs")
+    assert [told[flag] for flag in flags] == [key, algo, "240", "0", "2"]
     assert "--gamma" not in policy.card.command
     policy.check(bench_of(env_id))
-    folder = run.checkpoint("best")
-    assert folder is not None
-    model: Any = load_learner(folder, algo)
-    scenario, key = policy.card.scenario, policy.card.bench
+    own = load_pretrained(folder / key)
     env = RoleVectorEnv(50, scenario, bench=key, autoreset_mode="SameStep")
     seen, infos = env.reset(seed=3)
     for _ in range(12):
@@ -193,14 +165,12 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
         else:
             np.testing.assert_array_equal(chosen, expected)
             # In the run's own folder it plays as it learned.
-            learned = act(load_pretrained(folder / key), seen, infos["action_mask"])
+            learned, masked = (act(one, seen, infos["action_mask"]) for one in (own, policy))
             as_it_did = {"action_masks": infos["action_mask"]} if algo == "maskable-ppo" else {}
             np.testing.assert_array_equal(learned, model.predict(seen, deterministic=True, **as_it_did)[0])
-            masked = act(policy, seen, infos["action_mask"])
             assert infos["action_mask"][np.arange(50), masked].all()
             if algo == "maskable-ppo":
-                expected, _ = model.predict(seen, deterministic=True, action_masks=infos["action_mask"])
-                np.testing.assert_array_equal(masked, expected)
+                np.testing.assert_array_equal(masked, learned)
         env.action_space.seed(0)
         seen, _, _, _, infos = env.step(env.action_space.sample())
     assert largest_difference(model, policy, seen) < 1e-5
@@ -208,19 +178,6 @@ def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None
     weight, bias = policy._layers[-1]
     policy._layers[-1] = (weight + np.float32(1e-2) * np.arange(weight.shape[1], dtype=np.float32), bias)
     assert largest_difference(model, policy, seen) > 1e-5
-
-
-def test_layers_activation_and_output_are_what_the_card_says() -> None:
-    bench = bench_of(RXN)
-    seen = np.random.default_rng(5).random((7, 212), dtype=np.float32)
-    for activation, hidden in (("tanh", np.tanh), ("relu", lambda x: np.maximum(x, 0.0))):
-        for output, shape in (("clip", lambda x: np.clip(x, 0, 1)), ("tanh", lambda x: (np.tanh(x) + 1.0) / 2.0)):
-            policy = made_up(bench, activation=activation, output=output)
-            (w0, b0), (w1, b1) = [(w.astype(np.float64), b.astype(np.float64)) for w, b in policy._layers]
-            expected = shape(hidden(seen @ w0 + b0) @ w1 + b1)
-            actions = act(policy, seen)
-            assert actions.dtype == np.float64
-            np.testing.assert_allclose(actions, expected, atol=1e-5)
 
 
 def test_sampled_actions_follow_the_logits_and_the_seed() -> None:
@@ -263,8 +220,7 @@ def test_sampled_continuous_actions_have_the_exported_spread() -> None:
 def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
     bench = bench_of(DIT)
-    with pytest.raises(ValueError, match=r"\(none for distillation is bundled\); train one"):
-        pretrained_for(bench)
+    refused("none", r"\(none for distillation is bundled\); train one", pretrained_for, bench)
     ship(made_up(bench, seed=1, scenario="elsewhere"), tmp_path, "a")
     ship(made_up(bench, seed=2), tmp_path, "b")
     ship(made_up(bench_of(RXN), seed=3), tmp_path, "c")
@@ -275,10 +231,11 @@ def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: py
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert pretrained_for(direct).card.name in ("a", "b")
-    with pytest.raises(ValueError, match=r"no pretrained policy fits 'ext'.*\(none for extraction is bundled\)"):
-        pretrained_for(ExperimentBatch("wurtz_dodecane", "ext").bench)
-    with pytest.raises(ValueError, match=r"fits 'dit' of wurtz_real \(a: .*; others that do not fit: 1\); train one"):
-        pretrained_for(ExperimentBatch("wurtz_real", "dit").bench)
+    for scenario, key, said in (
+        ("wurtz_dodecane", "ext", r"no pretrained policy fits 'ext'.*\(none for extraction is bundled\)"),
+        ("wurtz_real", "dit", r"fits 'dit' of wurtz_real \(a: .*; others that do not fit: 1\); train one"),
+    ):
+        refused(key, said, pretrained_for, ExperimentBatch(scenario, key).bench)
 
 
 def test_benches_that_learned_in_laboratories_are_for_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -307,17 +264,16 @@ def test_trained_managers_keep_the_benches_they_learned_over() -> None:
 
 def test_what_does_not_fit_is_named() -> None:
     policy = made_up(bench_of(DIT))
-    with pytest.raises(ValueError, match=r"it is for distillation, this is reaction; train one for it: chemlab"):
-        policy.check(bench_of(RXN))
-    with pytest.raises(ValueError, match=r"'dit' of salt_from_oil: observation '.*': it knows"):
-        policy.check(ExperimentBatch("salt_from_oil", "dit").bench)
+    kind = r"it is for distillation, this is reaction; train one for it: chemlab"
+    refused("another kind", kind, policy.check, bench_of(RXN))
+    oil = ExperimentBatch("salt_from_oil", "dit").bench
+    refused("other materials", r"'dit' of salt_from_oil: observation '.*': it knows", policy.check, oil)
     values = load_scenario("wurtz_dodecane").model_dump()
     values["benches"]["dit"]["process"][0]["magnitudes"] = values["benches"]["dit"]["process"][0]["magnitudes"][:-1]
     fewer = ExperimentBatch(load_scenario(values), "dit").bench
-    with pytest.raises(ValueError, match="has 31 actions, here there are 30; they differ from"):
-        policy.check(fewer)
-    with pytest.raises(ValueError, match=r"sees \[B, 310\] numbers, given \(4, 12\)"):
-        policy.values(np.zeros((4, 12), dtype=np.float32))
+    refused("fewer actions", "has 31 actions, here there are 30; they differ from", policy.check, fewer)
+    small = np.zeros((4, 12), dtype=np.float32)
+    refused("observations", r"sees \[B, 310\] numbers, given \(4, 12\)", policy.values, small)
 
 
 def test_a_bench_that_has_changed_is_a_warning() -> None:
@@ -358,33 +314,26 @@ def test_fingerprints_of_bundled_policies_are_of_the_scenarios_as_they_are() -> 
 
 
 def test_damaged_and_missing_files(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no such card"):
-        load_pretrained("nothing")
+    refused("missing", "no such card", load_pretrained, "nothing")
     ship(made_up(bench_of(DIT)), tmp_path, "a")
     file = tmp_path / "a.safetensors"
     file.write_bytes(file.read_bytes()[:-5])
-    with pytest.raises(ValueError, match=r"a\.safetensors: cannot be read"):
-        load_pretrained(tmp_path / "a")
+    refused("cut", r"a\.safetensors: cannot be read", load_pretrained, tmp_path / "a")
     ship(made_up(bench_of(RXN)), tmp_path, "b")
     file.write_bytes((tmp_path / "b.safetensors").read_bytes())
-    with pytest.raises(ValueError, match="do not belong together"):
-        load_pretrained(tmp_path / "a")
+    refused("mixed", "do not belong together", load_pretrained, tmp_path / "a")
     (tmp_path / "a.json").write_text("{}")
-    with pytest.raises(ValueError, match="not a card of this version"):
-        load_pretrained(tmp_path / "a")
+    refused("empty", "not a card of this version", load_pretrained, tmp_path / "a")
 
 
 def test_export_says_what_is_missing(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    result = CliRunner().invoke(app, ["export", str(tmp_path), "-o", str(tmp_path / "x")])
-    assert result.exit_code == 2
-    assert "contains no training run" in result.output
+    words = ["-o", tmp_path / "x"]
+    assert "contains no training run" in command("export", tmp_path, *words, code=2)
     (tmp_path / "config.json").write_text("{}")
-    result = CliRunner().invoke(app, ["export", str(tmp_path), "-o", str(tmp_path / "x")])
-    assert "config.json: label: Field required" in result.output
+    assert "config.json: label: Field required" in command("export", tmp_path, *words, code=2)
     run = write_run(tmp_path / "run", "fictitious", "rxn", {"E": 1.0})
-    result = CliRunner().invoke(app, ["export", str(run), "-o", str(tmp_path / "x")])
-    assert "contains no checkpoint" in result.output
+    assert "contains no checkpoint" in command("export", run, *words, code=2)
 
 
 @pytest.mark.parametrize("name", pretrained_names())

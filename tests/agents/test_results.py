@@ -7,16 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import command, refused
 from run_files import HEURISTIC, write_run
 from scipy import stats
-from typer.testing import CliRunner
 
 from chemlab.agents.evaluate.csv_tables import read_table, write_table
 from chemlab.agents.evaluate.curves import algorithm_style, average_curves
 from chemlab.agents.evaluate.results import cells_of, cells_table, read_runs, write_runs
-from chemlab.cli import app
-
-runner = CliRunner()
 
 
 @pytest.fixture
@@ -53,9 +50,8 @@ def test_tables_have_what_the_folders_have(runs: Path, tmp_path: Path) -> None:
 
 
 def test_returns_keep_every_digit_and_curves_five(tmp_path: Path) -> None:
-    write_run(
-        tmp_path / "runs" / "x", "lab", "rxn", {"a": 1.0 / 3.0}, curve=[(10, 2.0 / 3.0, None), (20, 2.0 / 3.0, 0.0)]
-    )
+    curve = [(10, 2.0 / 3.0, None), (20, 2.0 / 3.0, 0.0)]
+    write_run(tmp_path / "runs" / "x", "lab", "rxn", {"a": 1.0 / 3.0}, curve=curve)
     write_runs(tmp_path / "tables", read_runs(tmp_path / "runs"))
     (run,) = read_runs(tmp_path / "tables")
     assert run.finished.by_goal == {"a": 1.0 / 3.0}
@@ -63,21 +59,17 @@ def test_returns_keep_every_digit_and_curves_five(tmp_path: Path) -> None:
 
 
 def test_what_is_no_table_is_named(runs: Path, tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no such folder of results"):
-        read_runs(tmp_path / "nothing")
+    refused("no folder", "no such folder of results", read_runs, tmp_path / "nothing")
     tables = tmp_path / "tables"
     write_runs(tables, read_runs(runs))
     (tables / "curves.csv.gz").write_bytes(b"run,step,mean,std\n")
-    with pytest.raises(ValueError, match=r"curves\.csv\.gz: not a table"):
-        read_runs(tables)
+    refused("no table", r"curves\.csv\.gz: not a table", read_runs, tables)
     path = tmp_path / "any.csv"
     write_table(path, ("a", "b"), [{"a": 1, "b": "x, y"}, {"a": 2, "b": ""}])
     assert read_table(path, ("a", "b")) == [{"a": "1", "b": "x, y"}, {"a": "2", "b": ""}]
-    with pytest.raises(ValueError, match=r"has the columns a, b; needs a, c"):
-        read_table(path, ("a", "c"))
+    refused("columns", r"has the columns a, b; needs a, c", read_table, path, ("a", "c"))
     path.write_text("a,b\n1,2\n3\n")
-    with pytest.raises(ValueError, match=r"any\.csv:3: has not 2 cells"):
-        read_table(path, ("a", "b"))
+    refused("cells", r"any\.csv:3: has not 2 cells", read_table, path, ("a", "b"))
     assert read_table(tmp_path / "none.csv", ("a",)) == []
 
 
@@ -97,8 +89,7 @@ def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
     row = [text.strip() for text in line.strip("|").split("|")]
     assert row[:4] == ["lab, rxn, 2 goals", "PPO", "4", "1,000"]
     ends = stats.ttest_1samp(means, 0.0).confidence_interval(0.95)
-    assert row[4] == f"0.567 [{ends.low:.3f}, {ends.high:.3f}]"
-    assert row[6:9] == ["0.717", "0.467", "0.500"]
+    assert (row[4], row[6:9]) == (f"0.567 [{ends.low:.3f}, {ends.high:.3f}]", ["0.717", "0.467", "0.500"])
     # Of 8 pairs with the scripted policy: goal a 0 + 1/2 + 1 + 1, goal b 0 + 3 x 1.
     assert row[9].startswith(f"{(2.5 + 3.0) / 8.0:.2f} [")
     # A run plays both goals: these are not twice as many runs, so the interval is that of four.
@@ -120,14 +111,12 @@ def test_learning_curves_against_closed_forms() -> None:
     """Two straight curves of other lengths: the mean on what they share; deviations of runs and of single returns."""
     first, second = np.array([[0, 0.0, 0.5], [1000, 1.0, 0.5]]), np.array([[100, 2.1, 0.5], [800, 2.8, 0.5]])
     found = average_curves([first, second])
-    assert found is not None
     steps, mean, between, single = found
     assert (steps[0], steps[-1]) == (100.0, 800.0)
     np.testing.assert_allclose(mean, steps / 1000.0 + 1.0)
     np.testing.assert_allclose(between, math.sqrt(2.0))  # of the two values x and x + 2
     np.testing.assert_allclose(single, math.sqrt(0.5**2 + 1.0**2))
     alone = average_curves([first])
-    assert alone is not None
     assert np.isnan(alone[2]).all()
     assert average_curves([np.zeros((0, 3))]) is None
 
@@ -145,14 +134,10 @@ def test_variants_have_looks_of_their_own() -> None:
 def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     tables = tmp_path / "tables"
-    done = runner.invoke(app, ["plot", "runs", str(runs), "--out", str(tmp_path / "a"), "--collect", str(tables)])
-    assert done.exit_code == 0, done.output
+    command("plot", "runs", runs, "--out", tmp_path / "a", "--collect", tables)
     before = sorted(runs.rglob("*"))
-    done = runner.invoke(
-        app, ["plot", "runs", str(runs), "-o", str(tmp_path / "b"), "--format", "svg", "--format", "png"]
-    )
-    assert done.exit_code == 0, done.output
-    assert "left out z: not finished" in done.output
+    said = command("plot", "runs", runs, "-o", tmp_path / "b", "--format", "svg", "--format", "png")
+    assert "left out z: not finished" in said
     assert sorted(runs.rglob("*")) == before
     assert {path.name for path in (tmp_path / "b").iterdir()} == {"runs.md", "runs_curves.svg", "runs_curves.png"}
     ours, theirs = ((tmp_path / name / "runs.md").read_text() for name in "ab")
@@ -160,23 +145,17 @@ def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: 
     assert ours == theirs.replace(".svg", ".png").replace("- z: not finished\n", "")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["nothing"], "no such folder of results"),
-        (["runs", "--format", "bmp2"], "--format: must be one of png, svg, pdf; given bmp2"),
-        (["runs", "--out", "file"], "file: cannot write there"),
-        (["runs", "--collect", "file/tables"], "tables: cannot write there"),
-    ],
-)
 def test_what_is_wrong_is_said_before_anything_is_made(
-    runs: Path, tmp_path: Path, arguments: list[str], words: str, monkeypatch: pytest.MonkeyPatch
+    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("in the way")
-    before = sorted(runs.rglob("*"))
-    done = runner.invoke(app, ["plot", "runs", *arguments], env={"COLUMNS": "200"})
-    assert done.exit_code == 2
-    assert words in done.output
-    assert sorted(runs.rglob("*")) == before
-    assert not [path for path in tmp_path.rglob("*") if path.suffix in (".md", ".csv", ".png")]
+    before = [path for path in sorted(tmp_path.rglob("*")) if path.is_file()]
+    for arguments, words in (
+        ("nothing", "no such folder of results"),
+        ("runs --format bmp2", "--format: must be one of png, svg, pdf; given bmp2"),
+        ("runs --out file", "file: cannot write there"),
+        ("runs --collect file/tables", "tables: cannot write there"),
+    ):
+        assert words in command("plot", "runs", *arguments.split(), code=2)
+    assert [path for path in sorted(tmp_path.rglob("*")) if path.is_file()] == before

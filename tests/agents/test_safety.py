@@ -33,14 +33,10 @@ def weighted(events: dict[str, float]) -> float:
 @functools.cache
 def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[PlayedTurn, ...]], ...]:
     """Episodes of one set of scripted policies, and all their turns."""
-    env = raw_env(SAFE)
+    env, turns = raw_env(SAFE), [list[PlayedTurn]() for _ in range(SEEDS)]
     policies = make_policies(policy, env.laboratories)
-    found = []
-    for seed in range(SEEDS):
-        turns: list[PlayedTurn] = []
-        result = play_episode(env, policies, seed, policy, watch=turns.append)
-        found.append((result, tuple(turns)))
-    return tuple(found)
+    results = [play_episode(env, policies, seed, policy, watch=own.append) for seed, own in enumerate(turns)]
+    return tuple(zip(results, map(tuple, turns), strict=True))
 
 
 # -- careful and unsafe ----------------------------------------------------------------------------------------------
@@ -86,6 +82,9 @@ def test_the_score_is_charged(policy: str) -> None:
         worth = result.submitted_mol * result.purity / scenario.theoretical_maximum_mol[result.goal]
         assert result.score == pytest.approx(worth - sum(result.costs.values()), rel=1e-12)
         assert result.rewards["manager_0"] == pytest.approx(result.score, rel=1e-12)
+        # A tick is one turn of each busy bench; this manager keeps one bench busy at a time.
+        managed = sum(turn.agent == "manager_0" for turn in turns)
+        assert (result.manager_actions, result.ticks) == (managed, len(turns) - managed)
         # A bench pays for its own accidents as well.
         for agent in ("rxn_0", "ext_0", "dit_0"):
             own = [turn for turn in turns if turn.agent == agent]
@@ -125,6 +124,14 @@ def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
         _, infos = parallel.reset(seed=seed)
         assert all(info["cost"] == 0.0 and not info["events"].any() for info in infos.values())
         totals = {side: dict.fromkeys(SAFETY_EVENTS, 0.0) for side in ("aec", "parallel")}
+
+        def count(side: str, info: dict[str, Any], totals: dict[str, dict[str, float]] = totals) -> None:
+            events = named_events(aec.scenario, info)
+            assert info["cost"] == pytest.approx(weighted(events), rel=1e-12)
+            assert all(value > 0.0 for value in events.values())
+            for kind, value in events.items():
+                totals[side][kind] += value
+
         while parallel.agents:
             actions = {}
             for agent in [agent for agent in parallel.agents if infos[agent]["has_turn"]]:
@@ -133,25 +140,16 @@ def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
                 mask = aec.infos[agent].get("action_mask")
                 actions[agent] = wild(mask, space, rng, submits if agent == "manager_0" else ())
                 aec.step(actions[agent])
-                info = aec.infos[agent]
-                events = named_events(aec.scenario, info)
-                assert info["cost"] == pytest.approx(weighted(events), rel=1e-12)
-                assert all(value > 0.0 for value in events.values())
-                for kind, value in events.items():
-                    totals["aec"][kind] += value
+                count("aec", aec.infos[agent])
             *_, infos = parallel.step(actions)
             for agent, info in infos.items():
-                events = named_events(parallel.scenario, info)
-                assert info["cost"] == pytest.approx(weighted(events), rel=1e-12)
+                count("parallel", info)
                 assert agent in actions or info["cost"] == 0.0
-                for kind, value in events.items():
-                    totals["parallel"][kind] += value
         for side in totals.values():
             assert list(side.values()) == pytest.approx(labs.safety_totals[0].tolist(), rel=1e-9, abs=1e-12)
         price = labs.scenario.safety.reward_price
-        assert named_costs(infos["manager_0"])["safety"] == pytest.approx(
-            price * weighted(totals["parallel"]), rel=1e-9
-        )
+        paid = price * weighted(totals["parallel"])
+        assert named_costs(infos["manager_0"])["safety"] == pytest.approx(paid, rel=1e-9)
         for kind, value in totals["aec"].items():
             happened[kind] += value
     assert all(value > 0.0 for value in happened.values()), happened

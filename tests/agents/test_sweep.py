@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 
 import pytest
+from helpers import until
 from run_files import without_times
 from typer.testing import CliRunner
 
@@ -22,15 +23,10 @@ from chemlab.agents.train.sweep import Status, plan, run_sweep, status_of
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
 
-SMALL = """
-[defaults]
-envs = 2
-rollout = 16
-steps = 64
-evaluations = 1
-eval_episodes = 1
-final_episodes = 1
-"""
+SMALL = "[defaults]\nenvs = 2\nrollout = 16\nsteps = 64\nevaluations = 1\neval_episodes = 1\nfinal_episodes = 1\n"
+
+
+PPO = '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n'
 
 
 def sweep_file(folder: Path, text: str) -> Path:
@@ -122,7 +118,6 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
     assert clone.config() is None, "the right name in the file is not another run"
     finished = Run(out / "FictitiousReaction" / "ppo" / "seed-0")
     result = finished.result()
-    assert result is not None
     assert done["mean"] == result.mean
     times = {path: path.stat().st_mtime_ns for path in finished.path.rglob("*")}
     assert "results" in runner.invoke(app, ["sweep", "--help"]).output
@@ -133,7 +128,6 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
     assert "2 failed, 1 done" in shown.output
     # Another task or other arguments in the same folder are neither done nor overwritten.
     config = finished.config()
-    assert config is not None
     finished.config_file.write_text(json.dumps({**config, "fingerprint": "another"}))
     changed = {one.name: status_of(one) for one in plan(file, out)}["FictitiousReaction/ppo/seed-0"]
     assert (changed.state, "fingerprint 'another' (now '" in changed.note) == ("other", True)
@@ -147,28 +141,14 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
 @pytest.mark.slow
 def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(
-        tmp_path,
-        """
-        [[runs]]
-        scenario = "chemlab/FictitiousReaction-v0"
-        algo = "ppo"
-        steps = 640
-        checkpoints = 20
-        """,
-    )
+    file = sweep_file(tmp_path, PPO + "steps = 640\ncheckpoints = 20\n")
     (one,) = plan(file, tmp_path / "out")
     assert status_of(one).state == "waiting"
-    process = subprocess.Popen(
-        [sys.executable, "-m", "chemlab", "sweep", str(file), "--processes", "1", "--out", str(tmp_path / "out")],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-    )
-    deadline = time.monotonic() + 600
-    while one.run.checkpoint("last") is None:
-        assert process.poll() is None, process.communicate()[0]
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    words = ["sweep", str(file), "--out", str(tmp_path / "out")]
+    command = [sys.executable, "-m", "chemlab", *words, "--processes", "1"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT)
+    until(lambda: one.run.checkpoint("last") is not None or process.poll() is not None)
+    assert process.poll() is None, process.communicate()[0]
     assert status_of(one).state == "running"
     os.kill(process.pid, signal.SIGTERM)
     process.communicate()
@@ -176,7 +156,7 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
     stopped = status_of(one)
     assert stopped.state == "interrupted", "its run has been stopped too"
     assert 0 < stopped.step < stopped.steps
-    result = CliRunner().invoke(app, ["sweep", str(file), "--out", str(tmp_path / "out")])
+    result = CliRunner().invoke(app, words)
     assert result.exit_code == 0, result.output
     assert status_of(one).state == "done"
     assert "resuming at step" in one.log.read_text()
@@ -188,8 +168,8 @@ def test_a_sweep_that_is_stopped_goes_on(tmp_path: Path) -> None:
 def test_a_run_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
     """Killed twice by the system, at moments nobody chose, it comes to what one comes to that nobody has killed."""
     pytest.importorskip("stable_baselines3")
-    text = '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\nsteps = 640\ncheckpoints = 20\n'
-    one, other = (plan(sweep_file(tmp_path, text), tmp_path / name)[0] for name in ("out", "other"))
+    file = sweep_file(tmp_path, PPO + "steps = 640\ncheckpoints = 20\n")
+    one, other = (plan(file, tmp_path / name)[0] for name in ("out", "other"))
     killed: list[int] = []
 
     def watch(found: list[Status]) -> None:
@@ -211,7 +191,7 @@ def test_a_run_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
 def test_two_sweeps_at_once_leave_a_good_result_alone(tmp_path: Path) -> None:
     """Whose process comes second waits for the first one's run, and calls nothing failed."""
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
+    file = sweep_file(tmp_path, PPO)
     (one,) = plan(file, tmp_path / "out")
     command = [sys.executable, "-m", "chemlab", "sweep", str(file), "--processes", "1", "--out", str(tmp_path / "out")]
     both = [subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True) for _ in range(2)]
@@ -226,7 +206,7 @@ def test_waiting_for_runs_of_another_process_takes_no_processor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
+    file = sweep_file(tmp_path, PPO)
     (one,) = plan(file, tmp_path / "out")
     monkeypatch.setattr(one.run, "busy", lambda: True)
     looked: list[float] = []
@@ -244,7 +224,7 @@ def test_waiting_for_runs_of_another_process_takes_no_processor(
 @pytest.mark.slow
 def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, '[[runs]]\nscenario = "chemlab/FictitiousReaction-v0"\nalgo = "ppo"\n')
+    file = sweep_file(tmp_path, PPO)
     (one,) = plan(file, tmp_path / "out")
     # It was free when the sweep looked, and taken when its process came.
     busy = one.run.busy

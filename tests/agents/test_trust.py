@@ -4,7 +4,6 @@ that one works in. Every attack is shown to work where it is trusted, so that a 
 from __future__ import annotations
 
 import base64
-import io
 import json
 import os
 import pickle
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from helpers import command, refused
 from typer.testing import CliRunner
 
 pytest.importorskip("stable_baselines3")
@@ -26,20 +26,14 @@ from chemlab.agents.seals import read_sealed, seal_file
 from chemlab.agents.train.arguments import training_arguments
 from chemlab.agents.train.learn import train
 from chemlab.cli import app
-from chemlab.config.datafile import DataError
 from chemlab.config.parts import strangers_code
 
 SCENARIO = "wurtz_dodecane"
 TINY = {"envs": 2, "rollout": 16, "evaluations": 1, "checkpoints": 1, "eval_episodes": 1, "final_episodes": 1}
 MANAGER = training_arguments({"roles": "manager", "algo": "maskable-ppo", "scenario": SCENARIO, "steps": 32, **TINY})
 JOINT = training_arguments({"scenario": SCENARIO, "roles": ("dit", "ext"), "steps": 16, **TINY})
-LEADER = training_arguments(
-    {"roles": "manager", "algo": "ippo", "scenario": SCENARIO, "net_arch": (64, 64), "steps": 16, **TINY}
-)
-PARTS = """
-from pathlib import Path
-Path({marker!r}).write_text("ran")
-"""
+LEADER = training_arguments({"roles": "manager", "scenario": SCENARIO, "net_arch": (64, 64), "steps": 16, **TINY})
+PARTS = 'from pathlib import Path\nPath({marker!r}).write_text("ran")\n'
 FOREIGN = """
 base = "wurtz_dodecane"
 name = "bait"
@@ -62,24 +56,21 @@ class Payload:
 
 def poison_zip(path: Path, marker: Path) -> None:
     """Put a payload into a learner's file, where Stable-Baselines3 has pickles."""
-    source = io.BytesIO(path.read_bytes())
-    with zipfile.ZipFile(source) as old, zipfile.ZipFile(path, "w") as new:
-        for name in old.namelist():
-            content = old.read(name)
-            if name == "data":
-                data = json.loads(content)
-                data["policy_class"][":serialized:"] = base64.b64encode(pickle.dumps(Payload(marker))).decode()
-                content = json.dumps(data).encode()
+    with zipfile.ZipFile(path) as old:
+        contents = {name: old.read(name) for name in old.namelist()}
+    data = json.loads(contents["data"])
+    data["policy_class"][":serialized:"] = base64.b64encode(pickle.dumps(Payload(marker))).decode()
+    with zipfile.ZipFile(path, "w") as new:
+        for name, content in (contents | {"data": json.dumps(data).encode()}).items():
             new.writestr(name, content)
 
 
 def poison(run: Path, marker: Path) -> None:
     """Put a payload into everything in a run's folder that somebody might unpickle."""
-    for file in [*run.rglob("*.zip"), *run.rglob("state.pkl")]:
-        if file.suffix == ".zip":
-            poison_zip(file, marker)
-        else:
-            file.write_bytes(pickle.dumps(Payload(marker)))
+    for file in run.rglob("*.zip"):
+        poison_zip(file, marker)
+    for file in run.rglob("state.pkl"):
+        file.write_bytes(pickle.dumps(Payload(marker)))
 
 
 def without_weights(run: Path) -> None:
@@ -109,13 +100,6 @@ def bait(strangers: Path, tmp_path: Path) -> Path:
     (tmp_path / "bait.toml").write_text(FOREIGN)
     (tmp_path / "bait.py").write_text(PARTS.format(marker=str(tmp_path / "ran")) + "NOTHING = None\n")
     return tmp_path
-
-
-def chemlab(*words: object) -> tuple[int, str]:
-    """(exit code, what was said on one line) of a command."""
-    result = CliRunner().invoke(app, list(map(str, words)))
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, " ".join(result.output.split())
 
 
 def no_end(run: Path) -> Path:
@@ -153,8 +137,7 @@ WEIGHTS: dict[str, Any] = {
 
 @pytest.mark.parametrize("way", [*PICKLES, *WEIGHTS])
 def test_a_strangers_run_is_played_from_its_weights(way: str, bait: Path) -> None:
-    code, said = chemlab(*(PICKLES | WEIGHTS)[way](bait))
-    assert code == 0, said
+    command(*(PICKLES | WEIGHTS)[way](bait))
     assert not (bait / "ran").exists()
 
 
@@ -162,8 +145,7 @@ def test_a_strangers_run_is_played_from_its_weights(way: str, bait: Path) -> Non
 def test_a_strangers_pickles_are_refused(way: str, bait: Path) -> None:
     for name in ("manager", "joint"):
         without_weights(bait / name)
-    code, said = chemlab(*PICKLES[way](bait))
-    assert code == 2
+    said = command(*PICKLES[way](bait), code=2)
     assert "was changed, or was written by another user" in said
     assert "--trust" in said
     assert not (bait / "ran").exists()
@@ -180,8 +162,7 @@ def test_where_only_weights_count_pickles_are_never_loaded(way: str, bait: Path)
     for folder in (bait / "joint" / "checkpoints").glob("*-*"):
         for name in ("dit.zip", "ext.maskable.zip", "state.pkl"):
             (folder / name).write_bytes(pickle.dumps(Payload(bait / "ran")))
-    code, said = chemlab(*WEIGHTS[way](bait))
-    assert (code, "train it again" in said) == (2, True), said
+    assert "train it again" in command(*WEIGHTS[way](bait), code=2)
     chemlab_trusting(WEIGHTS[way](bait))
     assert not (bait / "ran").exists()
 
@@ -203,12 +184,13 @@ def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path,
         "evaluate": ["evaluate", SCENARIO, "--policy", tmp_path / "run", "--episodes", 1, "--goal", "dodecane"],
         "export": ["export", tmp_path / "run", "--out", tmp_path / "mine", "--trust"],
     }
-    for file, command, gone in (
+    weights = [f"{best}/{role}.json", f"{best}/{role}.safetensors"]
+    for file, task, gone in (
         ("config.json", "run", []),
-        (f"{best}/{role}.json", "run", []),
-        (f"{best}/{role}.safetensors", "evaluate", []),
-        (f"{best}/model.zip", "run", [f"{best}/{role}.json", f"{best}/{role}.safetensors"]),
-        (f"{best}/model.zip.seal", "run", [f"{best}/{role}.json", f"{best}/{role}.safetensors"]),
+        (weights[0], "run", []),
+        (weights[1], "evaluate", []),
+        (f"{best}/model.zip", "run", weights),
+        (f"{best}/model.zip.seal", "run", weights),
         (f"{best}/model.zip", "export", []),
     ):
         shutil.copytree(run, tmp_path / "run")
@@ -218,21 +200,17 @@ def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path,
             os.mkfifo(tmp_path / "run" / file)
         else:
             (tmp_path / "run" / file).symlink_to("/dev/zero")
-        code, said = chemlab(*words[command])
-        assert (code, "is not a regular file" in said, Path(file).name in said) == (2, True, True), (file, said)
+        said = command(*words[task], code=2)
+        assert ("is not a regular file" in said, Path(file).name in said) == (True, True), (file, said)
         assert not list(tmp_path.glob("mine*"))
         shutil.rmtree(tmp_path / "run")
 
 
 def test_figures_play_weights_and_leave_pickles_out(bait: Path) -> None:
     words = ["plot", "runs", bait / "manager", "--out", bait / "pages", "--collect", bait / "tables"]
-    code, said = chemlab(*words)
-    assert code == 0, said
-    assert "left out" not in said
+    assert "left out" not in command(*words)
     without_weights(bait / "manager")
-    code, said = chemlab(*words[:-1], bait / "others")
-    assert code == 0, said
-    assert "--trust" in said[said.index("left out") :]
+    assert "--trust" in command(*words[:-1], bait / "others").partition("left out")[2]
     assert not (bait / "ran").exists()
     chemlab_trusting([*words[:-1], bait / "third"])
     assert (bait / "ran").exists()
@@ -242,9 +220,7 @@ def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None
     single = ["train", SCENARIO, *MANAGER.flags(), "--out", no_end(bait / "manager")]
     together = ["train", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]
     for words in (single, together):
-        code, said = chemlab(*words)
-        assert code == 2, said
-        assert "--trust" in said
+        assert "--trust" in command(*words, code=2)
         assert not (bait / "ran").exists()
         chemlab_trusting(words)
         assert (bait / "ran").is_dir()
@@ -258,22 +234,16 @@ def test_what_a_configuration_names_is_no_way_around(bait: Path, strangers: Path
     config = json.loads((own / "config.json").read_text())
     (bait / "manager" / "config.json").write_text(json.dumps({**config, "bench": "rxn"}))
     (own / "config.json").write_text(json.dumps({**config, "background": str(bait / "manager")}))
-    code, said = chemlab("run", SCENARIO, "--policy", own, "--json")
-    assert (code, "--trust" in said) == (2, True)
+    assert "--trust" in command("run", SCENARIO, "--policy", own, "--json", code=2)
     # A background that leads back to itself ends.
     (own / "config.json").write_text(json.dumps({**config, "background": str(own)}))
-    code, said = chemlab("run", SCENARIO, "--policy", own, "--json")
-    assert (code, "in the background" in said) == (2, True)
+    assert "in the background" in command("run", SCENARIO, "--policy", own, "--json", code=2)
     # A scenario that brings code.
-    bringing = {
-        "scenario": str(bait / "bait.toml"),
-        "arguments": {**config["arguments"], "scenario": str(bait / "bait.toml")},
-    }
-    (own / "config.json").write_text(json.dumps({**config, **bringing}))
-    code, said = chemlab("export", own, "--out", bait / "mine")
-    assert (code, "--trust" in said) == (2, True)
-    code, said = chemlab("plot", "runs", own, "--out", bait / "pages", "--collect", bait / "tables")
-    assert (code, "--trust" in said) == (0, True)
+    brings = {"scenario": str(bait / "bait.toml")}
+    bringing = {**config, **brings, "arguments": config["arguments"] | brings}
+    (own / "config.json").write_text(json.dumps(bringing))
+    assert "--trust" in command("export", own, "--out", bait / "mine", code=2)
+    assert "--trust" in command("plot", "runs", own, "--out", bait / "pages", "--collect", bait / "tables")
     assert not (bait / "ran").exists()
     chemlab_trusting(["export", own, "--out", bait / "mine"])
     assert (bait / "ran").read_text() == "ran"
@@ -305,9 +275,7 @@ def test_a_scenarios_code_waits_for_the_flag(way: str, bait: Path, monkeypatch: 
         folder = bait / "results" / "bait-manager_0" / "maskable-ppo" / "seed-0"
         folder.mkdir(parents=True)
         shutil.copy(bait / "manager" / "config.json", folder)
-    code, said = chemlab(*SCENARIOS[way])
-    assert code == 2, said
-    assert "--trust" in said, said
+    assert "--trust" in command(*SCENARIOS[way], code=2)
     assert not (bait / "ran").exists()
     chemlab_trusting(SCENARIOS[way])
     assert (bait / "ran").exists()
@@ -322,8 +290,8 @@ def test_children_of_a_sweep_import_nothing_from_where_it_is_started(bait: Path)
         (bait / f"{module}.py").write_text(PARTS.format(marker=str(bait / "ran")))
     # Not imported by the parent either, which the console script starts with a safe path.
     code = "import sys; sys.path[:] = [p for p in sys.path if p]; from chemlab.cli import main; main()"
-    command = [sys.executable, "-c", code, "sweep", "sweep.toml", "--out", "results"]
-    done = subprocess.run(command, cwd=bait, capture_output=True, text=True)
+    words = [sys.executable, "-c", code, "sweep", "sweep.toml", "--out", "results"]
+    done = subprocess.run(words, cwd=bait, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert (bait / "results/WurtzDistillation/ppo/seed-0/result.json").exists()
     assert not (bait / "ran").exists()
@@ -334,26 +302,22 @@ def test_children_of_a_sweep_import_nothing_from_where_it_is_started(bait: Path)
 def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "state.pkl"
     file.write_bytes(b"mine")
-    with pytest.raises(DataError, match="has no signature of this user"):
-        read_sealed(file)
+    refused("new", "has no signature of this user", read_sealed, file)
     seal_file(file)
     assert read_sealed(file) == b"mine"
     assert read_sealed(shutil.copy(file, tmp_path / "moved") and shutil.copytree(tmp_path, tmp_path / "b") / file.name)
     file.write_bytes(b"mind")
-    with pytest.raises(DataError, match="was changed"):
-        read_sealed(file)
+    refused("changed", "was changed", read_sealed, file)
     with strangers_code(True):
         assert read_sealed(file) == b"mind"
     file.write_bytes(b"mine")
     monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "other"))
-    with pytest.raises(DataError, match="written by another user"):
-        read_sealed(file)
+    refused("user", "written by another user", read_sealed, file)
     key = tmp_path / "other" / "seal.key"
     assert len(key.read_bytes()) == 32
     assert os.name != "posix" or key.stat().st_mode & 0o077 == 0, "nobody else reads it"
     (tmp_path / "state.pkl.seal").write_text("é" * 32)
-    with pytest.raises(DataError, match="written by another user"):
-        read_sealed(file)
+    refused("user", "written by another user", read_sealed, file)
 
 
 def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -370,5 +334,5 @@ def test_own_runs_need_no_flag(tmp_path: Path) -> None:
     without_weights(tmp_path / "manager")
     saved = find_saved(str(tmp_path / "manager"))
     assert list(saved.load) == ["manager"]
-    assert chemlab("run", SCENARIO, "--policy", tmp_path / "manager", "--json")[0] == 0
+    command("run", SCENARIO, "--policy", tmp_path / "manager", "--json")
     assert Run(tmp_path / "manager").result() is not None

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import Watched, mapping
+from helpers import Watched, mapping, refused
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.policies import make_policies, scripted_manager
@@ -58,11 +58,8 @@ def test_managers_are_chosen_by_what_is_hidden() -> None:
 
 def test_the_vessel_that_is_chosen_is_the_right_one() -> None:
     labs, watched = played("unlabelled", "scripted", 40)
-    halide = {
-        "dodecane": "1-chlorohexane",
-        "5,6-dimethyldecane": "2-chlorohexane",
-        "4,5-diethyloctane": "3-chlorohexane",
-    }
+    goals = ("dodecane", "5,6-dimethyldecane", "4,5-diethyloctane")
+    halide = {goal: f"{carbon}-chlorohexane" for carbon, goal in enumerate(goals, start=1)}
     kinds, better = labs.actions.table, []
     for member in range(40):
         goal = labs.scenario.goals[labs.state.goal[member, 0]]
@@ -154,10 +151,8 @@ def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
 @pytest.mark.slow
 def test_earlier_looks_are_worth_remembering() -> None:
     """What a vessel showed before the last portion tells more of its kinetics than what it shows after it."""
-    scores = [
-        played("selectivity", policy, 200)[0].result(np.arange(200)) for policy in ("scripted", "scripted:memoryless")
-    ]
-    gained = scores[0] - scores[1]
+    one, other = (played("selectivity", name, 200)[0] for name in ("scripted", "scripted:memoryless"))
+    gained = one.result(one.members) - other.result(other.members)
     assert gained.mean() > 2.0 * gained.std() / np.sqrt(200.0)
 
 
@@ -188,11 +183,10 @@ def test_who_lapses_goes_on(scenario: str) -> None:
     assert np.isfinite(played.returns).all()
 
 
-def test_nobody_forgets_who_has_nothing_to_remember() -> None:
-    with pytest.raises(
-        ValueError, match="scripted:memoryless: the scripted manager of unlabelled has nothing to forget"
-    ):
-        make_policies("scripted:memoryless", Laboratories("unlabelled"))
+def test_policies_of_who_has_no_choice_are_refused() -> None:
+    for name, scenario, said in (("memoryless", "unlabelled", "nothing to forget"), ("fifo", "campaign", "no orders")):
+        message = f"scripted:{name}: the scripted manager of {scenario} has {said}"
+        refused(name, message, make_policies, f"scripted:{name}", Laboratories(scenario))
 
 
 # -- lines that fail --------------------------------------------------------------------------------------------------
@@ -210,9 +204,7 @@ def failing(**wear: Any) -> dict[str, Any]:
 def counted(labs: Laboratories, watched: Watched) -> dict[str, float]:
     """How often the manager does what, in the mean over episodes."""
     kinds = [labs.actions.decode(action)[0] for actions in watched.actions for action in actions]
-    return {
-        str(kind): kinds.count(kind) / len(watched.actions) for kind in ("measure", "calibrate", "repair", "submit")
-    }
+    return {kind: kinds.count(kind) / len(watched.actions) for kind in ("measure", "calibrate", "repair", "submit")}
 
 
 def test_a_line_that_is_known_is_not_looked_at() -> None:
@@ -261,11 +253,6 @@ def test_repairs_and_calibrations_are_worth_their_price() -> None:
     for case in ("no repair", "no calibration"):
         gained = scores["as it is"] - scores[case]
         assert gained.mean() > 2.0 * gained.std() / 25**0.5 > 0.0, case
-
-
-def test_nobody_takes_orders_in_turn_who_has_no_choice() -> None:
-    with pytest.raises(ValueError, match="scripted:fifo: the scripted manager of campaign has no orders"):
-        make_policies("scripted:fifo", Laboratories("campaign"))
 
 
 # -- orders over time -------------------------------------------------------------------------------------------------
@@ -407,6 +394,17 @@ def test_reports_decide_what_a_manager_takes_a_rate_for() -> None:
 # -- specifications ---------------------------------------------------------------------------------------------------
 
 
+def submitted(specification: dict[str, Any], **contents: float) -> Laboratories:
+    """A laboratory with one vessel, in which any may be submitted, after its submission."""
+    values = mapping("campaign") | {"world": {}, "demand": {}}
+    values["specifications"] = {"2-chlorohexane": specification}
+    values["shelf"]["vessel"][0]["contents"] = {"2-chlorohexane": 3.0, "1-chlorohexane": 1.0, **contents}
+    labs = Laboratories(load_scenario(values))
+    labs.begin(0)
+    labs.act(0, labs.members, np.array([labs.actions.encode("submit", 0, 0)]))
+    return labs
+
+
 @pytest.mark.parametrize(
     ("specification", "met"),
     [
@@ -419,28 +417,15 @@ def test_reports_decide_what_a_manager_takes_a_rate_for() -> None:
 )
 def test_what_falls_short_of_its_specification_is_worth_nothing(specification: dict[str, float], met: bool) -> None:
     """Three moles of four, of which an order gets three quarters of a quarter of the score."""
-    values = mapping("campaign") | {"world": {}, "demand": {}}  # in which any vessel may be submitted
-    values["specifications"] = {"2-chlorohexane": specification}
-    values["shelf"]["vessel"][0]["contents"] = {"2-chlorohexane": 3.0, "1-chlorohexane": 1.0}
-    labs = Laboratories(load_scenario(values))
-    labs.seed(0, 0)
-    labs.reset(labs.members)
-    labs.act(0, labs.members, np.array([labs.actions.encode("submit", 0, 0)]))
-    worth = 0.25 * 3.0 / 4.0 * 0.75 if met else 0.0
-    assert labs.rewards[0, 0] == pytest.approx(worth, rel=1e-12)
-    assert labs.result(labs.members)[0] == pytest.approx(worth, rel=1e-12)
+    labs = submitted(specification)
+    worth = pytest.approx(0.25 * 3.0 / 4.0 * 0.75 if met else 0.0, rel=1e-12)
+    assert (labs.rewards[0, 0], labs.result(labs.members)[0]) == (worth, worth)
 
 
 def test_purity_may_be_meant_among_some_materials() -> None:
     """Six moles of ether leave three in four of the isomers what they are: 0.75 as without it, 0.3 of everything."""
-    values = mapping("campaign") | {"world": {}, "demand": {}}
-    values["shelf"]["vessel"][0]["contents"] = {"2-chlorohexane": 3.0, "1-chlorohexane": 1.0, "diethyl_ether": 6.0}
     for among, purity in ((["1-chlorohexane", "2-chlorohexane"], 0.75), ([], 0.3)):
-        values["specifications"] = {"2-chlorohexane": {"purity_among": among}}
-        labs = Laboratories(load_scenario(values))
-        labs.seed(0, 0)
-        labs.reset(labs.members)
-        labs.act(0, labs.members, np.array([labs.actions.encode("submit", 0, 0)]))
+        labs = submitted({"purity_among": among}, diethyl_ether=6.0)
         assert labs.outcome()["orders"][0]["purity"] == pytest.approx(purity, rel=1e-12)
         assert labs.result(labs.members)[0] == pytest.approx(0.25 * 3.0 / 4.0 * purity, rel=1e-12)
 

@@ -6,15 +6,12 @@ import json
 import os
 import subprocess
 import sys
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from callers import SALT, SEATS, SEED, played
+from callers import SALT, SEATS, SEED, played, serving
 
 import chemlab
 from chemlab.agents.ledger import read_ledger
@@ -46,9 +43,8 @@ def test_over_standard_input_and_output(tmp_path: Path) -> None:
     calls, record = played(("manager_0",), tmp_path / "here")
     script = tmp_path / "server.py"
     script.write_text(SERVER.format(salt=SALT, seed=SEED))
-    server = StdioServerParameters(
-        command=sys.executable, args=[str(script), str(tmp_path / "there")], env=dict(os.environ), cwd=str(tmp_path)
-    )
+    given: Any = {"args": [str(script), str(tmp_path / "there")], "env": dict(os.environ), "cwd": str(tmp_path)}
+    server = StdioServerParameters(command=sys.executable, **given)
 
     async def play() -> list[str]:
         async with Client(stdio_client(server)) as client:
@@ -66,22 +62,6 @@ def test_over_standard_input_and_output(tmp_path: Path) -> None:
     texts = anyio.run(play)
     assert "The episode is over (submitted)" in texts[-1]
     assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
-
-
-@contextmanager
-def served(room: Room, tokens: dict[str, str]) -> Iterator[int]:
-    """The room over HTTP on a free port, in a thread."""
-    from chemlab.agents.mcp_server import http_server
-
-    server = http_server(room, tokens, "127.0.0.1", 0)
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        assert thread.is_alive()
-        threading.Event().wait(0.05)
-    yield server.servers[0].sockets[0].getsockname()[1]
-    server.should_exit = True
-    thread.join(20)
 
 
 def test_two_seats_over_http(tmp_path: Path) -> None:
@@ -107,7 +87,9 @@ def test_two_seats_over_http(tmp_path: Path) -> None:
                 text = text_of(await clients[agent].call_tool(verb, given))
             return text
 
-    with served(room, tokens) as port:
+    from chemlab.agents.mcp_server import http_server
+
+    with serving(http_server(room, tokens, "127.0.0.1", 0)) as port:
         assert "The episode is over" in anyio.run(play, port)
     assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
 
@@ -131,29 +113,16 @@ def test_the_command_keeps_its_secrets(given: bool, tmp_path: Path) -> None:
         Room("unlabelled", folder=out, salt=SALT, seed=SEED).close()
         command += ["--episode", "3"]
         environment["CHEMLAB_SALT"] = SALT
-    process = subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        env=environment,
-        cwd=tmp_path / "HOME",
-    )
-    assert process.stdin is not None
-    assert process.stdout is not None
+    pipes: Any = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.DEVNULL}
+    process: Any = subprocess.Popen(command, env=environment, cwd=tmp_path / "HOME", **pipes)
 
     def send(method: str, params: dict[str, Any], **number: int) -> None:
-        assert process.stdin is not None
-        process.stdin.write(
-            json.dumps({"jsonrpc": "2.0", "method": method, "params": params, **number}).encode() + b"\n"
-        )
+        message = {"jsonrpc": "2.0", "method": method, "params": params, **number}
+        process.stdin.write(json.dumps(message).encode() + b"\n")
         process.stdin.flush()
 
-    send(
-        "initialize",
-        {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "t", "version": "0"}},
-        id=1,
-    )
+    client = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "t", "version": "0"}}
+    send("initialize", client, id=1)
     assert json.loads(process.stdout.readline())["id"] == 1  # nothing else is on standard output
     send("notifications/initialized", {})
     send("tools/call", {"name": "start", "arguments": {"bench": "rxn_0", "slot": 0, "goal": "dodecane"}}, id=2)
@@ -168,13 +137,10 @@ def test_the_command_keeps_its_secrets(given: bool, tmp_path: Path) -> None:
     process.stdin.close()
     process.wait(60)
     process.stdout.close()
-    assert {path.name for path in files if out in path.parents} - {
-        "episode-0000.jsonl.part",
-        "episode-0000.transcript.jsonl",
-    } == {"ledger.jsonl"}
+    over = {"episode-0000.jsonl.part", "episode-0000.transcript.jsonl"}
+    assert {path.name for path in files if out in path.parents} - over == {"ledger.jsonl"}
     ended = read_ledger(out / "ledger.jsonl")[-1]
-    assert ended["status"] == "given up"
-    assert ended["condition"] == "tools only"
+    assert (ended["status"], ended["condition"]) == ("given up", "tools only")
     salt = SALT if given else ended["split"].partition(":")[2]
     world = Room("unlabelled", salt=salt, seed=ended["seed"]).laboratories.worlds
     secrets = [salt, *(f"{value:.9f}"[:8] for value in world.values(0)["titre"].values())]

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from callers import SALT, SEED, played
+from callers import SALT, SEED, played, serving
 
 pytest.importorskip("openenv", reason="needs openenv (extra openenv)")
 import uvicorn
@@ -24,15 +23,8 @@ ROOT = Path(__file__).parents[2]
 
 @contextmanager
 def served(app: Any) -> Iterator[str]:
-    server = uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="error"))
-    thread = threading.Thread(target=server.run, daemon=True)
-    thread.start()
-    while not server.started:
-        assert thread.is_alive()
-        threading.Event().wait(0.05)
-    yield f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
-    server.should_exit = True
-    thread.join(20)
+    with serving(uvicorn.Server(uvicorn.Config(app, host="127.0.0.1", port=0, log_level="error"))) as port:
+        yield f"http://127.0.0.1:{port}"
 
 
 def test_an_episode(tmp_path: Path) -> None:

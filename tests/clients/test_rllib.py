@@ -17,10 +17,11 @@ pytest.importorskip("ray.rllib", reason='needs the extra: pip install ".[rllib]"
 
 import ray
 import torch
-from helpers import random_legal, script
+from helpers import random_legal, refused, script
 from ray.rllib.core.columns import Columns
 from ray.rllib.env.multi_agent_env_runner import MultiAgentEnvRunner
 
+from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.agents.rllib import LaboratoryMultiAgentEnv
 from chemlab.agents.roles import role_of
@@ -48,14 +49,8 @@ def cluster() -> Iterator[None]:
     """A Ray for this module alone, which runs find and leave alone; a short path, as sockets want it."""
     folder = tempfile.mkdtemp(prefix="ray", dir="/tmp")
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
-    ray.init(
-        "local",
-        num_cpus=2,
-        include_dashboard=False,
-        object_store_memory=100_000_000,
-        log_to_driver=False,
-        _temp_dir=folder,
-    )
+    small: Any = {"num_cpus": 2, "object_store_memory": 100_000_000}
+    ray.init("local", include_dashboard=False, log_to_driver=False, _temp_dir=folder, **small)
     yield
     ray.shutdown()
     shutil.rmtree(folder, ignore_errors=True)
@@ -115,15 +110,7 @@ def test_roles_that_do_not_learn_are_played_inside(roles: list[str]) -> None:
     """With the scripted policy of the learning roles the episode is the one that scripted policies play alone."""
     env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane", "roles": roles, "background": "scripted"})
     alone = raw_env("wurtz_dodecane")
-    alone.reset(seed=7)
-    everybody = make_policies("scripted", alone.laboratories)
-    labs = alone.laboratories
-    while labs.state.status[0] == 0:
-        agent = alone.agent_selection
-        mask: Any = alone.infos[agent].get("action_mask")
-        turns = labs.turns_had(labs.agents.index(agent))
-        seen = alone.observe(agent)[None]
-        alone.step(everybody[agent].act(seen, None if mask is None else mask[None], turns, labs.members)[0])
+    expected = play_episode(alone, make_policies("scripted", alone.laboratories), 7)
     observations, _ = env.reset(seed=7)
     learners, labs, over = make_policies("scripted", env.laboratory.laboratories), env.laboratory.laboratories, False
     while not over:
@@ -134,13 +121,14 @@ def test_roles_that_do_not_learn_are_played_inside(roles: list[str]) -> None:
         action = learners[agent].act(seen[None], None if mask is None else mask[None], turns, labs.members)[0]
         observations, _, terminated, truncated, _ = env.step({agent: action})
         over = terminated["__all__"] or truncated["__all__"]
-    assert env.score == alone.laboratories.result(alone.laboratories.members)[0]
+    assert env.score == expected.score
     assert set(env.agents) == {agent for agent in labs.agents if role_of(agent) in roles}
 
 
 def test_seeds_begin_the_same_episodes() -> None:
     """Background policies' streams included; without a seed the streams go on; RLlib's runners get others."""
-    env = LaboratoryMultiAgentEnv({"scenario": "wurtz_any", "roles": ["manager"], "background": "random"})
+    settings = {"scenario": "wurtz_any", "roles": ["manager"], "background": "random"}
+    env = LaboratoryMultiAgentEnv(settings)
 
     def episode(seed: int | None, env: LaboratoryMultiAgentEnv) -> list[float]:
         observations, rng, rewards, over = env.reset(seed=seed)[0], np.random.default_rng(0), [], False
@@ -160,25 +148,19 @@ def test_seeds_begin_the_same_episodes() -> None:
     class Context(dict[str, Any]):
         worker_index = 2
 
-    elsewhere = LaboratoryMultiAgentEnv(
-        Context({"scenario": "wurtz_any", "roles": ["manager"], "background": "random"})
-    )
+    elsewhere = LaboratoryMultiAgentEnv(Context(settings))
     assert episode(3, elsewhere) == episode(2003, env)
 
 
 def test_wrong_settings_and_steps_are_named() -> None:
-    with pytest.raises(ValueError, match=r"env_config: known: scenario, .*; given scenery"):
-        LaboratoryMultiAgentEnv({"scenery": "wurtz_dodecane"})
-    with pytest.raises(ValueError, match="roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"):
-        LaboratoryMultiAgentEnv({"roles": ["cook"]})
-    env = LaboratoryMultiAgentEnv({"scenario": "wurtz_dodecane"})
-    with pytest.raises(ValueError, match="call reset"):
-        env.step({"manager_0": 0})
+    made, cook = LaboratoryMultiAgentEnv, "roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"
+    refused("scenery", r"env_config: known: scenario, .*; given scenery", made, {"scenery": "wurtz_dodecane"})
+    refused("cook", cook, made, {"roles": ["cook"]})
+    env = made({"scenario": "wurtz_dodecane"})
+    refused("begin", "call reset", env.step, {"manager_0": 0})
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="manager_0: has the turn"):
-        env.step({"rxn_0": np.zeros(4)})
-    with pytest.raises(ValueError, match=r"manager_0: .*given -1"):
-        env.step({"manager_0": -1})
+    refused("turn", "manager_0: has the turn", env.step, {"rxn_0": np.zeros(4)})
+    refused("action", r"manager_0: .*given -1", env.step, {"manager_0": -1})
 
 
 # -- what RLlib makes of it -----------------------------------------------------------------------------------------
@@ -236,25 +218,18 @@ def test_rllib_collects_what_was_played(cluster: None, recipe: Any) -> None:
     tapes = [episode for tape in TAPES for episode in tape.episodes]
     found = 0
     for one in ended:
-        own = collected[one]
-        same = [
-            tape
-            for tape in tapes
-            if {name: len(rows) for name, rows in tape.items()} == {n: len(r) for n, r in own.items()}
-        ]
-        found += any(alike(tape, own) for tape in same)
+        lengths = {name: len(rows) for name, rows in collected[one].items()}
+        same = [tape for tape in tapes if {name: len(rows) for name, rows in tape.items()} == lengths]
+        found += any(alike(tape, collected[one]) for tape in same)
     assert found == len(ended)
 
 
 def alike(tape: dict[str, list[Any]], collected: dict[str, list[Any]]) -> bool:
     for agent, rows in tape.items():
-        for (seen, action, reward), (their_seen, their_action, their_reward) in zip(
-            rows, collected[agent], strict=True
-        ):
-            drawn = np.clip(their_action, 0.0, 1.0) if role_of(agent) == "rxn" else their_action
-            if not (np.array_equal(seen, their_seen) and np.allclose(action, drawn, atol=1e-7)):
-                return False
-            if not np.isclose(reward, their_reward, rtol=1e-6, atol=1e-9):
+        for (seen, action, reward), (other, drawn, paid) in zip(rows, collected[agent], strict=True):
+            drawn = np.clip(drawn, 0.0, 1.0) if role_of(agent) == "rxn" else drawn
+            same = np.array_equal(seen, other) and np.allclose(action, drawn, atol=1e-7)
+            if not (same and np.isclose(reward, paid, rtol=1e-6, atol=1e-9)):
                 return False
     return True
 

@@ -72,6 +72,3 @@ def test_single_and_batched_views_train_alike() -> None:
     batch = trained(manager_batch(2))
     single = trained(make_vec_env("chemlab/LabManager-v1", 2))
     np.testing.assert_allclose(batch, single, rtol=1e-4, atol=1e-6)
-
-
-# -- benches ----------------------------------------------------------------------------------------------------------

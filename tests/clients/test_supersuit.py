@@ -102,16 +102,3 @@ def test_one_batch_of_all_agents() -> None:
     for i, agent in enumerate(agents):
         np.testing.assert_array_equal(infos[i]["terminal_observation"][: len(expected[agent])], expected[agent])
     assert infos[0]["action_mask"].any(), "the next episode has begun"
-
-
-def test_stable_baselines3_trains_on_the_batch() -> None:
-    sb3 = pytest.importorskip("stable_baselines3", reason='Stable-Baselines3 is not installed: pip install ".[train]"')
-    batch = ss.concat_vec_envs_v1(
-        ss.pettingzoo_env_to_vec_env_v1(homogeneous(DISCRETE)), 2, base_class="stable_baselines3"
-    )
-    # Without a seed: SuperSuit's batch has no seed().
-    model = sb3.PPO("MlpPolicy", batch, n_steps=32, batch_size=64, n_epochs=1, device="cpu")
-    before = [one.detach().clone() for one in model.policy.parameters()]
-    model.learn(32 * batch.num_envs)
-    assert batch.num_envs == 2 * len(parallel_env(DISCRETE).possible_agents)
-    assert any(not bool((one == other).all()) for one, other in zip(before, model.policy.parameters(), strict=True))

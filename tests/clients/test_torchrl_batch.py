@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import refused
 
 pytest.importorskip("torchrl", reason="TorchRL is not installed: pip install torch==2.13.0 torchrl")
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from torchrl.envs.utils import check_env_specs
 
 from chemlab.agents.episodes import play_laboratory
@@ -30,11 +31,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::F
 def test_specs(name: str, more: dict[str, Any]) -> None:
     env = TorchLaboratory(3, name, seed=0, **more)
     check_env_specs(env)
+    assert env.group_map["rxn"] == ["rxn_0", "rxn_1"] or name != "wurtz_two_lines", "agents of a role are a group"
     assert ("state" in set(env.observation_spec.keys())) == more.get("state", True)
-
-
-def test_agents_of_a_role_are_a_group() -> None:
-    assert TorchLaboratory(1, "wurtz_two_lines").group_map["rxn"] == ["rxn_0", "rxn_1"]
 
 
 def test_roles_that_do_not_learn_are_played_as_in_any_other_laboratory() -> None:
@@ -64,10 +62,6 @@ def test_roles_that_do_not_learn_are_played_as_in_any_other_laboratory() -> None
         TorchLaboratory(1, "wurtz_two_lines", roles=["extraction"])
 
 
-def _row(rollout: TensorDictBase, member: int, step: int) -> Any:
-    return rollout[member, step]
-
-
 def test_its_episodes_are_those_of_single_laboratories() -> None:
     """Actions of a random rollout, played again in the parallel environment: the same to the last digit, and random
     ones are all legal. Where an episode ends the last observation is its own, and the next row is of a new one."""
@@ -79,7 +73,7 @@ def test_its_episodes_are_those_of_single_laboratories() -> None:
         single = parallel_env("wurtz_dodecane")
         observations, infos = single.reset(seed=5 + member)
         for step in range(60):
-            now = _row(rollout, member, step)
+            now: Any = rollout[member, step]
             np.testing.assert_array_equal(now["state"].numpy(), single.state())
             for agent in single.possible_agents:
                 group = agent.rpartition("_")[0]
@@ -105,21 +99,17 @@ def test_its_episodes_are_those_of_single_laboratories() -> None:
 
 
 def test_seeds_begin_the_same_episodes_again() -> None:
-    env = TorchLaboratory(2, "unlabelled")
+    """A bad one is refused when it is given, and changes nothing."""
+    env, other = TorchLaboratory(2, "unlabelled"), TorchLaboratory(2, "unlabelled", seed=3)
     first = []
     for _ in range(2):
         env.set_seed(3)
+        for seed in (-1, 1.5, "2"):
+            refused(str(seed), "seed: must be an integer of at least 0", env._set_seed, seed)
         first.append(env.reset()["state"].clone())
     assert torch.equal(*first)
+    assert torch.equal(first[0], other.reset()["state"])
     assert not torch.equal(first[0], env.reset()["state"])
-
-
-@pytest.mark.parametrize("seed", [-1, 1.5, "2"])
-def test_a_bad_seed_is_refused_when_it_is_given(seed: Any) -> None:
-    env = TorchLaboratory(2, "unlabelled", seed=3)
-    with pytest.raises(ValueError, match="seed: must be an integer of at least 0"):
-        env._set_seed(seed)
-    assert torch.equal(env.reset()["state"], TorchLaboratory(2, "unlabelled", seed=3).reset()["state"])
 
 
 # -- BenchMARL --------------------------------------------------------------------------------------------------------
@@ -127,9 +117,8 @@ def test_a_bad_seed_is_refused_when_it_is_given(seed: Any) -> None:
 
 def _trained(algorithm: str, folder: Path, **config: Any) -> Any:
     """An experiment of BenchMARL after two updates at toy size."""
-    pytest.importorskip(
-        "benchmarl.experiment", reason="BenchMARL, or the TorchRL it needs, is not installed", exc_type=ImportError
-    )
+    reason = "BenchMARL, or the TorchRL it needs, is not installed"
+    pytest.importorskip("benchmarl.experiment", reason=reason, exc_type=ImportError)
     from benchmarl import algorithms
     from benchmarl.experiment import Experiment, ExperimentConfig
     from benchmarl.models.mlp import MlpConfig

@@ -48,10 +48,8 @@ def endpoint(calls: Calls) -> Iterator[str]:
                 chunk = whole | {"object": "chat.completion.chunk", "choices": [choice | {"delta": message}]}
                 body, kind = f"data: {json.dumps(chunk)}\n\ndata: [DONE]\n\n".encode(), "text/event-stream"
             else:
-                body, kind = (
-                    json.dumps(whole | {"choices": [choice | {"message": message}]}).encode(),
-                    "application/json",
-                )
+                kind = "application/json"
+                body = json.dumps(whole | {"choices": [choice | {"message": message}]}).encode()
             self.send_response(200)
             self.send_header("Content-Type", kind)
             self.send_header("Content-Length", str(len(body)))

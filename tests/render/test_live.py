@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 from helpers import slow_but, until
@@ -188,8 +189,7 @@ def test_nothing_is_cut_or_overlaps(tmp_path: Path, visitor: Any, width: int) ->
     with served(tmp_path, paused=True) as lab:
         lab.order("/lab/0/seat/rxn_0", do="take")
         for address in ("/", "/lab/0/seat/manager_0", "/lab/0/seat/rxn_0"):
-            page = visitor(lab.url + address)
-            page.set_viewport_size({"width": width, "height": 800})
+            page = visitor(lab.url + address, width=width)
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth + 1"), address
             cut = page.evaluate(
                 """[...document.querySelectorAll("button, label, select, td, th, h1, h2")].filter(e => {
@@ -319,11 +319,7 @@ def test_a_verdict_is_of_the_episode_that_was_checked(tmp_path: Path, monkeypatc
 def test_a_policy_that_fails_pauses_the_laboratory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with served(tmp_path, paused=True) as lab:
         broken, works = lab.lives[0], lab.lives[0].step
-
-        def fail(turns: int) -> None:
-            raise KeyError("beaker")
-
-        broken.step = fail
+        broken.step = Mock(side_effect=KeyError("beaker"))
         show = lab.server.config.app.state.show
         lab.order(do="play")
         until(lambda: show.status(broken)["words"] == "KeyError: 'beaker'")
@@ -356,34 +352,25 @@ def test_a_policy_may_play_what_is_not_possible(tmp_path: Path) -> None:
         lab.step()
 
 
-@pytest.mark.parametrize(
-    ("path", "body", "content", "status"),
-    [
-        ("/control", b"{", "application/json", 400),
-        ("/control", b"[" * 5000, "application/json", 400),
-        ("/control", b"[1]", "application/json", 400),
-        ("/control", b'{"do": "explode"}', "application/json", 400),
-        ("/control", b'{"do": "speed", "value": "fast"}', "application/json", 400),
-        ("/control", b'{"do": "pause"}', "text/plain", 415),
-        ("/control", b"{" + b" " * 20_000 + b"}", "application/json", 413),
-        ("/lab/7/seat/rxn_0", b'{"do": "take"}', "application/json", 404),
-        ("/lab/0/seat/nobody", b'{"do": "take"}', "application/json", 404),
-        ("/lab/0/seat/rxn_0", b'{"do": "act", "verb": "step"}', "application/json", 409),
-        ("/nowhere", b"{}", "application/json", 404),
-    ],
-)
-def test_malformed_messages_change_nothing(shared: Served, path: str, body: bytes, content: str, status: int) -> None:
-    before = shared.lives[0].film.turns, set(shared.lives[0].taken)
-    found, answer = shared.ask("POST", path, body, **{"Content-Type": content})
-    assert found == status
-    assert b"Traceback" not in answer
-    assert before == (shared.lives[0].film.turns, shared.lives[0].taken)
-
-
-@pytest.fixture(scope="module")
-def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Served]:
-    with served(tmp_path_factory.mktemp("shared"), paused=True) as lab:
-        yield lab
+def test_malformed_messages_change_nothing(tmp_path: Path) -> None:
+    with served(tmp_path, paused=True) as lab:
+        before = lab.lives[0].film.turns, set(lab.lives[0].taken)
+        for path, body, status in (
+            ("/control", b"{", 400),
+            ("/control", b"[" * 5000, 400),
+            ("/control", b"[1]", 400),
+            ("/control", b'{"do": "explode"}', 400),
+            ("/control", b'{"do": "speed", "value": "fast"}', 400),
+            ("/control", b"{" + b" " * 20_000 + b"}", 413),
+            ("/lab/7/seat/rxn_0", b'{"do": "take"}', 404),
+            ("/lab/0/seat/nobody", b'{"do": "take"}', 404),
+            ("/lab/0/seat/rxn_0", b'{"do": "act", "verb": "step"}', 409),
+            ("/nowhere", b"{}", 404),
+        ):
+            found, answer = lab.ask("POST", path, body, **{"Content-Type": "application/json"})
+            assert (found, b"Traceback" in answer) == (status, False), (path, body[:40])
+        assert lab.ask("POST", "/control", b'{"do": "pause"}', **{"Content-Type": "text/plain"})[0] == 415
+        assert before == (lab.lives[0].film.turns, lab.lives[0].taken)
 
 
 def test_tokens_and_hosts(tmp_path: Path) -> None:

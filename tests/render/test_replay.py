@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -14,23 +15,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import mapping, record_episode
+from helpers import command, mapping, record_episode, refused
 from PIL import Image
-from typer.testing import CliRunner
 
 from chemlab.agents.seats import Room
-from chemlab.cli import app
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
-from chemlab.record import LIMITS, Recorder, RecordError, Replay, read_record
+from chemlab.record import LIMITS, Recorder, Replay, read_record
 from chemlab.render.animation import animation
 from chemlab.render.draw import draw
 from chemlab.render.protocol import protocol
 from chemlab.render.replay_page import replay_data, replay_page
 from chemlab.render.scene import laboratory_scene
-
-runner = CliRunner()
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +76,6 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
                 assert dict(picture["vessel"]["contents"]) == pytest.approx(vessel.amounts(5e-6), rel=1e-3)
         for bench, experiments in zip(frame["benches"], labs.experiments, strict=True):
             assert bench["busy"] == experiments.busy[0]
-    assert found.end is not None
     assert data["results"][-1] == pytest.approx(found.end["end"]["score"], rel=1e-3)
     # Each experiment once, with its score; the scores are the benches' rewards.
     for agent, total in found.end["end"]["rewards"].items():
@@ -132,15 +128,9 @@ def test_the_page_allows_its_own_script_and_nothing_else(episode: Path) -> None:
     for element in ("script", "style"):
         (content,) = re.findall(f"<{element}>(.*?)</{element}>", text, flags=re.DOTALL)
         hashes[element] = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
-    assert rules == {
-        "default-src": "'none'",
-        "script-src": f"'sha256-{hashes['script']}'",
-        "style-src": f"'sha256-{hashes['style']}'",
-        "img-src": "data:",
-        "connect-src": "'none'",
-        "form-action": "'none'",
-        "base-uri": "'none'",
-    }
+    own = {f"{element}-src": f"'sha256-{value}'" for element, value in hashes.items()}
+    none = dict.fromkeys(("default-src", "connect-src", "form-action", "base-uri"), "'none'")
+    assert rules == own | none | {"img-src": "data:"}
     # Attributes with style or code in them would be refused.
     assert not re.search(r"""<[^>]*\s(?:style|on\w+)=""", text.split('<script id="data"')[0])
 
@@ -149,22 +139,20 @@ def test_an_unfinished_record_has_a_page(episode: Path, tmp_path: Path) -> None:
     part = tmp_path / "a.jsonl.part"
     part.write_bytes(b"".join(episode.read_bytes().splitlines(keepends=True)[:31]) + b'{"turn"')
     output = tmp_path / "page.html"
-    result = runner.invoke(app, ["replay", str(part), "-o", str(output)])
-    assert result.exit_code == 0, result.output
-    assert "the available turns are shown" in result.output
+    assert "the available turns are shown" in command("replay", part, "-o", output)
     data = json.loads(output.read_text().split('type="application/json">')[1].split("</script>")[0])
     assert len(data["turns"]) == 30
     assert data["verified"]["status"] == "torn"
     # What the user has is not written over unasked.
-    assert runner.invoke(app, ["replay", str(part), "-o", str(output)]).exit_code == 2
-    assert runner.invoke(app, ["replay", str(part), "-o", str(output), "--force"]).exit_code == 0
-    assert runner.invoke(app, ["replay", str(output)]).exit_code == 2
+    command("replay", part, "-o", output, code=2)
+    command("replay", part, "-o", output, "--force")
+    command("replay", output, code=2)
 
 
 def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     """Every action is in it, and all that was taken from the stock."""
     output = tmp_path / "protocol.md"
-    assert runner.invoke(app, ["replay", str(episode), "-o", str(output)]).exit_code == 0
+    command("replay", episode, "-o", output)
     text = output.read_text(encoding="utf-8")
     steps = [line for line in text.splitlines() if line.startswith("- tick ")]
     times = [int(found[1]) if (found := re.search(r" \((\d+) times\)\.", line)) else 1 for line in steps]
@@ -229,16 +217,15 @@ def test_calls_stand_beside_the_turns(called: Path) -> None:
     assert data["turns"][0]["plays"][0][1] == "measure slot 1 with uv_vis"
     transcript = called.with_name("episode-0000.transcript.jsonl")
     text = transcript.read_text()
-    transcript.write_text("{}\n[]\n")
-    with pytest.raises(RecordError, match="is no transcript"):
-        replay_page(read_record(called))
-    transcript.write_bytes(b"\xff\xfe")
-    with pytest.raises(RecordError, match=r"transcript\.jsonl: not UTF-8.*move it away"):
-        replay_page(read_record(called))
-    with transcript.open("wb") as file:
-        file.truncate(LIMITS.file_bytes + 1)
-    with pytest.raises(RecordError, match=r"transcript\.jsonl: is larger than .*move it away"):
-        replay_page(read_record(called))
+    for content, said in (
+        (b"{}\n[]\n", "is no transcript"),
+        (b"\xff\xfe", r"transcript\.jsonl: not UTF-8.*move it away"),
+        (None, r"transcript\.jsonl: is larger than .*move it away"),
+    ):
+        transcript.write_bytes(content or b"")
+        if content is None:
+            os.truncate(transcript, LIMITS.file_bytes + 1)
+        refused("transcript", said, replay_page, read_record(called))
     transcript.write_text(text)
 
 
@@ -297,7 +284,6 @@ def turn(page: Any) -> int:
         then([document.querySelector('#now').innerText, document.querySelector('#scrub').value]))))"""
     )
     found = re.match(r"turn (\d+)/", now)
-    assert found is not None
     assert scrub == found[1]
     return int(found[1])
 
@@ -460,7 +446,7 @@ def test_text_can_be_read(page: Any, scheme: str) -> None:
 def test_two_records_have_one_clock(episode: Path, tmp_path: Path, visitor: Any) -> None:
     """A turn chosen in one shows the other at the same tick; the longer one goes on alone."""
     other, both = record_episode(tmp_path / "b.jsonl", policy="random", seed=3), tmp_path / "both.html"
-    assert runner.invoke(app, ["replay", str(episode), str(other), "-o", str(both)]).exit_code == 0
+    command("replay", episode, other, "-o", both)
     frames = visitor(both.as_uri()).frames[1:]
     for frame in frames:
         frame.get_by_text("record checked: right").wait_for()

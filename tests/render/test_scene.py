@@ -29,7 +29,6 @@ WURTZ = load_scenario("wurtz_any")
 
 def slot_0(labs: Laboratories) -> VesselPicture:
     vessel = laboratory_scene(labs).shelf[0].vessel
-    assert vessel is not None
     return vessel
 
 
@@ -50,18 +49,14 @@ def test_layers_have_the_volumes_of_what_they_consist_of_densest_first() -> None
     ]
     expected = [litres("NaCl", 1.0), litres("Na", 0.5), litres("water", 10.0), litres("diethyl_ether", 3.0)]
     np.testing.assert_allclose([layer.volume_l for layer in vessel.layers], expected, rtol=1e-6)
-    assert vessel.volume_l == pytest.approx(sum(expected))
-    assert vessel.mixture == ()
+    assert (vessel.volume_l, vessel.mixture) == (pytest.approx(sum(expected)), ())
     assert dict(vessel.contents) == {"diethyl_ether": 3.0, "water": 10.0, "Na": 0.5, "NaCl": 1.0}
 
 
 def test_without_a_solvent_solutes_are_layers_and_ions_a_crust() -> None:
     vessel = slot_0(filled({"dodecane": 1.0, "Na+": 0.5, "Cl-": 0.5}))
-    assert {(layer.material, layer.phase) for layer in vessel.layers} == {
-        ("Na+", "solid"),
-        ("Cl-", "solid"),
-        ("dodecane", "liquid"),
-    }
+    phases = {layer.material: layer.phase for layer in vessel.layers}
+    assert phases == {"Na+": "solid", "Cl-": "solid", "dodecane": "liquid"}
     assert vessel.layers[-1].volume_l == pytest.approx(litres("dodecane", 1.0), rel=1e-6)
     crust = sum(layer.volume_l for layer in vessel.layers[:-1])
     assert crust == pytest.approx(litres("Na+", 0.5) + litres("Cl-", 0.5), rel=1e-6)
@@ -168,7 +163,6 @@ def test_every_chromatograph_names_its_own_bars() -> None:
     thermometer = readings["thermometer"]
     kelvin = thermometer.low + thermometer.values[0] * (thermometer.high - thermometer.low)
     vessel = scene.shelf[0].vessel
-    assert vessel is not None
     assert kelvin == pytest.approx(vessel.temperature_k)
 
 
@@ -227,11 +221,9 @@ def test_materials_have_tags_and_colours_of_their_own(name: str) -> None:
     scenario = load_scenario(name)
     pictures = material_pictures(scenario)
     assert {picture.name for picture in pictures} == {n for n, m in scenario.materials.items() if m.role != "gas"}
-    tags = [picture.tag for picture in pictures]
-    assert len(set(tags)) == len(tags)
+    tags, colors = {picture.tag for picture in pictures}, {picture.color for picture in pictures}
+    assert len(tags) == len(colors) == len(pictures)
     assert all(0 < len(tag) <= 4 for tag in tags)
-    colors = [picture.color for picture in pictures]
-    assert len(set(colors)) == len(colors)
 
 
 def test_pictures_of_hidden_parameters_show_what_people_see() -> None:
