@@ -279,10 +279,10 @@ def camera(
     chemistry = opened(Chemistry, chem)
     count, pixels = layers[0], out.shape[0]
     if count <= 2:
-        solid = 0.0
+        solid = False
         for p in range(pixels):
-            solid += shares[0, p] if count == 2 else 0.0
-        if solid == 0.0:  # no vessel, or an empty one
+            solid |= shares[0, p] > 0.0  # unlike a sum, computed for several pixels at a time
+        if count < 2 or not solid:  # no vessel, or an empty one
             for p in range(pixels):
                 out[p] = chemistry.shade[chemistry.air] if count == 2 else 0.0
             return

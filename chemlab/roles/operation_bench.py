@@ -251,8 +251,8 @@ def _observe(
     state, rules, arrays = opened(OperationState, experiment), opened(OperationRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
-        out[b, :] = 0.0
         if not state.busy[m]:
+            out[b, :] = 0.0
             continue
         at = 0
         for p in range(state.image.shape[1]):
@@ -268,6 +268,7 @@ def _observe(
             for g in range(rules.gauges.shape[0]):
                 out[b, at] = on_scale(readings[g], rules.gauges[g, 0], rules.gauges[g, 1])
                 at += 1
+        out[b, at:] = 0.0
         out[b, at + state.goal[m]] = 1.0
 
 

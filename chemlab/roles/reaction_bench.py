@@ -258,8 +258,8 @@ def _observe(
     state, rules, arrays = opened(ReactionState, experiment), opened(ReactionRules, bench), opened(ShelfArrays, shelf)
     for b in range(members.shape[0]):
         m = members[b]
-        out[b, :] = 0.0
         if not state.busy[m]:
+            out[b, :] = 0.0
             continue
         chem = chemistry[arrays.variant[m]]
         row = arrays.rows[state.places[m, 0]]
@@ -279,6 +279,7 @@ def _observe(
         if rules.transfer >= 0.0:
             out[b, at] = on_scale(state.jacket[m], rules.coldest, rules.hottest)
             at += 1
+        out[b, at:] = 0.0
         out[b, at + state.goal[m]] = 1.0
 
 

@@ -15,31 +15,37 @@ _DECAY = 30.0
 
 
 @helper
-def equilibrium(row: FloatArray, chem: Handle, material: int, clock: float, share: FloatArray) -> int:
-    """Compute S*(clock) / [S], the equilibrium share of a solute in each solvent; the shares add up to one.
+def _present(row: FloatArray, chem: Handle) -> tuple[int, int]:
+    """Return the number of solvents in a vessel, and the column of the last one (-1 without any)."""
+    chemistry = opened(Chemistry, chem)
+    present, last = 0, -1
+    for layer in range(chemistry.solvents.shape[0]):
+        if row[AMOUNTS + chemistry.solvents[layer]] > TRACE_MOL:
+            present += 1
+            last = layer
+    return present, last
+
+
+@helper
+def _mixed(clock: float) -> float:
+    """Return the share of the mixed distribution in the equilibrium at a settling clock, from 1 to 0."""
+    decay = _DECAY * (clock - T_MIX)
+    return math.exp(-decay) if decay < 40.0 else 0.0
+
+
+@helper
+def equilibrium(row: FloatArray, chem: Handle, material: int, mixed: float, share: FloatArray) -> None:
+    """Compute S*(clock) / [S], the equilibrium share of a solute in each of several solvents; the shares add up to one.
 
     Args:
-        row: vessel row with the amounts of solvents, which count by volume.
+        row: vessel row with the amounts of at least two solvents, which count by volume.
         chem: the chemistry.
         material: the solute.
-        clock: settling clock.
+        mixed: share of the mixed distribution (:func:`_mixed`).
         share: [L] out.
-
-    Returns:
-        Number of solvents present; without any, every share is 0.
     """
     chemistry = opened(Chemistry, chem)
     n_solvents = chemistry.solvents.shape[0]
-    present, only = 0, -1
-    for layer in range(n_solvents):
-        share[layer] = 0.0
-        if row[AMOUNTS + chemistry.solvents[layer]] > TRACE_MOL:
-            present += 1
-            only = layer
-    if present < 2:  # the common case, which needs no computation
-        if present == 1:
-            share[only] = 1.0
-        return present
     litres, distances, weighted = 0.0, 0.0, 0.0
     for layer in range(n_solvents):
         i = chemistry.solvents[layer]
@@ -49,19 +55,17 @@ def equilibrium(row: FloatArray, chem: Handle, material: int, clock: float, shar
             litres += volume
             distances += distance
             weighted += volume * distance
-    decay = _DECAY * (clock - T_MIX)
-    alpha = math.exp(-decay) if decay < 40.0 else 0.0
     # All solvents have exactly the solute's polarity and are equivalent.
     norm = 1.0 - weighted / (litres * distances) if distances > 0.0 else 0.0
     for layer in range(n_solvents):
         i = chemistry.solvents[layer]
+        share[layer] = 0.0
         if row[AMOUNTS + i] > TRACE_MOL:
             volume = row[AMOUNTS + i] * chemistry.molar_volume[i]
             preference = 1.0
             if norm > 0.0:
                 preference = (1.0 - abs(chemistry.polarity[material] - chemistry.polarity[i]) / distances) / norm
-            share[layer] = volume / litres * (alpha + (1.0 - alpha) * preference)
-    return present
+            share[layer] = volume / litres * (mixed + (1.0 - mixed) * preference)
 
 
 @helper
@@ -83,10 +87,14 @@ def set_dissolved_total(row: FloatArray, chem: Handle, k: int, total: float, sha
         scale = total / before if before > 0.0 else 0.0
         for layer in range(n_solvents):
             row[first + layer] *= scale
-    else:
-        equilibrium(row, chem, material, row[CLOCK_WAS], share)
+        return
+    present, last = _present(row, chem)
+    if present > 1:
+        equilibrium(row, chem, material, _mixed(row[CLOCK_WAS]), share)
         for layer in range(n_solvents):
             row[first + layer] += (total - before) * share[layer]
+    elif present == 1:
+        row[first + last] += total - before
 
 
 @helper
@@ -99,7 +107,10 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     chemistry = opened(Chemistry, chem)
     n, n_solvents = chemistry.role.shape[0], chemistry.solvents.shape[0]
     clock, was = row[CLOCK], row[CLOCK_WAS]
-    now, then = work[0], work[1]
+    present, last = _present(row, chem)
+    mixed_now, mixed_then = _mixed(clock), _mixed(was)
+    now = work[0]
+    then = work[1] if clock != was else now
     keep = 1.0
     if clock < was:
         keep = (clock - T_MIX) / (was - T_MIX)
@@ -107,16 +118,13 @@ def partition(row: FloatArray, chem: Handle, work: FloatArray) -> None:
         material = chemistry.dissolved[k]
         total = row[AMOUNTS + material]
         first = AMOUNTS + n + k * n_solvents
-        if total <= 0.0:
+        if total <= 0.0 or present < 2:
             for layer in range(n_solvents):
-                row[first + layer] = 0.0
+                row[first + layer] = max(total, 0.0) if layer == last else 0.0
             continue
-        present = equilibrium(row, chem, material, clock, now)
-        if present < 2:
-            for layer in range(n_solvents):
-                row[first + layer] = total * now[layer]
-            continue
-        equilibrium(row, chem, material, was, then)
+        equilibrium(row, chem, material, mixed_now, now)
+        if clock != was:
+            equilibrium(row, chem, material, mixed_then, then)
         # Amounts without a location (a newly filled vessel, a new product) start at their equilibrium distribution.
         placed = 0.0
         for layer in range(n_solvents):
