@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+import timeit
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -31,8 +32,14 @@ from chemlab.agents.policies import make_policies
 from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv
+from chemlab.kernels.arrays import FloatArray, Handle, IntArray
+from chemlab.kernels.jit import kernel
 from chemlab.laboratory import env as laboratory_env
+from chemlab.physics.chemistry import AMOUNTS
+from chemlab.physics.mass_action import _rates
+from chemlab.physics.stratification import profile
 from chemlab.record import Recorder, verify_record
+from chemlab.roles.operation_bench import OperationBench
 
 ROUNDS = 5
 IDS = ("WurtzReaction", "FictitiousReaction", "WurtzExtraction", "SaltFromOilExtraction", "WurtzDistillation")
@@ -125,13 +132,36 @@ def parts(name: str, seconds: float) -> dict[str, float]:
         steps += 1
     figures = {part: value / steps / 256 * 1e6 for part, value in spent.items()}
     figures["python"] = elapsed / steps / 256 * 1e6 - sum(figures.values())
+    return {**figures, **floor(envs)}
+
+
+@kernel
+def _rates_once(rows: FloatArray, chem: Handle, work: FloatArray) -> None:
+    for b in range(rows.shape[0]):
+        _rates(work[0], chem, rows[b, AMOUNTS:], work[1], work[2], work[3])
+
+
+@kernel
+def _profiles_once(rows: FloatArray, chem: Handle, layers: IntArray, out: FloatArray, work: FloatArray) -> None:
+    for b in range(rows.shape[0]):
+        profile(rows[b], chem, layers, out, work)
+
+
+def floor(envs: RoleVectorEnv) -> dict[str, float]:
+    """Return the least microseconds per step of a batch of 256: of copying as many observations, of reading and writing
+    all vessels once, and of the law once: the rates of all reactions, or the layers of the first vessel.
+    """
+    bench, shelf, experiments = envs.bench, envs.batch.shelf, envs.batch.experiments
     out = np.zeros((256, *bench.observation_space.shape), dtype=np.float32)
-    source = np.ones_like(out)
-    begun = time.perf_counter()
-    for _ in range(200):
-        np.copyto(out, source)
-    figures["writing an observation"] = (time.perf_counter() - begun) / 200 / 256 * 1e6
-    return figures
+    source, work = np.ones_like(out), np.zeros_like(bench.rules.arrays.work)
+    first = shelf.rows[experiments.places[:, 0]]
+    law: Callable[[], Any] = lambda: _rates_once(first, shelf.chem(0), work)  # noqa: E731
+    if isinstance(bench, OperationBench):
+        layers, shares = experiments.layers[0, 0].copy(), experiments.profile[0, 0].copy()
+        law = lambda: _profiles_once(first, shelf.chem(0), layers, shares, work)  # noqa: E731
+    calls = {"writing an observation": lambda: np.copyto(out, source)}
+    calls |= {"a pass over the vessels": lambda: np.multiply(shelf.rows, 1.0, out=shelf.rows), "the law once": law}
+    return {name: min(timeit.repeat(call, number=40)) / 40 / 256 * 1e6 for name, call in calls.items()}
 
 
 def laboratory(make: Callable[..., Any], seconds: float) -> float:
@@ -396,7 +426,7 @@ def table(result: dict[str, Any]) -> list[str]:
         "",
         "| microseconds a step, batch 256, 1 thread | " + " | ".join(next(iter(result["parts_us"].values()))) + " |",
     ]
-    lines.append("|---|" + "--:|" * 4)
+    lines.append("|---|" + "--:|" * len(next(iter(result["parts_us"].values()))))
     for name, figures in result["parts_us"].items():
         lines.append(f"| `{name}` | " + " | ".join(f"{x:.2f}" for x in figures.values()) + " |")
     lines += ["", "| scenario | materials | rxn, batch 256 | dit, batch 256 |", "|---|--:|--:|--:|"]
