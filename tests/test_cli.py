@@ -124,7 +124,7 @@ MISTAKES = {
     "audit plan salt_from_oil --budget some": ["--budget"],
     "benchmark unlabelled --budget huge --out parts": ["budget: known: small, full; given 'huge'"],
     "crossplay unlabelled --budget huge": ["budget: known: small, full; given 'huge'"],
-    "plot runs . --out .": ["contains no training runs; give"],
+    "plot runs . --out pages": ["contains no training runs; give"],
     # A group without the name of a kind stands for its first.
     "audit no_such": ["no_such"],
     "audit measures no_such": ["no_such"],

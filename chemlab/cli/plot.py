@@ -115,6 +115,7 @@ def runs(
     small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
     """
     from ..agents.evaluate.page import write_page
+    from ..agents.evaluate.results import read_runs
     from ..agents.evaluate.trained_managers import collect as collect_tables
     from ..agents.evaluate.trained_managers import collect_count, write_laboratory
     from ..render.figure import FORMATS
@@ -122,13 +123,14 @@ def runs(
     formats = file_format or ["png"]
     if unknown := [name for name in formats if name not in FORMATS]:
         raise ValueError(f"--format: must be one of {', '.join(FORMATS)}; given {', '.join(unknown)}")
-    total = collect_count(results)
+    if not read_runs(results):
+        raise ValueError(f"{results}: contains no training runs; give a folder of runs, or of tables of runs")
     left_out = []
     for folder in (output, *([collect] if collect is not None else [])):
         check_folder(folder)
     if collect is not None:
         with counting() as progress:
-            task = progress.add_task("managers", total=total)
+            task = progress.add_task("managers", total=collect_count(results))
             left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
     made = [write(collect or results, output, formats) for write in (write_page, write_laboratory)]
     for line in [*left_out, *(line for _, lines in made for line in lines)]:
@@ -137,4 +139,4 @@ def runs(
     for page in written:
         out.print(f"wrote {plain(page)}")
     if not written:
-        raise ValueError(f"{results}: contains no training runs; give a folder of runs, or of tables of runs")
+        raise ValueError(f"{results}: no manager has finished training; give another folder of runs")
