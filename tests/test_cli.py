@@ -456,7 +456,7 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_played(
     monkeypatch.setattr(Laboratories, "reset", PLAYED)
     monkeypatch.setattr(ExperimentBatch, "reset", PLAYED)
     monkeypatch.chdir(tmp_path)
-    write_run(tmp_path / "runs", "fictitious", "rxn", {"": 0.5})
+    write_run(tmp_path / "runs", "fictitious", "rxn", {"E": 0.5})
     (tmp_path / "file").write_text("")
     ending = {"new": ".toml", "plot timeline": ".png"}.get(task, ".json")
     (tmp_path / f"folder{ending}").mkdir()
