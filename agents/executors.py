@@ -110,6 +110,7 @@ class Inline(Executor):
     """Executes each job in this process on submission."""
 
     def submit(self, fn: Callable[P, Value], /, *args: P.args, **kwargs: P.kwargs) -> Future[Value]:
+        """See :meth:`concurrent.futures.Executor.submit`."""
         future: Future[Value] = Future()
         try:
             future.set_result(fn(*args, **kwargs))

@@ -89,7 +89,7 @@ def cook(recipe: Recipe, page: str | None, environment: str, steps: int, episode
     if min(given.seeds, given.steps, given.episodes) < 1 or given.seed < 0:
         parser.error("--seeds, --steps and --episodes must be at least 1, --seed at least 0")
     if given.out is not None:
-        check_target(given.out)
+        check_target(given.out, force=True)
     budget = Budget(given.seed, given.steps, given.episodes, given.toy)
     if given.toy:
         budget = budget._replace(steps=min(given.steps, _ENVS * _ROLLOUT), episodes=min(given.episodes, 2))
