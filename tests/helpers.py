@@ -184,17 +184,31 @@ def litres(scenario: Scenario, contents: Mapping[str, float]) -> float:
 
 def four_solvents() -> Scenario:
     """A scenario with four solvents, two salts with a common cation, metal and several liquid solutes."""
-    return load_scenario({
-        "name": "four_solvents", "title": "Four solvents", "summary": "For tests of layers and partition.",
-        "reactions": "wurtz", "goals": ["dodecane", "NaCl"], "lab_goals": ["dodecane"],
-        "theoretical_maximum_mol": {"dodecane": 1.0},
-        "stock": {
-            "water": 10.0, "diethyl_ether": 10.0, "hexane": 10.0, "ethyl_acetate": 10.0, "1-chlorohexane": 1.0,
-            "2-chlorohexane": 1.0, "3-chlorohexane": 1.0, "dodecane": 1.0, "Na": 1.0,
-        },
-        "shelf": {"slots": 4, "vessel": [{"capacity_l": 1.0}]},
-        "benches": {"ext": {"kind": "extraction", "step_limit": 10}}, "limits": {"manager_actions": 10, "ticks": 10},
-    })  # fmt: skip
+    return load_scenario(
+        {
+            "name": "four_solvents",
+            "title": "Four solvents",
+            "summary": "For tests of layers and partition.",
+            "reactions": "wurtz",
+            "goals": ["dodecane", "NaCl"],
+            "lab_goals": ["dodecane"],
+            "theoretical_maximum_mol": {"dodecane": 1.0},
+            "stock": {
+                "water": 10.0,
+                "diethyl_ether": 10.0,
+                "hexane": 10.0,
+                "ethyl_acetate": 10.0,
+                "1-chlorohexane": 1.0,
+                "2-chlorohexane": 1.0,
+                "3-chlorohexane": 1.0,
+                "dodecane": 1.0,
+                "Na": 1.0,
+            },
+            "shelf": {"slots": 4, "vessel": [{"capacity_l": 1.0}]},
+            "benches": {"ext": {"kind": "extraction", "step_limit": 10}},
+            "limits": {"manager_actions": 10, "ticks": 10},
+        }
+    )
 
 
 def molar_volume(scenario: Scenario, name: str) -> float:

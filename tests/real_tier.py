@@ -51,15 +51,30 @@ def real_table(materials: int, dissolved: Sequence[int] = (), layers: int = 1, *
     reactions = len(fields.get("stoichiometry", ()))
     nothing = np.zeros((reactions, 0))
     values: dict[str, Any] = {
-        "laws": law_addresses("real"), "role": np.full(materials, ROLE_SOLVENT), "solvents": np.arange(layers),
-        "dissolved": np.array(dissolved, dtype=np.int64), "dissolved_at": at, "molar_volume": np.ones(materials),
-        "heat_capacity": np.full(materials, 100.0), "formation": np.zeros(materials), "fusion": np.zeros(materials),
-        "charge": np.zeros(materials), "ionization": np.full(3, -1), "independent": np.zeros(0),
-        "parts": nothing.astype(np.int64), "part_numbers": nothing, "forward": nothing.astype(np.int64),
-        "forward_order": nothing, "backward": nothing.astype(np.int64), "backward_order": nothing,
-        "inhibitors": nothing.astype(np.int64), "inhibition": nothing, "equilibrium": np.full(reactions, np.inf),
-        "equilibrium_heat": np.zeros(reactions), **fields,
-    }  # fmt: skip
+        "laws": law_addresses("real"),
+        "role": np.full(materials, ROLE_SOLVENT),
+        "solvents": np.arange(layers),
+        "dissolved": np.array(dissolved, dtype=np.int64),
+        "dissolved_at": at,
+        "molar_volume": np.ones(materials),
+        "heat_capacity": np.full(materials, 100.0),
+        "formation": np.zeros(materials),
+        "fusion": np.zeros(materials),
+        "charge": np.zeros(materials),
+        "ionization": np.full(3, -1),
+        "independent": np.zeros(0),
+        "parts": nothing.astype(np.int64),
+        "part_numbers": nothing,
+        "forward": nothing.astype(np.int64),
+        "forward_order": nothing,
+        "backward": nothing.astype(np.int64),
+        "backward_order": nothing,
+        "inhibitors": nothing.astype(np.int64),
+        "inhibition": nothing,
+        "equilibrium": np.full(reactions, np.inf),
+        "equilibrium_heat": np.zeros(reactions),
+        **fields,
+    }
     return Table(blank._replace(**values))
 
 

@@ -22,8 +22,12 @@ from chemlab.lab.engine import Laboratories
 
 RECIPES = Path(__file__).parent.parent / "recipes" / "campaigns"
 GOOD: dict[str, Any] = {
-    "catalyst": "catalyst_c", "percent": 1.5, "equivalents": 1.3, "temperature_k": 378.0, "minutes": 20,
-}  # fmt: skip
+    "catalyst": "catalyst_c",
+    "percent": 1.5,
+    "equivalents": 1.3,
+    "temperature_k": 378.0,
+    "minutes": 20,
+}
 NEEDS = {"optuna_tpe": "optuna", "baybe_gp": "baybe", "ax_client": "ax"}
 
 

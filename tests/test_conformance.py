@@ -25,10 +25,13 @@ PARTS = Path(__file__).parent / "parts"
 FAULTS = {
     "conservation": ("turn.waste[turn.material] += mol", "turn.waste[turn.material] += 0.5 * mol", "C changed by"),
     "spaces": (
-        "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]", "return 2.0 + litres[:, None]", "must be from 0 to 1",
+        "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]",
+        "return 2.0 + litres[:, None]",
+        "must be from 0 to 1",
     ),
     "seeds": (
-        "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]", "return np.random.random((len(members), 1))",
+        "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]",
+        "return np.random.random((len(members), 1))",
         "the same seed gives another episode",
     ),
     "copies": (
@@ -36,7 +39,7 @@ FAULTS = {
         "CALLS.append(0)\n    return np.full((len(members), 1), len(CALLS) / 1e6)\n\n\nCALLS: list[int] = []",
         "plays on differently",
     ),
-}  # fmt: skip
+}
 
 
 def written(folder: Path, old: str, new: str) -> Path:

@@ -63,13 +63,19 @@ def test_every_value_of_a_file_arrives(tmp_path: Path) -> None:
         ("density_kg_l = 0.9\n", "", ["density_kg_l", "required"]),
         ("density_kg_l = 0.9", 'density_kg_l = "light"', ["density_kg_l", "number", "'light'"]),
         ("density_kg_l = 0.9", "density_kg_l = nan", ["density_kg_l", "nan"]),
-        ("heat_capacity_j_mol_k = 200.0", "heat_capacity_j_mol_k = 0.0",
-         ["heat_capacity_j_mol_k", "greater than or equal to 1"]),
+        (
+            "heat_capacity_j_mol_k = 200.0",
+            "heat_capacity_j_mol_k = 0.0",
+            ["heat_capacity_j_mol_k", "greater than or equal to 1"],
+        ),
         ("composition = { X = 2 }", "composition = { X = -2 }", ["composition.X", "or equal to 0.001", "-2"]),
         ("composition = { X = 2 }", "composition = {}", ["composition", "at least 1 item"]),
         ("composition = { X = 2 }", "composition = { X = nan }", ["composition"]),
-        ("boiling_point_k = 400.0", "boiling_point_k = 249.0",
-         ["boiling_point_k", "249.0", "melting_point_k", "250.0"]),
+        (
+            "boiling_point_k = 400.0",
+            "boiling_point_k = 249.0",
+            ["boiling_point_k", "249.0", "melting_point_k", "250.0"],
+        ),
         ("boiling_point_k = 400.0", "boiling_point_k = 250.0", ["boiling_point_k = 250.0", "above"]),
         ('polarity = "made up too"\n', "", ["source", "cite", "polarity"]),
         ('polarity = "made up too"\n', 'polarity = ""\n', ["source", "cite", "polarity"]),
@@ -83,17 +89,23 @@ def test_every_value_of_a_file_arrives(tmp_path: Path) -> None:
         ("width_nm = 10.0 }", "width_nm = 0.0 }", ["absorption.0.width_nm", "or equal to 0.1", "0.0"]),
         ("charge = 0", "charge = 11", ["charge", "less than or equal to 10", "11"]),
         ("charge = 0", "charge = 1" + "0" * 400, ["charge", "an integer", "1329 bits"]),
-        ("composition = { X = 2 }", "composition = { X = 1e9 }",
-         ["composition.X", "or equal to 10000", "1000000000.0"]),
-        ("composition = { X = 2 }", "composition = { " + ", ".join(f"X{i} = 1" for i in range(51)) + " }",
-         ["composition", "at most 50 items"]),
+        (
+            "composition = { X = 2 }",
+            "composition = { X = 1e9 }",
+            ["composition.X", "or equal to 10000", "1000000000.0"],
+        ),
+        (
+            "composition = { X = 2 }",
+            "composition = { " + ", ".join(f"X{i} = 1" for i in range(51)) + " }",
+            ["composition", "at most 50 items"],
+        ),
         ('formula = "X2"', f'formula = "{"X" * 201}"', ["formula", "at most 200 characters", "(203 characters)"]),
         ('formula = "X2"', r'formula = "X\u0007"', ["formula", "without control characters"]),
         ("shade = 0.5", "shade = 0.5\n" + '"bad\\nkey" = 1', ["a key must be 1 to 100 printable characters"]),
         ('melting_point_k = "made up"\n', "", ["source", "cite", "melting_point_k"]),
         ("width_nm = 10.0 }", "width_nm = 10.0, phase = 1 }", ["absorption.0.phase", "unknown key"]),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_entry_is_named_with_file_key_and_bound(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
     file = written(tmp_path, changed(GOO, old, new))
     refused(lambda: load_materials([file]), f"{file}: goo", *parts)

@@ -55,9 +55,13 @@ REAL = [key for file, key, _ in ROWS if file != "fictitious"]
 FICTITIOUS = [key for file, key, _ in ROWS if file == "fictitious"]
 CHLOROHEXANES = ["1-chlorohexane", "2-chlorohexane", "3-chlorohexane"]
 PRODUCTS = [
-    "dodecane", "5-methylundecane", "4-ethyldecane", "5,6-dimethyldecane", "4-ethyl-5-methylnonane",
+    "dodecane",
+    "5-methylundecane",
+    "4-ethyldecane",
+    "5,6-dimethyldecane",
+    "4-ethyl-5-methylnonane",
     "4,5-diethyloctane",
-]  # fmt: skip
+]
 GASES = {"air", "H2"}
 SOLVENTS = ["diethyl_ether", "ethyl_acetate", "hexane", "water"]
 
@@ -78,9 +82,13 @@ def _correlation(kind: str, cas: str, boiling: float | None = None) -> Any:
     """Return thermo's object for a temperature-dependent property, with the constants its methods need."""
     chemicals, thermo = _chemicals(), _thermo()
     constants = {
-        "MW": chemicals.MW(cas), "Tb": boiling or chemicals.Tb(cas), "Tc": chemicals.Tc(cas), "Pc": chemicals.Pc(cas),
-        "Vc": chemicals.Vc(cas), "omega": chemicals.omega(cas),
-    }  # fmt: skip
+        "MW": chemicals.MW(cas),
+        "Tb": boiling or chemicals.Tb(cas),
+        "Tc": chemicals.Tc(cas),
+        "Pc": chemicals.Pc(cas),
+        "Vc": chemicals.Vc(cas),
+        "omega": chemicals.omega(cas),
+    }
     wanted = {
         "HeatCapacityGas": ("MW",),
         "HeatCapacityLiquid": ("MW",),

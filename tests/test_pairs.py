@@ -156,14 +156,25 @@ GROUPS: dict[str, dict[int, int]] = {
     "acetic_acid": {1: 1, 42: 1},
 }
 MISCIBLE = [
-    ("diethyl_ether", "dodecane"), ("diethyl_ether", "1-chlorohexane"), ("1-chlorohexane", "dodecane"),
-    ("2-chlorohexane", "dodecane"), ("diethyl_ether", "hexane"), ("diethyl_ether", "ethanol"),
-    ("diethyl_ether", "toluene"), ("ethyl_acetate", "ethanol"), ("ethyl_acetate", "toluene"), ("acetic_acid", "water"),
-]  # fmt: skip
+    ("diethyl_ether", "dodecane"),
+    ("diethyl_ether", "1-chlorohexane"),
+    ("1-chlorohexane", "dodecane"),
+    ("2-chlorohexane", "dodecane"),
+    ("diethyl_ether", "hexane"),
+    ("diethyl_ether", "ethanol"),
+    ("diethyl_ether", "toluene"),
+    ("ethyl_acetate", "ethanol"),
+    ("ethyl_acetate", "toluene"),
+    ("acetic_acid", "water"),
+]
 APART = [
-    ("hexane", "water"), ("dodecane", "water"), ("1-chlorohexane", "water"), ("2-chlorohexane", "water"),
-    ("1-hexene", "water"), ("toluene", "water"),
-]  # fmt: skip
+    ("hexane", "water"),
+    ("dodecane", "water"),
+    ("1-chlorohexane", "water"),
+    ("2-chlorohexane", "water"),
+    ("1-hexene", "water"),
+    ("toluene", "water"),
+]
 
 
 @functools.cache
@@ -220,9 +231,15 @@ def test_what_stays_apart_has_the_infinite_dilution_of_unifac(one: str, other: s
 
 # Hydrogen bonds at high dilution, and how they change over 200 K, are beyond NRTL's reach.
 BONDING = {
-    "ethanol", "acetic_acid", "acetic_anhydride", "acetanilide", "benzoic_acid", "salicylic_acid",
-    "acetylsalicylic_acid", "pyrrolidine",
-}  # fmt: skip
+    "ethanol",
+    "acetic_acid",
+    "acetic_anhydride",
+    "acetanilide",
+    "benzoic_acid",
+    "salicylic_acid",
+    "acetylsalicylic_acid",
+    "pyrrolidine",
+}
 
 
 def test_stated_errors_are_small() -> None:

@@ -177,10 +177,15 @@ source = "made up"
 """
 
 WORLD = {
-    "A": ({"E": 2}, 0, "solvent"), "B": ({"E": 1}, 0, "solvent"), "H2X": ({"X": 1, "H": 2}, 0, "solute"),
-    "HX-": ({"X": 1, "H": 1}, -1, "ion"), "X--": ({"X": 1}, -2, "ion"), "H+": ({"H": 1}, 1, "ion"),
-    "OH-": ({"O": 1, "H": 1}, -1, "ion"), "water": ({"H": 2, "O": 1}, 0, "solvent"),
-}  # fmt: skip
+    "A": ({"E": 2}, 0, "solvent"),
+    "B": ({"E": 1}, 0, "solvent"),
+    "H2X": ({"X": 1, "H": 2}, 0, "solute"),
+    "HX-": ({"X": 1, "H": 1}, -1, "ion"),
+    "X--": ({"X": 1}, -2, "ion"),
+    "H+": ({"H": 1}, 1, "ion"),
+    "OH-": ({"O": 1, "H": 1}, -1, "ion"),
+    "water": ({"H": 2, "O": 1}, 0, "solvent"),
+}
 
 
 def load_real(folder: Path, text: str, **roles: str) -> ReactionFamily:

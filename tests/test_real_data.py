@@ -53,18 +53,26 @@ def thermo() -> Any:
 
 # Names of thermo's methods; none is the value's own source.
 REFERENCES: dict[str, tuple[str, float, str]] = {
-    "diethyl_ether": ("WAGNER_POLING", 0.03, ""), "water": ("HEOS_FIT", 0.03, ""), "hexane": ("HEOS_FIT", 0.03, ""),
-    "ethyl_acetate": ("VDI_PPDS", 0.03, ""), "1-chlorohexane": ("ANTOINE_WEBBOOK", 0.03, ""),
-    "dodecane": ("HEOS_FIT", 0.03, ""), "ethanol": ("HEOS_FIT", 0.03, ""), "toluene": ("HEOS_FIT", 0.03, ""),
-    "1-hexene": ("LANDOLT", 0.03, ""), "trans-2-hexene": ("AMBROSE_WALTON", 0.03, ""),
-    "acetic_acid": ("WAGNER_POLING", 0.03, ""), "acetic_anhydride": ("VDI_PPDS", 0.03, ""),
+    "diethyl_ether": ("WAGNER_POLING", 0.03, ""),
+    "water": ("HEOS_FIT", 0.03, ""),
+    "hexane": ("HEOS_FIT", 0.03, ""),
+    "ethyl_acetate": ("VDI_PPDS", 0.03, ""),
+    "1-chlorohexane": ("ANTOINE_WEBBOOK", 0.03, ""),
+    "dodecane": ("HEOS_FIT", 0.03, ""),
+    "ethanol": ("HEOS_FIT", 0.03, ""),
+    "toluene": ("HEOS_FIT", 0.03, ""),
+    "1-hexene": ("LANDOLT", 0.03, ""),
+    "trans-2-hexene": ("AMBROSE_WALTON", 0.03, ""),
+    "acetic_acid": ("WAGNER_POLING", 0.03, ""),
+    "acetic_anhydride": ("VDI_PPDS", 0.03, ""),
     "naphthalene": ("VDI_PPDS", 0.03, ""),
     "salicylic_acid": ("LANDOLT", 0.06, "a solid; the compilations disagree on its melt"),
     "acetanilide": ("ANTOINE_WEBBOOK", 0.03, ""),
     "benzoic_acid": ("ANTOINE_WEBBOOK", 0.04, "a solid; the compilations disagree on its boiling point by 1.4 K"),
     "2-chlorohexane": ("AMBROSE_WALTON", 0.06, "estimates both"),
-    "3-chlorohexane": ("AMBROSE_WALTON", 0.06, "estimates both"), "pyrrolidine": ("LANDOLT", 0.03, ""),
-}  # fmt: skip
+    "3-chlorohexane": ("AMBROSE_WALTON", 0.06, "estimates both"),
+    "pyrrolidine": ("LANDOLT", 0.03, ""),
+}
 ESTIMATED = {"4-ethyldecane", "5,6-dimethyldecane", "4-ethyl-5-methylnonane", "4,5-diethyloctane"}
 ESTIMATED |= {"2,4-difluoronitrobenzene", "ortho_pyrrolidinyl", "para_pyrrolidinyl", "bis_pyrrolidinyl"}
 ONE_SOURCE = {"5-methylundecane"}
@@ -180,10 +188,15 @@ def test_heats_of_reaction(change: dict[str, float], expected: float, tolerance:
 
 
 PARENTS = {
-    "Cl-": ("NaCl", "Na+"), "acetate": ("sodium_acetate", "Na+"), "benzoate": ("sodium_benzoate", "Na+"),
-    "ethoxide": ("sodium_ethoxide", "Na+"), "HCO3-": ("sodium_bicarbonate", "Na+"),
-    "salicylate": ("salicylic_acid", "H+"), "acetylsalicylate": ("acetylsalicylic_acid", "H+"), "OH-": ("water", "H+"),
-}  # fmt: skip
+    "Cl-": ("NaCl", "Na+"),
+    "acetate": ("sodium_acetate", "Na+"),
+    "benzoate": ("sodium_benzoate", "Na+"),
+    "ethoxide": ("sodium_ethoxide", "Na+"),
+    "HCO3-": ("sodium_bicarbonate", "Na+"),
+    "salicylate": ("salicylic_acid", "H+"),
+    "acetylsalicylate": ("acetylsalicylic_acid", "H+"),
+    "OH-": ("water", "H+"),
+}
 
 
 @pytest.mark.parametrize("ion", list(PARENTS))

@@ -134,10 +134,16 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         # Top level.
         (*top('colour = "red"'), ["colour", "unknown key", "'red'"]),
         ('title = "A tiny', 'titel = "A tiny', ["titel: unknown key, given 'A tiny laboratory'; did you mean title?"]),
-        ("capacity_l = 1.0\ncontents", "capacity = 1.0\ncontents",
-         ["capacity: unknown key, given 1.0; did you mean capacity_l?"]),
-        ('goals = ["dodecane", "NaCl"]', 'goals = "dodecane"',
-         ["goals: must be a list, as in [1, 2], given 'dodecane'"]),
+        (
+            "capacity_l = 1.0\ncontents",
+            "capacity = 1.0\ncontents",
+            ["capacity: unknown key, given 1.0; did you mean capacity_l?"],
+        ),
+        (
+            'goals = ["dodecane", "NaCl"]',
+            'goals = "dodecane"',
+            ["goals: must be a list, as in [1, 2], given 'dodecane'"],
+        ),
         ('name = "tiny"', 'name = "Tiny Lab"', ["name", "pattern", "'Tiny Lab'"]),
         ('title = "A tiny laboratory"\n', "", ["title", "required"]),
         ('goals = ["dodecane", "NaCl"]', "goals = []", ["goals", "at least 1"]),
@@ -175,17 +181,26 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("{ water = 0.001 }", "{ water = -0.001 }", ["costs.stock_per_mol.water", "-0.001"]),
         # Shelf.
         ("slots = 3", "slots = 0", ["shelf.slots", "greater than or equal to 1", "0"]),
-        ("[benches.rxn]", "[[shelf.vessel]]\ncapacity_l = 1.0\n" * 3 + "[benches.rxn]",
-         ["shelf", "4 vessels do not fit on 3 slots"]),
-        ("capacity_l = 1.0\ncontents", "capacity_l = 0.0\ncontents",
-         ["shelf.vessel.0.capacity_l", "equal to 0.000001"]),
+        (
+            "[benches.rxn]",
+            "[[shelf.vessel]]\ncapacity_l = 1.0\n" * 3 + "[benches.rxn]",
+            ["shelf", "4 vessels do not fit on 3 slots"],
+        ),
+        (
+            "capacity_l = 1.0\ncontents",
+            "capacity_l = 0.0\ncontents",
+            ["shelf.vessel.0.capacity_l", "equal to 0.000001"],
+        ),
         # Benches.
         ('kind = "extraction"', 'kind = "alchemy"', ["benches.ext.kind", "'alchemy'", "extraction"]),
         ('kind = "extraction"', 'kind = "chemlab.roles:Nothing"', ["benches.ext.kind", "'chemlab.roles:Nothing'"]),
         ('kind = "extraction"', 'kind = "math:pi"', ["benches.ext.kind", "'math:pi'"]),
         ('kind = "extraction"', 'kind = ".bench:Bench"', ["benches.ext.kind", "'.bench:Bench'"]),
-        ('kind = "extraction"', 'kind = "extraction"\nshape = "round"',
-         ["benches.ext", "shape", "unknown key", "'round'"]),
+        (
+            'kind = "extraction"',
+            'kind = "extraction"\nshape = "round"',
+            ["benches.ext", "shape", "unknown key", "'round'"],
+        ),
         ('kind = "extraction"', 'kind = "extraction"\ncount = 0', ["benches.ext.count", "greater than or equal to 1"]),
         # Of a kind that chemlab has no data on.
         ('kind = "extraction"\nstep_limit = 5', 'kind = "my.own:Bench"', ["benches.ext.step_limit", "required"]),
@@ -213,17 +228,32 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("hottest_k = 700.0", "hottest_k = 1e4", ["benches.dit: hottest_k"]),
         ("coolest_k = 280.0", "coolest_k = 1.0", ["benches.dit: coolest_k: ", "or equal to 50, given 1.0"]),
         # Processes.
-        ('vessel = "EV"\ntarget = "B1"', 'vessel = "EV"\ntarget = "B9"',
-         ["benches.ext.process.0", "'B9'", "EV, B1, B2"]),
-        ('vessel = "EV"\ntarget = "B1"', 'vessel = "B7"\ntarget = "B1"',
-         ["benches.ext.process.0", "'B7'", "EV, B1, B2"]),
+        (
+            'vessel = "EV"\ntarget = "B1"',
+            'vessel = "EV"\ntarget = "B9"',
+            ["benches.ext.process.0", "'B9'", "EV, B1, B2"],
+        ),
+        (
+            'vessel = "EV"\ntarget = "B1"',
+            'vessel = "B7"\ntarget = "B1"',
+            ["benches.ext.process.0", "'B7'", "EV, B1, B2"],
+        ),
         ('vessel = "EV"\ntarget = "B1"', 'vessel = "EV"', ["benches.ext.process.0", "target", "required by drain"]),
-        ('vessel = "EV"\ntarget = "B1"', 'vessel = "EV"\ntarget = "EV"',
-         ["benches.ext.process.0", "must differ", "'EV'"]),
-        ('vessel = "EV"\nmaterial = "water"', 'vessel = "EV"',
-         ["benches.ext.process.1", "material", "required by add"]),
-        ('material = "water"', 'material = "water"\ntarget = "B1"',
-         ["benches.ext.process.1", "target", "not allowed for other processes"]),
+        (
+            'vessel = "EV"\ntarget = "B1"',
+            'vessel = "EV"\ntarget = "EV"',
+            ["benches.ext.process.0", "must differ", "'EV'"],
+        ),
+        (
+            'vessel = "EV"\nmaterial = "water"',
+            'vessel = "EV"',
+            ["benches.ext.process.1", "material", "required by add"],
+        ),
+        (
+            'material = "water"',
+            'material = "water"\ntarget = "B1"',
+            ["benches.ext.process.1", "target", "not allowed for other processes"],
+        ),
         ("magnitudes = [10, 20]", "magnitudes = [10, 0]", ["benches.ext.process.0", "magnitudes", "above 0", "0.0"]),
         ("magnitudes = [10, 20]", "magnitudes = [101]", ["benches.ext.process.0", "magnitudes", "at most 100", "101"]),
         ("magnitudes = [10, 20]", "magnitudes = []", ["benches.ext", "process.0.magnitudes", "at least 1"]),
@@ -243,9 +273,11 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("price = 0.01", "price = 1e7", ["instruments.scales.price", "less than or equal to 1000000"]),
         ("{ diethyl_ether = 3.0 }", "{ diethyl_ether = 3.0 }, goal_mol = 4.0", ["benches.rxn.start", "do not fit"]),
         ('goals = ["dodecane", "NaCl"]', f"goals = {[f'm{i}' for i in range(65)]}", ["goals", "at most 64 items"]),
-        ("slots = 3",
-         "slots = 64\n" + "\n".join(f"[benches.{c}]\nkind = 'distillation'\ncount = 16" for c in "abcdefghijklm"),
-         ["benches x slots x goals", "at most 20000"]),
+        (
+            "slots = 3",
+            "slots = 64\n" + "\n".join(f"[benches.{c}]\nkind = 'distillation'\ncount = 16" for c in "abcdefghijklm"),
+            ["benches x slots x goals", "at most 20000"],
+        ),
         ("water = 10.0", "water = 1" + "0" * 30, ["stock.water", "an integer", "9007199254740992"]),
         ("magnitudes = [10, 20]", "magnitudes = " + "[" * 20 + "]" * 20, ["magnitudes", "more than 12 levels"]),
         ("magnitudes = [10, 20]", "magnitudes = " + "[" * 5000, ["more than 12 levels"]),
@@ -261,15 +293,23 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("{ spill_l = 1.0 }", "{ spill_l = -1.0 }", ["safety", "weights.spill_l", "-1.0", "or equal to 0"]),
         # Ions without those that balance them.
         ("water = 10.0", 'water = 10.0\n"Na+" = 0.1', ["stock", "'Na+' is an ion", "NaCl"]),
-        ("{ diethyl_ether = 4.0 }", '{ water = 4.0, "Na+" = 0.5, "Cl-" = 0.25 }',
-         ["shelf.vessel.0.contents", "charge is +0.25 mol", "ions that balance it"]),
-        ("{ diethyl_ether = 3.0 }", '{ water = 4.0, "Cl-" = 0.25 }',
-         ["benches.rxn.start.contents", "charge is -0.25 mol"]),
+        (
+            "{ diethyl_ether = 4.0 }",
+            '{ water = 4.0, "Na+" = 0.5, "Cl-" = 0.25 }',
+            ["shelf.vessel.0.contents", "charge is +0.25 mol", "ions that balance it"],
+        ),
+        (
+            "{ diethyl_ether = 3.0 }",
+            '{ water = 4.0, "Cl-" = 0.25 }',
+            ["benches.rxn.start.contents", "charge is -0.25 mol"],
+        ),
         ("Na = 2.0 }", 'Na = 2.0, "Cl-" = 1.0 }', ["benches.rxn.reagents", "'Cl-' is an ion", "NaCl"]),
         ('material = "water"', 'material = "Na+"', ["benches.ext.process.1.material", "'Na+' is an ion"]),
-        ("{ diethyl_ether = 3.0 }",
-         '{ diethyl_ether = 3.0 }, companion = { material = "Na+", mol = 0.1, if_goal = "NaCl" }',
-         ["benches.rxn.start.companion", "'Na+' is an ion"]),
+        (
+            "{ diethyl_ether = 3.0 }",
+            '{ diethyl_ether = 3.0 }, companion = { material = "Na+", mol = 0.1, if_goal = "NaCl" }',
+            ["benches.rxn.start.companion", "'Na+' is an ion"],
+        ),
         (
             "[instruments]",
             '[world.draws.salt]\nwhat = "amount"\nof = ["slot_0"]\nmaterial = "Na+"\n'
@@ -279,7 +319,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         # Reactions.
         ('reactions = "wurtz"', 'reactions = "alchemy"', ["reactions", "'alchemy'", "wurtz"]),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_scenario_is_named_with_file_key_and_bound(
     tmp_path: Path, old: str, new: str, parts: list[str]
 ) -> None:
@@ -411,10 +451,13 @@ def features(scenario: Scenario) -> set[str]:
         "several of a bench": any(bench.count > 1 for bench in benches),
         "wear": any(bench.wear is not None for bench in benches),
         "reports": any(bench.report is not None for bench in benches),
-        "drift": any(spec.drift is not None for spec in instruments), "several orders": scenario.orders > 1,
-        "orders that come": bool(scenario.demand.order), "grades": bool(scenario.grades),
-        "specifications": bool(scenario.specifications), "several goals": len(scenario.lab_goals) > 1,
-    }  # fmt: skip
+        "drift": any(spec.drift is not None for spec in instruments),
+        "several orders": scenario.orders > 1,
+        "orders that come": bool(scenario.demand.order),
+        "grades": bool(scenario.grades),
+        "specifications": bool(scenario.specifications),
+        "several goals": len(scenario.lab_goals) > 1,
+    }
     return {
         *(name for name, has_it in there.items() if has_it),
         *(f"{bench.kind}, {scenario.physics}" for bench in benches),
@@ -645,15 +688,30 @@ def tiny(folder: Path) -> Path:
 # -- records -----------------------------------------------------------------------------------------------------------
 
 SHIPPED = {
-    "aspirin": "2fd0aed66af36c55", "benzoic": "f263a242c1513a0c", "campaign": "74528940a7c336af",
-    "crude": "ae06af031d560162", "failing": "5a3a4a6b751448e6", "fictitious": "123b34a8dd336967",
-    "fischer": "eddcf20a051f26c8", "recrystallization": "414e6c47dc38aa77", "refine": "30b240f0e9759435",
-    "relay": "6de823432b274539", "runaway": "d436cde691826db5", "rush": "9c8ac1a79eab336b",
-    "salt_from_oil": "feee34ab975676ab", "selectivity": "1d6861efb6edcea7", "snar": "64de02a13a4001f6",
-    "unlabelled": "1657bfd950a45805", "wurtz_any": "f423b6d9860f5d2f", "wurtz_dodecane": "eba80ccee7c23250",
-    "wurtz_dodecane_direct": "5191221eee3bff26", "wurtz_real": "9afaee94dc67f59c", "wurtz_safe": "b0623be48a0bd5b3",
-    "wurtz_scarce": "55d9c1db011259f5", "wurtz_two_lines": "ec01e2db90d6878c",
-}  # fmt: skip
+    "aspirin": "2fd0aed66af36c55",
+    "benzoic": "f263a242c1513a0c",
+    "campaign": "74528940a7c336af",
+    "crude": "ae06af031d560162",
+    "failing": "5a3a4a6b751448e6",
+    "fictitious": "123b34a8dd336967",
+    "fischer": "eddcf20a051f26c8",
+    "recrystallization": "414e6c47dc38aa77",
+    "refine": "30b240f0e9759435",
+    "relay": "6de823432b274539",
+    "runaway": "d436cde691826db5",
+    "rush": "9c8ac1a79eab336b",
+    "salt_from_oil": "feee34ab975676ab",
+    "selectivity": "1d6861efb6edcea7",
+    "snar": "64de02a13a4001f6",
+    "unlabelled": "1657bfd950a45805",
+    "wurtz_any": "f423b6d9860f5d2f",
+    "wurtz_dodecane": "eba80ccee7c23250",
+    "wurtz_dodecane_direct": "5191221eee3bff26",
+    "wurtz_real": "9afaee94dc67f59c",
+    "wurtz_safe": "b0623be48a0bd5b3",
+    "wurtz_scarce": "55d9c1db011259f5",
+    "wurtz_two_lines": "ec01e2db90d6878c",
+}
 """Hashes of all that the shipped scenarios say, in the order in which they say it. The files may change; what they come
 to may not without a line in the changelog: records of episodes name their scenario by it."""
 
@@ -665,13 +723,19 @@ def test_what_the_shipped_scenarios_say_has_not_changed() -> None:
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("reactions.reaction.0.products.dodecane", 50.0,
-         r"reactions: reaction.0: not balanced: C 12 on the left, 600 "),
+        (
+            "reactions.reaction.0.products.dodecane",
+            50.0,
+            r"reactions: reaction.0: not balanced: C 12 on the left, 600 ",
+        ),
         ("reactions.reaction.0.orders.Na", 1e6, r"reaction.0.orders.Na: Input should be less than or equal to 20"),
         ("reactions.reaction.0.products.gold", 1.0, r"reactions: unknown material 'gold'"),
         ("reactions.salt.0.anion", "OH-", r"salt.0: not balanced"),
-        ("scenario.shelf.vessel.0.capacity_l", 0.1,
-         r"shelf.vessel.0: contents of 0.4\d+ L do not fit in capacity_l = 0.1"),
+        (
+            "scenario.shelf.vessel.0.capacity_l",
+            0.1,
+            r"shelf.vessel.0: contents of 0.4\d+ L do not fit in capacity_l = 0.1",
+        ),
         ("scenario.benches.ext.start.capacity_l", 0.1, r"benches.ext.start: contents of .* do not fit"),
         ("scenario.stock.H2", 1.0, r"stock: 'H2' is a gas"),
         ("scenario.stock.gold", 1.0, r"stock: unknown material 'gold'"),
@@ -683,7 +747,7 @@ def test_what_the_shipped_scenarios_say_has_not_changed() -> None:
         ("materials.water.density_kg_l", -1.0, r"materials.water: density_kg_l"),
         ("materials", {}, r"unknown material"),
     ],
-)  # fmt: skip
+)
 def test_a_record_s_scenario_is_checked_as_a_file_is(key: str, value: Any, message: str) -> None:
     data = json.loads(json.dumps(dump_scenario(load_scenario("wurtz_dodecane"))))
     *parts, last = key.split(".")

@@ -41,8 +41,12 @@ def identity(kind: str, of: int, options: list[str], **more: Any) -> dict[str, A
     """A draw of what vessels hold."""
     slots = [f"slot_{s}" for s in range(of)]
     return {
-        "what": "identity", "of": slots, "material": "a", "distribution": {"kind": kind, "options": options}, **more,
-    }  # fmt: skip
+        "what": "identity",
+        "of": slots,
+        "material": "a",
+        "distribution": {"kind": kind, "options": options},
+        **more,
+    }
 
 
 def specified(**draws: Any) -> WorldSpec:
@@ -208,9 +212,13 @@ def file(**draw: Any) -> dict[str, Any]:
     """A scenario with one draw."""
     vessel = {"capacity_l": 1.0, "contents": {"diethyl_ether": 4.0, "1-chlorohexane": 1.0}}
     return {
-        "base": "wurtz_dodecane", "name": "tested", "title": "tested", "summary": "tested",
-        "shelf": {"slots": 8, "vessel": [vessel]}, "world": {"draws": {"x": {"distribution": UNIFORM, **draw}}},
-    }  # fmt: skip
+        "base": "wurtz_dodecane",
+        "name": "tested",
+        "title": "tested",
+        "summary": "tested",
+        "shelf": {"slots": 8, "vessel": [vessel]},
+        "world": {"draws": {"x": {"distribution": UNIFORM, **draw}}},
+    }
 
 
 @pytest.mark.parametrize(
@@ -221,8 +229,10 @@ def file(**draw: Any) -> dict[str, Any]:
         ({"what": "amount", "of": ["slot_1"], "material": "Na"}, "unknown vessel 'slot_1'; choose from slot_0, rxn"),
         ({"what": "amount", "of": ["slot_0"], "material": "Na"}, "x.material: 'Na' is not in slot_0"),
         ({"what": "amount", "of": ["stock"], "material": "Na"}, "x.what: a bottle's amount is observed"),
-        ({"what": "titre", "of": ["stock"], "material": "dodecane", "inert": "water"},
-         "x.material: there is no bottle of 'dodecane' in stock; choose from 1-chlorohexane"),
+        (
+            {"what": "titre", "of": ["stock"], "material": "dodecane", "inert": "water"},
+            "x.material: there is no bottle of 'dodecane' in stock; choose from 1-chlorohexane",
+        ),
         (
             {
                 "what": "titre",
@@ -243,8 +253,10 @@ def file(**draw: Any) -> dict[str, Any]:
             },
             "x: slot_0: .* must be at least 0 and fit in capacity_l = 1; give low and high",
         ),
-        ({"what": "identity", "of": ["slot_0"], "material": "1-chlorohexane"},
-         "x: distribution: must be a choice or a permutation of materials"),
+        (
+            {"what": "identity", "of": ["slot_0"], "material": "1-chlorohexane"},
+            "x: distribution: must be a choice or a permutation of materials",
+        ),
         (
             {
                 "what": "identity",
@@ -260,17 +272,23 @@ def file(**draw: Any) -> dict[str, Any]:
         ({"what": "pre_exponential"}, "x.of: must be some of 2 1-chlorohexane .* given nothing"),
         ({"what": "polarity", "of": ["gold"]}, "x.of: must be some of 1-chlorohexane"),
         ({"what": "ambient_pressure", "of": ["Na"]}, "x.of: must be left out; given Na"),
-        ({"what": "pre_exponential", "of": [WURTZ], "distribution": {"kind": "normal", "mean": 1.0, "sd": 1.0}},
-         "x: pre_exponential must stay above 0, and could become -inf; give low"),
-        ({"what": "ambient_pressure", "test": [[0.5, 0.99]]},
-         "world.draws.x.test: leaves 0.02 of all worlds to training"),
+        (
+            {"what": "pre_exponential", "of": [WURTZ], "distribution": {"kind": "normal", "mean": 1.0, "sd": 1.0}},
+            "x: pre_exponential must stay above 0, and could become -inf; give low",
+        ),
+        (
+            {"what": "ambient_pressure", "test": [[0.5, 0.99]]},
+            "world.draws.x.test: leaves 0.02 of all worlds to training",
+        ),
         ({"what": "ambient_pressure", "test": [[0.9, 0.6]]}, r"test: \[0.9, 0.6\]: must be \[low, high\]"),
         ({"what": "ambient_pressure", "group": "g", "correlation": 2.0}, "correlation: .* less than or equal to 1"),
         ({"what": "ambient_pressure", "distribution": {"kind": "even"}}, "distribution: .*'uniform', 'normal'"),
-        ({"what": "ambient_pressure", "distribution": {"kind": "uniform", "low": 2.0, "high": 1.0}},
-         "high = 1 must not be below low = 2"),
+        (
+            {"what": "ambient_pressure", "distribution": {"kind": "uniform", "low": 2.0, "high": 1.0}},
+            "high = 1 must not be below low = 2",
+        ),
     ],
-)  # fmt: skip
+)
 def test_errors_name_file_key_and_bound(draw: dict[str, Any], message: str) -> None:
     from chemlab.lab.engine import Laboratories
 
@@ -286,16 +304,28 @@ RATE = {"what": "pre_exponential", "of": [WURTZ], "distribution": {"kind": "unif
 @pytest.mark.parametrize(
     ("one", "other", "message"),
     [
-        ({"what": "titre", "inert": "dodecane", **FEED}, {"what": "titre", "inert": "water", **FEED},
-         "world.draws.other: slot_0: world.draws.one draws the titre of '1-chlorohexane' in it already; remove one"),
-        ({"what": "amount", **FEED, "distribution": {"kind": "choice", "options": [3.0]}},
-         {"what": "amount", **FEED, "material": "diethyl_ether", "distribution": {"kind": "choice", "options": [1.5]}},
-         r"world.draws.other: slot_0: 6 to 6 mol, up to 1\.\d+ L with all else .* fit in capacity_l = 1"),
-        ({**RATE, "group": "g", "test": [[0.5, 1.0]]},
-         {**RATE, "what": "activation_energy", "group": "g", "test": [[1.0, 1.5]]},
-         "the test regions of one, other, which are correlated, leave about 0 of all worlds to training"),
+        (
+            {"what": "titre", "inert": "dodecane", **FEED},
+            {"what": "titre", "inert": "water", **FEED},
+            "world.draws.other: slot_0: world.draws.one draws the titre of '1-chlorohexane' in it already; remove one",
+        ),
+        (
+            {"what": "amount", **FEED, "distribution": {"kind": "choice", "options": [3.0]}},
+            {
+                "what": "amount",
+                **FEED,
+                "material": "diethyl_ether",
+                "distribution": {"kind": "choice", "options": [1.5]},
+            },
+            r"world.draws.other: slot_0: 6 to 6 mol, up to 1\.\d+ L with all else .* fit in capacity_l = 1",
+        ),
+        (
+            {**RATE, "group": "g", "test": [[0.5, 1.0]]},
+            {**RATE, "what": "activation_energy", "group": "g", "test": [[1.0, 1.5]]},
+            "the test regions of one, other, which are correlated, leave about 0 of all worlds to training",
+        ),
     ],
-)  # fmt: skip
+)
 def test_draws_that_exclude_each_other(one: dict[str, Any], other: dict[str, Any], message: str) -> None:
     from chemlab.lab.engine import Laboratories
 

@@ -476,7 +476,7 @@ def _cells(
         beside = None if name == baseline or isinstance(other, str) else other
         measured = on_scale(values, random, best, runs_of(runs, len(blocks), len(values)), beside, gaps.get(name))
         if measured is None:
-            cells[name] = missing("nobody scores above random play in these episodes: there is no scale")
+            cells[name] = missing("no policy scores above random play in these episodes: there is no scale")
             continue
         blockwise = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
         # Where nobody is above random play there is no scale, and no replication.

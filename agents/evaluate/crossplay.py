@@ -250,7 +250,7 @@ def crossplay(
     oracle = np.maximum.reduce([foreseen(planned), random, plan, *scores.values()])
     scale = Scale(random, oracle)
     if scale.span <= 0.0:
-        raise ValueError(f"{scenario.name}: nobody scores above random legal play ({random.mean():.3f}): no scale")
+        raise ValueError(f"{scenario.name}: no policy scores above random legal play ({random.mean():.3f}): no scale")
     scaled = {pair: scale.mean(values) for pair, values in scores.items()}
     return {
         "kind": "crossplay",

@@ -56,7 +56,7 @@ class Scale:
 
 
 def missing(reason: str) -> dict[str, Any]:
-    """A measure that there is none of, and why, in place of an interval."""
+    """Return an entry without a value, with the reason, for a measure that does not apply."""
     return {"value": None, "low": None, "high": None, "reason": reason}
 
 

@@ -265,7 +265,7 @@ class Material(DataModel):
 
 
 Materials = Mapping[str, Material]
-"""By id."""
+"""Materials by id."""
 
 
 def load_materials(paths: Iterable[Path]) -> dict[str, Material]:

@@ -70,7 +70,7 @@ class Pair(DataModel):
 
 
 Pairs = Mapping[frozenset[str], Pair]
-"""By the ids of both materials."""
+"""Pairs by the ids of their two materials."""
 
 
 class PairFile(DataModel):

@@ -19,7 +19,7 @@ from .inputs import checked_actions
 _MOST_TRIES = 1000
 
 Actions = npt.NDArray[Any]
-"""Of a batch: [B] int64, or [B, n] float64 for continuous actions."""
+"""Actions of a batch: [B] int64, or [B, n] float64 if they are continuous."""
 
 
 class Policy(Protocol):

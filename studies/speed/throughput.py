@@ -148,19 +148,22 @@ def _profiles_once(rows: FloatArray, chem: Handle, layers: IntArray, out: FloatA
 
 
 def floor(envs: RoleVectorEnv) -> dict[str, float]:
-    """Return the least microseconds per step of a batch of 256: of copying as many observations, of reading and writing
-    all vessels once, and of the law once: the rates of all reactions, or the layers of the first vessel.
+    """Return rough lower bounds of a batch step of 256, in microseconds per member: copying as many observations,
+    reading and writing all vessels once, and computing the law once (all reaction rates, or the layers of one vessel).
     """
     bench, shelf, experiments = envs.bench, envs.batch.shelf, envs.batch.experiments
     out = np.zeros((256, *bench.observation_space.shape), dtype=np.float32)
     source, work = np.ones_like(out), np.zeros_like(bench.rules.arrays.work)
     first = shelf.rows[experiments.places[:, 0]]
-    law: Callable[[], Any] = lambda: _rates_once(first, shelf.chem(0), work)  # noqa: E731
+    law: Callable[[], Any] = functools.partial(_rates_once, first, shelf.chem(0), work)
     if isinstance(bench, OperationBench):
         layers, shares = experiments.layers[0, 0].copy(), experiments.profile[0, 0].copy()
-        law = lambda: _profiles_once(first, shelf.chem(0), layers, shares, work)  # noqa: E731
-    calls = {"writing an observation": lambda: np.copyto(out, source)}
-    calls |= {"a pass over the vessels": lambda: np.multiply(shelf.rows, 1.0, out=shelf.rows), "the law once": law}
+        law = functools.partial(_profiles_once, first, shelf.chem(0), layers, shares, work)
+    calls: dict[str, Callable[[], Any]] = {
+        "writing an observation": functools.partial(np.copyto, out, source),
+        "a pass over the vessels": functools.partial(np.multiply, shelf.rows, 1.0, out=shelf.rows),
+        "the law once": law,
+    }
     return {name: min(timeit.repeat(call, number=40)) / 40 / 256 * 1e6 for name, call in calls.items()}
 
 

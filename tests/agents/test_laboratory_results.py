@@ -122,6 +122,8 @@ def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
         (out / name).write_text("old")
     write_laboratory(source, out)
     assert {path.name for path in out.iterdir()} == {"runs.md", "runs_curves.png"}
+    write_run(tmp_path / "begun" / "seed-0", finished=False)
+    assert "no manager has finished training" in command("plot", "runs", tmp_path / "begun", "-o", out, code=2)
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------

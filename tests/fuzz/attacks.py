@@ -77,9 +77,12 @@ def honest(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
 
 
 KINDS: dict[str, Callable[[int, int], tuple[Outcomes, list[str]]]] = {
-    "files": _campaign(fuzz_files.fuzz), "agents": _campaign(fuzz_agents.fuzz), "records": _campaign(fuzz_records.fuzz),
-    "forgeries": forged, "honest": honest,
-}  # fmt: skip
+    "files": _campaign(fuzz_files.fuzz),
+    "agents": _campaign(fuzz_agents.fuzz),
+    "records": _campaign(fuzz_records.fuzz),
+    "forgeries": forged,
+    "honest": honest,
+}
 
 
 def kept() -> list[dict[str, Any]]:

@@ -58,12 +58,20 @@ SWEEP: dict[str, Any] = {
 }
 CONFIGURATIONS: list[dict[str, Any]] = [
     {
-        "scenario": "chemlab/WurtzExtraction-v0", "algo": "ppo", "steps": 1000, "gamma": 0.9, "clip_range": 0.1,
-        "gae_lambda": 0.9, "ent_coef": 0.01, "net_arch": [64, 64], "goals": ["dodecane"], "learning_rate": 1e-3,
+        "scenario": "chemlab/WurtzExtraction-v0",
+        "algo": "ppo",
+        "steps": 1000,
+        "gamma": 0.9,
+        "clip_range": 0.1,
+        "gae_lambda": 0.9,
+        "ent_coef": 0.01,
+        "net_arch": [64, 64],
+        "goals": ["dodecane"],
+        "learning_rate": 1e-3,
     },
     {"scenario": "wurtz_dodecane", "roles": ["manager", "ext"], "regime": "in-turns", "envs": 3},
     {"scenario": "wurtz_dodecane", "bench": "rxn", "algo": "sac", "buffer_size": 512, "batch_size": 32},
-]  # fmt: skip
+]
 CURVE = [(100, 0.1, 0.2), (200, 0.4, 0.2), (300, None, None)]
 
 
@@ -257,10 +265,17 @@ def try_part(folder: Path, rng: np.random.Generator) -> None:
 
 
 TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
-    "card": try_card, "weights": try_weights, "plan": try_plan, "run": try_run, "sweep": try_sweep,
-    "configuration": try_configuration, "tables": try_tables, "rows": try_rows, "leaderboard": try_leaderboard,
+    "card": try_card,
+    "weights": try_weights,
+    "plan": try_plan,
+    "run": try_run,
+    "sweep": try_sweep,
+    "configuration": try_configuration,
+    "tables": try_tables,
+    "rows": try_rows,
+    "leaderboard": try_leaderboard,
     "part": try_part,
-}  # fmt: skip
+}
 
 
 def attempt(folder: Path, kind: str, rng: np.random.Generator) -> str:

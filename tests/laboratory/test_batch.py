@@ -131,14 +131,21 @@ def after(batch: BatchedLaboratory, actions: dict[str, Any]) -> str:
 
 
 WRONG: list[tuple[str, Any]] = [
-    ("manager_0", np.array([-1, 0, 0])), ("manager_0", np.array([0.0, 0.0, 0.0])),
-    ("manager_0", np.zeros(2, dtype=np.int64)), ("manager_0", None), ("manager_0", "wait"),
-    ("manager_0", np.array([2**64 - 1, 0, 0], dtype=np.uint64)), ("ext_0", np.array([0, 3, 41])),
-    ("ext_0", np.array([[0], [3], [3]])), ("ext_0", [[0], [3, 4], [3]]),
+    ("manager_0", np.array([-1, 0, 0])),
+    ("manager_0", np.array([0.0, 0.0, 0.0])),
+    ("manager_0", np.zeros(2, dtype=np.int64)),
+    ("manager_0", None),
+    ("manager_0", "wait"),
+    ("manager_0", np.array([2**64 - 1, 0, 0], dtype=np.uint64)),
+    ("ext_0", np.array([0, 3, 41])),
+    ("ext_0", np.array([[0], [3], [3]])),
+    ("ext_0", [[0], [3, 4], [3]]),
     ("rxn_0", np.where(np.arange(18).reshape(3, 6) == 9, np.nan, 0.5)),
-    ("rxn_0", np.where(np.arange(18).reshape(3, 6) == 17, 1.0001, 0.5)), ("rxn_0", np.full((3, 5), 0.5)),
-    ("rxn_0", np.full((3, 6), 0.5, dtype=object)), ("rxn_0", [[0.5] * 6, [0.5] * 6, [0.5] * 5]),
-]  # fmt: skip
+    ("rxn_0", np.where(np.arange(18).reshape(3, 6) == 17, 1.0001, 0.5)),
+    ("rxn_0", np.full((3, 5), 0.5)),
+    ("rxn_0", np.full((3, 6), 0.5, dtype=object)),
+    ("rxn_0", [[0.5] * 6, [0.5] * 6, [0.5] * 5]),
+]
 
 
 def test_one_bad_action_spoils_the_step() -> None:
@@ -173,10 +180,14 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
     expected = after(*mixed())
     plan = np.full((3, 6, 5), 0.5)
     written: list[Any] = [
-        plan[:, :, 2], np.full((6, 3), 0.5).T, np.broadcast_to(np.float64(0.5), (3, 6)),
-        np.full((3, 6), 0.5, dtype=np.float16), np.full((3, 6), 0.5, dtype=">f4"),
-        np.full((3, 6), 0.5, dtype=np.longdouble), [[0.5] * 6] * 3,
-    ]  # fmt: skip
+        plan[:, :, 2],
+        np.full((6, 3), 0.5).T,
+        np.broadcast_to(np.float64(0.5), (3, 6)),
+        np.full((3, 6), 0.5, dtype=np.float16),
+        np.full((3, 6), 0.5, dtype=">f4"),
+        np.full((3, 6), 0.5, dtype=np.longdouble),
+        [[0.5] * 6] * 3,
+    ]
     for rows in written:
         batch, actions = mixed()
         assert after(batch, {**actions, "rxn_0": rows}) == expected

@@ -126,23 +126,26 @@ def optional(package: str, module: str) -> Any:
 
 
 CLASSES: dict[str, tuple[Callable[[str], list[Any]], Callable[..., list[Any]]]] = {
-    "raw_env": (lambda name: [raw_env(name)], turns), "env": (lambda name: [ordered_env(name)], turns),
+    "raw_env": (lambda name: [raw_env(name)], turns),
+    "env": (lambda name: [ordered_env(name)], turns),
     "parallel_env": (lambda name: [parallel_env(name)], rounds),
     "BatchedLaboratory": (lambda name: [BatchedLaboratory(2, name)], rounds),
     "RoleEnv, bench": (lambda name: benches(RoleEnv, name), singly),
     "RoleVectorEnv, bench": (lambda name: benches(RoleVectorEnv, name, num_envs=3, threads=2), together),
     "RoleEnv": (lambda name: [role_env(name), role_env(name, benches_of(name)[0])], singly),
     "RoleVectorEnv": (
-        lambda name: [role_vector_env(2, name), role_vector_env(2, name, benches_of(name)[0], "random")], together,
+        lambda name: [role_vector_env(2, name), role_vector_env(2, name, benches_of(name)[0], "random")],
+        together,
     ),
     "ChemlabVecEnv": (
-        lambda name: benches(optional("stable_baselines3", "sb3").ChemlabVecEnv, name, env=2, threads=2), with_sb3,
+        lambda name: benches(optional("stable_baselines3", "sb3").ChemlabVecEnv, name, env=2, threads=2),
+        with_sb3,
     ),
     "LaboratoryMultiAgentEnv": (
         lambda name: [optional("ray.rllib", "rllib").LaboratoryMultiAgentEnv(ONE_LEARNS | {"scenario": name})],
         with_rllib,
     ),
-}  # fmt: skip
+}
 
 
 def begun(kind: str, scenario: str) -> tuple[list[Any], Callable[..., list[Any]]]:

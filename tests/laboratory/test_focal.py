@@ -28,10 +28,17 @@ from chemlab.roles.manager_state import LIMIT
 
 WURTZ = "wurtz_dodecane"
 CASES = [
-    (WURTZ, "manager_0"), (WURTZ, "rxn_0"), (WURTZ, "ext_0"), (WURTZ, "dit_0"), ("wurtz_safe", "manager_0"),
-    ("wurtz_safe", "ext_0"), ("wurtz_two_lines", "manager_0"), ("wurtz_two_lines", "rxn_1"),
-    ("wurtz_two_lines", "dit_0"), ("fictitious", "manager_0"),
-]  # fmt: skip
+    (WURTZ, "manager_0"),
+    (WURTZ, "rxn_0"),
+    (WURTZ, "ext_0"),
+    (WURTZ, "dit_0"),
+    ("wurtz_safe", "manager_0"),
+    ("wurtz_safe", "ext_0"),
+    ("wurtz_two_lines", "manager_0"),
+    ("wurtz_two_lines", "rxn_1"),
+    ("wurtz_two_lines", "dit_0"),
+    ("fictitious", "manager_0"),
+]
 BACKGROUNDS = ("scripted", "random")
 MEMBERS = [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")]
 
@@ -380,14 +387,17 @@ def test_masked_actions_of_the_background_are_lost_turns() -> None:
         ({"policies": "scripted"}, TypeError, ["dict of policies by agent", "'scripted'", "background="]),
         ({"policies": None}, ValueError, ["missing for rxn_0, ext_0, dit_0", "none"]),
         ({"policies": {"rxn_0": anything}}, ValueError, ["missing for ext_0, dit_0", "given rxn_0"]),
-        ({"policies": {"rxn_0": anything, "ext_0": "scripted", "dit_0": anything}}, TypeError,
-         ["ext_0", "predict", "'scripted'"]),
+        (
+            {"policies": {"rxn_0": anything, "ext_0": "scripted", "dit_0": anything}},
+            TypeError,
+            ["ext_0", "predict", "'scripted'"],
+        ),
         ({"policies": {"rxn_0": anything, "ext_0": None, "dit_0": anything}}, TypeError, ["ext_0", "None"]),
         ({"rewards": "selfish"}, ValueError, ["'selfish'", "individual, cooperative, mixed"]),
         ({"render_mode": "hologram"}, ValueError, ["'hologram'"]),
         ({"scenario": "atlantis"}, ValueError, ["atlantis"]),
     ],
-)  # fmt: skip
+)
 def test_bad_arguments(arguments: dict[str, Any], error: type[Exception], parts: list[str]) -> None:
     given: dict[str, Any] = {"policies": dict.fromkeys(("rxn_0", "ext_0", "dit_0"), anything), **arguments}
     with pytest.raises(error) as caught:

@@ -14,15 +14,35 @@ from chemlab.laboratory import raw_env
 from chemlab.roles.bench import channel_slices
 
 ELSEWHERE = {
-    "stream", "rewards", "cost", "scores", "safety_totals", "illegal", "begun", "recalled", "measured", "variant",
-    "ready", "drift_stream",
-}  # fmt: skip
+    "stream",
+    "rewards",
+    "cost",
+    "scores",
+    "safety_totals",
+    "illegal",
+    "begun",
+    "recalled",
+    "measured",
+    "variant",
+    "ready",
+    "drift_stream",
+}
 """Random streams, what the last turn led to, and totals for people: nothing else depends on them; the tick
 when a fitter will have gone, of which the state says how many are left."""
 PASSING = {
-    "ended", "illegal", "events", "stream", "noise_stream", "places", "changed", "layers", "profile", "image",
-    "elapsed", "told",
-}  # fmt: skip
+    "ended",
+    "illegal",
+    "events",
+    "stream",
+    "noise_stream",
+    "places",
+    "changed",
+    "layers",
+    "profile",
+    "image",
+    "elapsed",
+    "told",
+}
 """The same of experiments; pictures of vessels are worked out anew from them, and what a world tells a bench is the
 world's."""
 

@@ -294,12 +294,16 @@ def test_a_flask_is_as_it_was_or_as_it_will_be() -> None:
         return digest(whole)
 
     operations: dict[str, Callable[[Flask, Flask], Any]] = {
-        "heat": lambda pot, receiver: pot.heat(60e3, receiver), "lose": lambda pot, receiver: pot.heat(60e3),
-        "cool": lambda pot, receiver: pot.cool(5e3), "drain": lambda pot, receiver: pot.drain(receiver, 0.3),
-        "pour": lambda pot, receiver: pot.pour(receiver, 0.5), "add": lambda pot, receiver: pot.add("dodecane", 0.5),
-        "filter": lambda pot, receiver: pot.filter(receiver), "wait": lambda pot, receiver: pot.wait(10.0),
+        "heat": lambda pot, receiver: pot.heat(60e3, receiver),
+        "lose": lambda pot, receiver: pot.heat(60e3),
+        "cool": lambda pot, receiver: pot.cool(5e3),
+        "drain": lambda pot, receiver: pot.drain(receiver, 0.3),
+        "pour": lambda pot, receiver: pot.pour(receiver, 0.5),
+        "add": lambda pot, receiver: pot.add("dodecane", 0.5),
+        "filter": lambda pot, receiver: pot.filter(receiver),
+        "wait": lambda pot, receiver: pot.wait(10.0),
         "mix": lambda pot, receiver: pot.mix(),
-    }  # fmt: skip
+    }
     for name, operation in operations.items():
         pot, receiver = flasks()
         operation(pot, receiver)

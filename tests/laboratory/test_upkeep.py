@@ -257,18 +257,25 @@ def test_a_calibration_that_is_too_dear_is_masked() -> None:
 
 DRAWS: dict[str, dict[str, Any]] = {
     "gain": {
-        "what": "gain", "of": ["rxn_0", "rxn_1", "rxn"],
+        "what": "gain",
+        "of": ["rxn_0", "rxn_1", "rxn"],
         "distribution": {"kind": "lognormal", "median": 1.0, "sigma": 0.5, "low": 0.2, "high": 5.0},
         "test": [[2.0, 5.0]],
     },
     "bias": {
-        "what": "bias", "of": [GC], "change": "offset", "distribution": {"kind": "normal", "mean": 0.0, "sd": 0.05},
+        "what": "bias",
+        "of": [GC],
+        "change": "offset",
+        "distribution": {"kind": "normal", "mean": 0.0, "sd": 0.05},
     },
     "trend": {
-        "what": "trend", "of": [GC], "change": "value", "distribution": {"kind": "uniform", "low": 0.0, "high": 1e-4},
+        "what": "trend",
+        "of": [GC],
+        "change": "value",
+        "distribution": {"kind": "uniform", "low": 0.0, "high": 1e-4},
     },
     **DRAWN_LIFE,
-}  # fmt: skip
+}
 
 
 def drawing(**wear: Any) -> Scenario:

@@ -23,41 +23,64 @@ COUPLING = "2 1-chlorohexane + 2 Na -> dodecane + 2 NaCl"
 SLOTS = ["slot_0", "slot_1", "slot_2"]
 DRAWS = {
     "which": {
-        "what": "identity", "of": [*SLOTS, "rxn"], "material": HALIDES[0],
+        "what": "identity",
+        "of": [*SLOTS, "rxn"],
+        "material": HALIDES[0],
         "distribution": {"kind": "permutation", "options": [*HALIDES, HALIDES[0]]},
     },
     "titre": {
-        "what": "titre", "of": [*SLOTS, "rxn"], "material": HALIDES[0], "inert": "dodecane",
-        "distribution": {"kind": "uniform", "low": 0.4, "high": 1.0}, "test": [[0.4, 0.5]],
+        "what": "titre",
+        "of": [*SLOTS, "rxn"],
+        "material": HALIDES[0],
+        "inert": "dodecane",
+        "distribution": {"kind": "uniform", "low": 0.4, "high": 1.0},
+        "test": [[0.4, 0.5]],
     },
     "reagent": {
-        "what": "titre", "of": ["stock"], "material": "2-chlorohexane", "inert": "dodecane",
+        "what": "titre",
+        "of": ["stock"],
+        "material": "2-chlorohexane",
+        "inert": "dodecane",
         "distribution": {"kind": "uniform", "low": 0.4, "high": 1.0},
     },
     "label": {
-        "what": "identity", "of": ["stock"], "material": "3-chlorohexane",
+        "what": "identity",
+        "of": ["stock"],
+        "material": "3-chlorohexane",
         "distribution": {"kind": "choice", "options": [*HALIDES]},
     },
     "rate": {
-        "what": "pre_exponential", "of": [COUPLING], "distribution": {"kind": "lognormal", "median": 1.0, "sigma": 0.8},
+        "what": "pre_exponential",
+        "of": [COUPLING],
+        "distribution": {"kind": "lognormal", "median": 1.0, "sigma": 0.8},
         "group": "kinetics",
     },
     "barrier": {
-        "what": "activation_energy", "of": [COUPLING], "change": "offset",
+        "what": "activation_energy",
+        "of": [COUPLING],
+        "change": "offset",
         "distribution": {"kind": "normal", "mean": 0.0, "sd": 500.0, "low": -2000.0, "high": 2000.0},
-        "group": "kinetics", "correlation": 0.5,
+        "group": "kinetics",
+        "correlation": 0.5,
     },
-}  # fmt: skip
+}
 
 
 def scenario(draws: dict[str, Any] | None = None, **more: Any) -> Scenario:
     """Dodecane from three vessels that look alike."""
     vessel = {"capacity_l": 1.2, "contents": {"diethyl_ether": 4.0, HALIDES[0]: 1.0}}
-    return load_scenario({
-        "base": "wurtz_dodecane", "name": "alike", "title": "alike", "summary": "alike",
-        "shelf": {"slots": 8, "vessel": [vessel] * 3, "gauge": 0.05}, "benches": {"rxn": {"start": vessel}},
-        "world": {"draws": DRAWS if draws is None else draws}, **more,
-    })  # fmt: skip
+    return load_scenario(
+        {
+            "base": "wurtz_dodecane",
+            "name": "alike",
+            "title": "alike",
+            "summary": "alike",
+            "shelf": {"slots": 8, "vessel": [vessel] * 3, "gauge": 0.05},
+            "benches": {"rxn": {"start": vessel}},
+            "world": {"draws": DRAWS if draws is None else draws},
+            **more,
+        }
+    )
 
 
 def worlds(env: Any, member: int = 0) -> tuple[int, dict[str, Any]]:

@@ -204,8 +204,11 @@ def scalar(bench, shelf, experiments, members):
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("my_parts.py:REFRACTOMETER", "no_file.py:REFRACTOMETER",
-         "instruments.refractometer.kind: .*no file .*no_file.py"),
+        (
+            "my_parts.py:REFRACTOMETER",
+            "no_file.py:REFRACTOMETER",
+            "instruments.refractometer.kind: .*no file .*no_file.py",
+        ),
         ("my_parts.py:REFRACTOMETER", "my_parts.py:SPECTROMETER", "has no 'SPECTROMETER'; it has .*REFRACTOMETER"),
         ("my_parts.py:REFRACTOMETER", "refractometer", "unknown kind 'refractometer'; choose from uv_vis"),
         ("my_parts.py:REFRACTOMETER", "my_parts.py:EVAPORATE", "must be a chemlab.roles.instruments.Instrument"),
@@ -216,11 +219,14 @@ def scalar(bench, shelf, experiments, members):
         ("my_parts.py:concentrate", "my_parts.py:LOW", "ext.reward: .*must be a .*Callable"),
         ("my_parts.py:WASTE_CAN", "no_module:CAN", "manager.observe: .*ModuleNotFoundError: .*no_module"),
         ("filtration_bench.py:FiltrationBench", "filtration_bench.py:FiltrationOptions", "subclass of .*Bench"),
-        ('HYDROMETER"', 'HYDROMETER", "./my_parts.py:HYDROMETER"',
-         "benches.ext: two .* channels are named 'hydrometer'"),
+        (
+            'HYDROMETER"',
+            'HYDROMETER", "./my_parts.py:HYDROMETER"',
+            "benches.ext: two .* channels are named 'hydrometer'",
+        ),
         ("refractometer =", "uv_vis_age =", "manager: two observation channels are named 'slot_0_uv_vis_age'"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_loaded_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:
     path = copied(tmp_path, old, new)
     with pytest.raises(DataError, match=says) as caught:
@@ -267,7 +273,7 @@ def test_a_file_that_does_not_run_is_named(tmp_path: Path) -> None:
         ("REFRACTOMETER", "RENAMED", "RENAMED: channel.* must return a Channel named 'refractometer'"),
         ("concentrate", "scalar", r"ext.reward: my_parts.py:scalar: must have shape \(1,\), given shape \(1, 1\)"),
     ],
-)  # fmt: skip
+)
 def test_what_a_part_does_wrong_is_named(tmp_path: Path, old: str, new: str, says: str) -> None:
     path = copied(tmp_path, f"my_parts.py:{old}", f"my_parts.py:{new}", MISTAKES)
 

@@ -180,7 +180,7 @@ def test_a_reaction_file_may_name_materials_of_the_catalogue(tmp_path: Path) -> 
         (lambda flask: flask.heat(1.0, stages=1.9), "stages: must be a whole number, given 1.9"),
         (lambda flask: flask.another({"K2CO3": 1.0, "water": 1.0}), ".K2CO3. is a salt that is not in the catalogue"),
     ],
-)  # fmt: skip
+)
 def test_wrong_arguments_are_named(call: Callable[[Flask], object], message: str) -> None:
     with pytest.raises((TypeError, ValueError), match=message):
         call(Flask({"water": 1.0}))

@@ -35,13 +35,25 @@ def scenario(
     own = {}
     if files is not None:
         own = {"material_files": [str(files / "materials.toml")], "pair_files": [str(files / "pairs.toml")]}
-    return load_scenario({
-        **own, "ambient_pressure_kpa": ambient, "name": "glass", "title": "glass", "summary": "glass",
-        "physics": "real", "real": real, "reactions": reactions, "goals": [names[0]], "lab_goals": [names[0]],
-        "theoretical_maximum_mol": {names[0]: 1.0}, "stock": dict.fromkeys(names, 1.0),
-        "shelf": {"slots": 2, "vessel": [{"capacity_l": 1.0}]}, "benches": {"dit": {"kind": "distillation"}},
-        "limits": {"manager_actions": 10, "ticks": 10},
-    })  # fmt: skip
+    return load_scenario(
+        {
+            **own,
+            "ambient_pressure_kpa": ambient,
+            "name": "glass",
+            "title": "glass",
+            "summary": "glass",
+            "physics": "real",
+            "real": real,
+            "reactions": reactions,
+            "goals": [names[0]],
+            "lab_goals": [names[0]],
+            "theoretical_maximum_mol": {names[0]: 1.0},
+            "stock": dict.fromkeys(names, 1.0),
+            "shelf": {"slots": 2, "vessel": [{"capacity_l": 1.0}]},
+            "benches": {"dit": {"kind": "distillation"}},
+            "limits": {"manager_actions": 10, "ticks": 10},
+        }
+    )
 
 
 class Glass:

@@ -87,12 +87,21 @@ class Solutions:
         self.formation = np.array(formation)
         self.counter = self.materials - 1
         values: dict[str, Any] = {
-            "role": np.where(self.charge == 0.0, ROLE_SOLVENT, ROLE_ION), "charge": self.charge,
-            "formation": self.formation, "acid": members, "acid_pk": pk, "acid_heat": heat,
-            "ionization": np.array([PROTON, HYDROXIDE, WATER]), "water_pk": WATER_PK, "water_heat": WATER_HEAT,
-            "debye": 0.509, "molar_mass": np.full(self.materials, 18.01528),
-            "molar_volume": np.full(self.materials, 0.018), "heat_capacity": np.full(self.materials, 75.3), **fields,
-        }  # fmt: skip
+            "role": np.where(self.charge == 0.0, ROLE_SOLVENT, ROLE_ION),
+            "charge": self.charge,
+            "formation": self.formation,
+            "acid": members,
+            "acid_pk": pk,
+            "acid_heat": heat,
+            "ionization": np.array([PROTON, HYDROXIDE, WATER]),
+            "water_pk": WATER_PK,
+            "water_heat": WATER_HEAT,
+            "debye": 0.509,
+            "molar_mass": np.full(self.materials, 18.01528),
+            "molar_volume": np.full(self.materials, 0.018),
+            "heat_capacity": np.full(self.materials, 75.3),
+            **fields,
+        }
         self.table: Table[Any] = real_table(self.materials, range(self.materials), layers, **values)
         self.layers = layers
 

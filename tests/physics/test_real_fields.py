@@ -60,14 +60,19 @@ def esters(tmp_path: Path) -> dict[str, Any]:
     """A scenario of the tier with the family above, as a mapping."""
     (tmp_path / "family.toml").write_text(FAMILY)
     return {
-        "name": "esters", "title": "Esters", "summary": "For tests.", "physics": "real",
-        "reactions": str(tmp_path / "family.toml"), "goals": ["ethyl_acetate"], "lab_goals": ["ethyl_acetate"],
+        "name": "esters",
+        "title": "Esters",
+        "summary": "For tests.",
+        "physics": "real",
+        "reactions": str(tmp_path / "family.toml"),
+        "goals": ["ethyl_acetate"],
+        "lab_goals": ["ethyl_acetate"],
         "theoretical_maximum_mol": {"ethyl_acetate": 1.0},
         "stock": {"acetic_acid": 5.0, "ethanol": 5.0, "water": 20.0, "NaOH": 1.0},
         "shelf": {"slots": 4, "vessel": [{"capacity_l": 1.0, "contents": {"benzoic_acid": 1.0}}]},
         "benches": {"rxn": {"kind": "reaction", "step_limit": 10, "options": {"reagents": {"ethanol": 1.0}}}},
         "limits": {"manager_actions": 10, "ticks": 10},
-    }  # fmt: skip
+    }
 
 
 def test_a_family_is_closed_under_its_reactions(esters: dict[str, Any]) -> None:

@@ -164,8 +164,11 @@ def test_a_surface_is_used_up_in_time(order: float, time: float) -> None:
 def test_the_adiabatic_rise_is_the_heat_over_the_heat_capacity_of_the_products() -> None:
     """A + B -> C, 80 kJ/mol: 0.4 mol of it in 5.6 mol of something else."""
     step = {
-        "reactants": {0: 1, 1: 1}, "products": {2: 1}, "k": 1e3 * np.exp(20e3 / (GAS_CONSTANT * ROOM)), "energy": 20e3,
-    }  # fmt: skip
+        "reactants": {0: 1, 1: 1},
+        "products": {2: 1},
+        "k": 1e3 * np.exp(20e3 / (GAS_CONSTANT * ROOM)),
+        "energy": 20e3,
+    }
     capacity = np.array([90.0, 70.0, 130.0, 180.0])
     table = network([step], 4, [-10e3, 0.0, -90e3, -5e3], heat_capacity=capacity)
     done = run(table, [0.4, 0.4, 0.0, 5.6], 1e4, transfer=0.0, tolerance=USUAL)
