@@ -113,6 +113,7 @@ class Campaign:
         """Parameters of a recipe by name, with bounds or options."""
         self.results: list[Result] = []
         self._fresh = list(range(len(spec.shelf.vessel)))
+        self._finished = False
 
     @property
     def left(self) -> int:
@@ -121,7 +122,7 @@ class Campaign:
 
     @property
     def _running(self) -> bool:
-        return bool(self._labs.state.status[0] == RUNNING)
+        return not self._finished and bool(self._labs.state.status[0] == RUNNING)
 
     @property
     def score(self) -> float:
@@ -155,11 +156,15 @@ class Campaign:
         return found
 
     def finish(self) -> float:
-        """Submit the best batches by value, one for each order, and return the raw score of the episode."""
+        """Submit the best batches by value, one for each order, and return the raw score of the episode.
+
+        It ends the campaign: no further recipe can be run, and a second call only returns the score.
+        """
         best = sorted(self.results, key=lambda result: -result.value)
         for order, result in zip(range(self.scenario.orders), best, strict=False):
             if self._running:
                 self._manage("submit", result.slot, *([order] if self.scenario.orders > 1 else []))
+        self._finished = True
         return self.score
 
     def true_value(self, **recipe: float | str) -> float:
@@ -204,10 +209,9 @@ class Campaign:
         return made * made / np.maximum(counted, _TRACE) / self._limiting - self.scenario.orders * spent
 
     def _checked(self, recipe: Mapping[str, float | str], where: str) -> dict[str, Any]:
-        if set(recipe) != set(self.space):
-            raise ValueError(
-                f"{where}takes the parameters {', '.join(self.space)}; given {', '.join(recipe) or 'none'}"
-            )
+        if not isinstance(recipe, Mapping) or set(recipe) != set(self.space):
+            given = ", ".join(map(str, recipe)) or "none" if isinstance(recipe, Mapping) else repr(recipe)
+            raise ValueError(f"{where}takes the parameters {', '.join(self.space)}; given {given}")
         for name, allowed in self.space.items():
             value = recipe[name]
             if isinstance(allowed, Choice):

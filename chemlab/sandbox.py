@@ -49,6 +49,7 @@ from .config.catalogue import (
     wrong_cas,
 )
 from .config.datafile import DataError, read_text, read_toml
+from .config.datamodel import validated
 from .config.loading import load_scenario
 from .config.materials import COLDEST_K, HOTTEST_K, Material, litres_of, load_materials, shipped_materials
 from .config.pairs import Pair, log_activity_coefficients, pair_table
@@ -71,6 +72,8 @@ if TYPE_CHECKING:
 _PIXELS = 4000
 """Resolution of heights in a drained flask; a real separating funnel is not more precise."""
 _MOST_PARTS = 10_000
+_MOST_JOULES = 1e9
+"""Of a step; a heat is exact to 1e-7 J up to here."""
 _RTOL, _ATOL = 1e-6, 1e-9
 _SHOWN_MOL = 1e-6
 _NEUTRAL = 1e-9
@@ -80,6 +83,8 @@ _SALT = re.compile(
     r"ferric|copper|cupric|cuprous|zinc|silver|manganese|nickel|cobalt|ammonium)(?:\([iv]+\))?[ _][a-z ]+",
 )
 """Formulas and names of salts of metals and of ammonium."""
+_ACID_OR_BASE = re.compile(r"acid$|amine$|aniline|idine$|morpholine|phenol$|cresol|carbonate ion", re.IGNORECASE)
+"""Names of acids and bases: carboxylic acids, phenols, amines, carbonate ions."""
 EVERYDAY = "everyday"
 """Reactions by default: salts dissolve, acids ionize in water, and nothing else."""
 _MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
@@ -98,6 +103,10 @@ class BoilingWarning(UserWarning):
 
 class SaltWarning(UserWarning):
     """A reaction file does not tell how a salt dissolves, so that it stays solid in water."""
+
+
+class IonizationWarning(UserWarning):
+    """A pH was measured of an acid or a base that no ``[[acid]]`` entry names, so that it does not ionize."""
 
 
 class Heated(NamedTuple):
@@ -419,7 +428,8 @@ class Flask:
         own = [tuple(os.path.abspath(file) for file in files) for files in given]
         family = os.fspath(reactions)
         family = os.path.abspath(family) if family.endswith(".toml") else family
-        setting = _Setting(physics, family, own[0], own[1], room_k, room_kpa, "")
+        room = _number("room_k", room_k, 200.0, 350.0), _number("room_kpa", room_kpa, 1.0, 1000.0)
+        setting = _Setting(physics, family, own[0], own[1], *room, "")
         self._fill(setting._replace(content=setting.read()), _mapped(contents), capacity_l, temperature_k)
 
     def _fill(
@@ -595,7 +605,7 @@ class Flask:
         Returns:
             The heat balance in J.
         """
-        joules = _number("joules", joules, 0.0)
+        joules = _number("joules", joules, 0.0, _MOST_JOULES)
         if int(_number("stages", stages, 1, 16)) != stages:
             raise ValueError(f"stages: must be a whole number, given {stages!r}")
         if stages > 1 and self._setting.physics == "paper":
@@ -625,7 +635,7 @@ class Flask:
             Removed heat in J: less than requested once the contents are as cold as the coolant.
         """
         limits = np.array([0.0, _number("coolest_k", coolest_k, COLDEST_K, HOTTEST_K), 1.0, 0.0])
-        asked = -_number("joules", joules, 0.0)
+        asked = -_number("joules", joules, 0.0, _MOST_JOULES)
         taken, _ = laws.heat(self._row, self._row, asked, limits, self._chem, self._shelf.waste[0], self._events)
         self._joules += float(taken)
         self._after()
@@ -786,12 +796,14 @@ class Flask:
         Raises:
             DataError: the kind is unknown, or not supported by the backend.
         """
-        instruments = {"reading": InstrumentSpec(kind=kind)}
+        instruments = {"reading": validated(InstrumentSpec, {"kind": kind}, "measure")}
         table = InstrumentTable(self._known.scenario.model_copy(update={"instruments": instruments}), self._known.table)
         channel, instrument = table.channels[0], table.kinds[0]
         readings, first = np.zeros((1, 1, channel.size)), np.zeros(1, dtype=np.int64)
         # Only the assignment of layers to pixels is random.
         table.read(self._shelf, readings, np.zeros((1, 1), dtype=np.uint64), first, first, first)
+        if kind == "ph_meter":
+            self._warn_of_acids()
         words = table.words(0, readings[0, 0])
         if channel.size == 1 and readings[0, 0, 0] >= 1.0 and re.search(r"\d", words):
             words += " or more, the end of its range"
@@ -821,6 +833,7 @@ class Flask:
             ImportError: the extra ``chem`` is not installed, which looks things up.
             OSError: the folder of what is kept (:func:`chemlab.config.catalogue.user_folder`) cannot be written to.
         """
+        name = str(name)
         if found := _named(name):
             return found[1]
         from .openchem.compounds import checked_materials, known_as, material_tables
@@ -1065,6 +1078,19 @@ class Flask:
                 stacklevel=stacklevel,
             )
         self._insoluble |= found
+
+    def _warn_of_acids(self) -> None:
+        """Warn of acids and bases in the water that do not ionize; their names tell what they are."""
+        scenario = self._known.scenario
+        ionize = {name for acid in scenario.family.acid for name in acid.species}
+        held = [name for name, mol in self.amounts.items() if mol > TRACE_MOL and name not in ionize]
+        if found := [name for name in held if _ACID_OR_BASE.search(scenario.materials[name].name)]:
+            warnings.warn(
+                f"no [[acid]] entry names {' or '.join(found)}, so the pH is as without it; write one into a reaction "
+                "file of your own",
+                IonizationWarning,
+                stacklevel=3,
+            )
 
     def _changing(self) -> list[FloatArray]:
         return [self._shelf.rows, self._shelf.waste, self._events]

@@ -110,6 +110,19 @@ def test_two_at_once_take_the_time_of_one_and_cost_what_the_laboratory_charges()
     assert outcome == pytest.approx(worth - campaign._labs.charges(campaign._labs.members).sum())
 
 
+def test_a_campaign_with_orders_left_is_finished_once() -> None:
+    campaign = Campaign(seed=2)
+    campaign.run(**GOOD)
+    assert campaign.finish() == campaign.finish()
+    with pytest.raises(ValueError, match="0 vessels are left"):
+        campaign.run(**GOOD)
+
+
+def test_a_recipe_that_is_not_in_a_list() -> None:
+    with pytest.raises(ValueError, match=r"recipe 0: takes the parameters .*; given 'catalyst'"):
+        Campaign(seed=2).run_batch(GOOD)  # type: ignore[arg-type]
+
+
 def test_a_seed_is_a_world_and_its_noise() -> None:
     one, same, other = (Campaign(seed=seed).run(**GOOD) for seed in (1, 1, 2))
     assert one == same

@@ -102,6 +102,8 @@ def test_other_names_find_an_amount() -> None:
         (lambda: Flask({"water": 1.0}).plot(), "there is no history yet"),
         (lambda: Flask.material("sulfuric acid"), "known as its ions in water only"),
         (lambda: Flask.material("C8H10"), "may be .*'o-xylene'.*give one of these names"),
+        (lambda: Flask.material("x" * 300), "unknown"),
+        (lambda: Flask.material(None), "'None': unknown"),  # type: ignore[arg-type]
     ],
 )
 def test_mistakes_are_answered(made: Callable[[], object], message: str) -> None:

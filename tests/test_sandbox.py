@@ -8,6 +8,7 @@ import math
 import re
 import warnings
 from collections.abc import Callable, Iterable
+from contextlib import nullcontext
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from chemlab.envs.role_env import RoleEnv
 from chemlab.openchem.writing import material_text, pair_text
 from chemlab.physics import backends as laws
 from chemlab.physics.constants import GAS_CONSTANT
-from chemlab.sandbox import BoilingWarning, Flask, SaltWarning, SpillWarning
+from chemlab.sandbox import BoilingWarning, Flask, IonizationWarning, SaltWarning, SpillWarning
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -550,6 +551,13 @@ def test_the_ph_of_water_and_of_salt_water() -> None:
 # -- what a flask knows -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize(("name", "ionizes"), [("formic acid", False), ("triethylamine", False), ("AcOH", True)])
+def test_a_ph_without_an_acid_that_does_not_ionize_is_doubted(name: str, ionizes: bool) -> None:
+    flask = Flask({"water": 5.0, name: 0.01})
+    with nullcontext() if ionizes else pytest.warns(IonizationWarning, match=name.replace(" ", "_")):
+        assert (float(flask.measure("ph_meter")) < 6.9) is ionizes
+
+
 @pytest.mark.parametrize("physics", TIERS)
 def test_learning_changes_nothing(physics: str) -> None:
     """A flask that gets to know a material holds what it held, layer by layer."""
@@ -621,6 +629,8 @@ def test_a_salt_that_a_reaction_file_forgets(decay: str) -> None:
         (lambda: Flask({"water": 1.0}, physics="magic"), "flask: physics: unknown backend"),
         (lambda: Flask({"water": 1.0}, reactions="magic"), "flask: reactions: unknown family"),
         (lambda: Flask({"water": 1.0}, temperature_k=math.inf), "temperature_k: must be"),
+        (lambda: Flask(room_k=25.0), "room_k: must be a finite number of at least 200"),
+        (lambda: Flask(room_kpa=101325.0), "room_kpa: must be .* at most 1000"),
     ],
 )
 def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
@@ -640,6 +650,7 @@ def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
         (lambda flask, other: flask.filter(other, -1.0), "cake_liquid: must be"),
         (lambda flask, other: flask.heat(-5.0), "joules: must be"),
         (lambda flask, other: flask.heat(math.inf, other), "joules: must be a finite"),
+        (lambda flask, other: flask.heat(1e300, other), r"joules: must be .* at most 1e\+09"),
         (lambda flask, other: flask.heat(1.0, other, stages=99), "stages: must be"),
         (lambda flask, other: flask.cool(math.nan), "joules: must be"),
         (lambda flask, other: flask.react(-1.0), "seconds: must be"),
@@ -647,6 +658,7 @@ def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
         (lambda flask, other: flask.wait(math.inf), "seconds: must be a finite"),
         (lambda flask, other: flask.pour(Flask({"water": 1.0}, physics="paper"), 0.5), "has physics = 'paper'"),
         (lambda flask, other: flask.measure("horoscope"), "unknown kind 'horoscope'"),
+        (lambda flask, other: flask.measure(None), "measure: kind: .* given None"),  # type: ignore[arg-type]
     ],
 )
 def test_what_cannot_be_done_changes_nothing(work: Callable[[Flask, Flask], object], message: str) -> None:
@@ -685,6 +697,8 @@ def test_it_has_a_picture() -> None:
     assert "data:image/png;base64," in flask._repr_html_()
     with pytest.raises(ValueError, match="at least 120"):
         flask.picture(50, 50)
+    with pytest.raises(ValueError, match="at most 8192 each, given 100000 x 100000"):
+        flask.picture(100_000, 100_000)
 
 
 # -- examples ---------------------------------------------------------------------------------------------------------

@@ -160,10 +160,10 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         (*top("rewards = 1.0"), ["rewards"]),
         # Materials nobody knows.
         ("water = 10.0", "wotter = 10.0", ["stock", "unknown material 'wotter'", "water"]),
-        ("{ diethyl_ether = 4.0 }", "{ ether = 4.0 }", ["shelf.vessel.0.contents", "unknown material 'ether'"]),
+        ("{ diethyl_ether = 4.0 }", "{ ether = 4.0 }", ["shelf.vessel.0.contents", "did you mean 'diethyl_ether'"]),
         ("{ diethyl_ether = 3.0 }", "{ ether = 3.0 }", ["benches.rxn.start.contents", "unknown material 'ether'"]),
         ('goals = ["dodecane", "NaCl"]', 'goals = ["dodecane", "gold"]', ["goals", "unknown material 'gold'"]),
-        ("{ water = 0.001 }", "{ wine = 0.001 }", ["costs.stock_per_mol", "unknown material 'wine'"]),
+        ("{ water = 0.001 }", "{ wine = 0.001 }", ["costs.stock_per_mol", "'wine'", "chemlab data material"]),
         ("Na = 2.0 }", "K = 2.0 }", ["benches.rxn.reagents", "unknown material 'K'"]),
         ('material = "water"', 'material = "wine"', ["benches.ext.process.1.material", "unknown material 'wine'"]),
         # Goals.
@@ -580,7 +580,7 @@ def test_files_and_parts_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("base", "message"),
     [
-        ("wurtz_dodecan", r"base: unknown 'wurtz_dodecan'; choose from .*wurtz_dodecane"),
+        ("wurtz_dodecan", r"base: unknown 'wurtz_dodecan'; choose from .*wurtz_dodecane.*optimize_coupling"),
         ("nowhere.toml", r"base: unknown 'nowhere.toml'"),
         ("circle.toml", r"inherits from this scenario"),
     ],

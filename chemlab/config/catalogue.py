@@ -32,6 +32,8 @@ SOURCES = {
     "azeotrope": "through the azeotrope at 101.325 kPa, Gmehling et al. (2004) (as remembered, not looked up)",
 }
 _PAIR_CELLS, _WATER_PKA = 11, 14.0
+_LONGEST_KEY = 100
+"""Characters; a file is named by its key."""
 LOW_K, HIGH_K = 270.0, 480.0
 """Range of temperatures of the fits."""
 
@@ -167,7 +169,12 @@ _AROMATIC = re.compile(r"[cnos()=\d]*[cnos]1[cnos()=\d]*")
 def key_of(name: str, inchi_key: str) -> str:
     """A free key for a new compound: its name without characters that files do not have, else its InChIKey."""
     key = re.sub(r"[^\w,.+()-]", "", re.sub(r"\s+", "_", name.strip().lower().translate(_BRACKETS))).lstrip("_.")
-    taken = not key or key in shipped_materials() or matches(key) or (user_folder() / f"{key}.toml").exists()
+    taken = (
+        not 0 < len(key) <= _LONGEST_KEY
+        or key in shipped_materials()
+        or matches(key)
+        or (user_folder() / f"{key}.toml").exists()
+    )
     return inchi_key if taken else key
 
 
@@ -180,6 +187,16 @@ def closest(text: str) -> list[str]:
     near = difflib.get_close_matches(normalized(text), known, 3, 0.7)
     ends = [name for name in known if name.endswith((f"-{normalized(text)}", f" {normalized(text)}"))]
     return list(dict.fromkeys([*ends[:3], *near]))[:3]
+
+
+def unknown_material(name: str, known: Iterable[str]) -> str:
+    """Return the words of an error about a material that a file names and that is not among ``known``."""
+    near = [key for key in matches(name) if key in known] or difflib.get_close_matches(name, known, 1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return (
+        f"unknown material {name!r}; {hint}choose from {', '.join(sorted(known))}; chemlab data material makes files "
+        "of others, which a scenario names under material_files"
+    )
 
 
 def wrong_cas(text: str) -> bool:
@@ -196,7 +213,7 @@ def catalogue_material(key: str) -> tuple[Path, Material] | None:
     Raises:
         DataError: the file is malformed.
     """
-    if not re.fullmatch(r"[\w,.+() -]+", key) or key.startswith("_"):
+    if not re.fullmatch(r"[\w,.+() -]+", key) or key.startswith("_") or len(key) > _LONGEST_KEY:
         return None
     for path in (FOLDER / f"{key}.toml", user_folder() / f"{key}.toml", SALTS):
         if path.is_file() and key in (found := _read(path, path.stat().st_mtime_ns)):

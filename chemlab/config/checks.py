@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from .catalogue import unknown_material
 from .datafile import DataError
 from .datamodel import validated
 from .draws import BOTTLE, DEVICE_QUANTITIES, ORDER_QUANTITIES, VESSEL_QUANTITIES, Draw, changed_limits, draw_limits
@@ -209,6 +210,6 @@ def _check_titre(draw: Draw, where: str) -> None:
 def check_materials(named: list[tuple[str, str]], known: Materials, where: str) -> None:
     for key, name in named:
         if name not in known:
-            raise DataError(f"{where}: {key}: unknown material {name!r}; choose from {', '.join(sorted(known))}")
+            raise DataError(f"{where}: {key}: {unknown_material(name, known)}")
         if known[name].role == "gas":
             raise DataError(f"{where}: {key}: {name!r} is a gas; bottles and vessels hold liquids and solids")

@@ -189,7 +189,7 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
     base, remove = own.pop("base"), own.pop("remove", [])
     path = shipped_file(base) or folder / str(base)
     if path.suffix != ".toml" or not os.path.isfile(path):
-        shipped = ", ".join([*scenario_names(), *synthesis_names()])
+        shipped = ", ".join([*scenario_names(), *campaign_names(), *synthesis_names()])
         raise DataError(f"{where}: base: unknown {base!r:.200}; choose from {shipped}, or give a .toml file")
     if str(path.resolve()) in above:
         raise DataError(f"{where}: base: {base!r} inherits from this scenario")

@@ -16,6 +16,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from ..kernels.arrays import FloatArray
+from .catalogue import unknown_material
 from .datafile import DataError, read_toml
 from .datamodel import DataModel, validated
 from .materials import Materials, Text, atoms_of
@@ -401,7 +402,7 @@ def check_reactions(family: ReactionFamily, materials: Materials, where: str) ->
     """
     unknown = sorted(family.materials() - set(materials))
     if unknown:
-        raise DataError(f"{where}: unknown material {unknown[0]!r}; choose from {', '.join(sorted(materials))}")
+        raise DataError(f"{where}: {unknown_material(unknown[0], materials)}")
     steps = [(f"reaction.{i}", r.reactants, r.products) for i, r in enumerate(family.reaction)]
     steps += [(f"violent.{i}", v.reactants, v.products) for i, v in enumerate(family.violent)]
     steps += [(f"salt.{i}", {s.solid: 1.0}, {s.cation: 1.0, s.anion: 1.0}) for i, s in enumerate(family.salt)]

@@ -32,6 +32,8 @@ from .scene import (
 _UNITS = (960.0, 540.0)
 _SMALLEST = (480, 270)
 _SMALLEST_VESSEL = 120
+_LARGEST = 8192
+"""Pixels of a side; a picture of this size takes 200 MB."""
 
 PAGE, CARD, EDGE, TRACK = "#f4f6f8", "#ffffff", "#d5dbe1", "#e4e8ec"
 INK, SOFT, FAINT = "#1b2733", "#56636f", "#7a8793"
@@ -133,19 +135,18 @@ def draw(scene: Scene, width: int = 960, height: int = 540) -> npt.NDArray[np.ui
 
     Args:
         scene: Scene to draw.
-        width, height: Size in pixels; at least 480 x 270.
+        width, height: Size in pixels; at least 480 x 270, and at most 8192 each.
 
     Raises:
         ImportError: Pillow is not installed.
-        ValueError: the picture is smaller than the minimum.
+        ValueError: the size is out of bounds.
     """
     return np.array(paint(scene, width, height).image)
 
 
 def paint(scene: Scene, width: int = 960, height: int = 540) -> Painting:
     """Draw a scene as :func:`draw` does, and return also the positions of texts and vessels."""
-    if width < _SMALLEST[0] or height < _SMALLEST[1]:
-        raise ValueError(f"width x height must be at least {_SMALLEST[0]} x {_SMALLEST[1]}, given {width} x {height}")
+    _check_size(width, height, *_SMALLEST)
     still = _Still(
         scene.kind,
         scene.title,
@@ -173,14 +174,13 @@ def draw_vessel(scene: Scene, width: int = 240, height: int = 240) -> npt.NDArra
 
     Args:
         scene: A scene of :func:`~chemlab.render.scene.vessel_scene`.
-        width, height: Size in pixels; at least 120 each.
+        width, height: Size in pixels; from 120 to 8192 each.
 
     Raises:
         ImportError: Pillow is not installed.
-        ValueError: the picture is smaller than the minimum.
+        ValueError: the size is out of bounds.
     """
-    if min(width, height) < _SMALLEST_VESSEL:
-        raise ValueError(f"width and height must be at least {_SMALLEST_VESSEL}, given {width} x {height}")
+    _check_size(width, height, _SMALLEST_VESSEL, _SMALLEST_VESSEL)
     canvas = Canvas(Image.new("RGB", (width, height), CARD), 1.0)
     vessel = scene.shelf[0].vessel
     if vessel is None:
@@ -191,6 +191,15 @@ def draw_vessel(scene: Scene, width: int = 240, height: int = 240) -> npt.NDArra
     _Painter(scene, canvas).vessel(vessel, "shelf", _Rect(4.0, 4.0, width - 4.0, y), False)
     _legend(canvas, rows, 4.0, y, width - 8.0)
     return np.array(canvas.image)
+
+
+def _check_size(width: int, height: int, least_width: int, least_height: int) -> None:
+    """Raise a ValueError if a picture's size in pixels is out of bounds."""
+    if width < least_width or height < least_height or max(width, height) > _LARGEST:
+        raise ValueError(
+            f"width x height must be at least {least_width} x {least_height}, and at most {_LARGEST} each, "
+            f"given {width} x {height}"
+        )
 
 
 def _scale(width: int, height: int) -> float:
