@@ -46,6 +46,7 @@ from .config.catalogue import (
     normalized,
     salts,
     spellings,
+    user_folder,
     wrong_cas,
 )
 from .config.datafile import DataError, read_text, read_toml
@@ -955,6 +956,11 @@ class Flask:
     def _material(self, key: str) -> Material:
         known = self._materials()
         found = None if key in known else catalogue_material(key)
+        if found is None and key not in known:
+            raise DataError(
+                f"{user_folder() / 'names.csv'}: lists {key!r}, whose file is missing; Flask.material({key!r}) makes "
+                "it again"
+            )
         return found[1] if found else known[key]
 
     def _resolved(self, name: str) -> str:

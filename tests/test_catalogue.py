@@ -104,6 +104,8 @@ def test_other_names_find_an_amount() -> None:
         (lambda: Flask.material("C8H10"), "may be .*'o-xylene'.*give one of these names"),
         (lambda: Flask.material("x" * 300), "unknown"),
         (lambda: Flask.material(None), "'None': unknown"),  # type: ignore[arg-type]
+        (lambda: Flask.material("triphenylphosphine"), r"fusion_enthalpy_j_mol.*--values \(of chemlab data material"),
+        (lambda: Flask.material("glycine"), r"must be above melting_point_k.*--values \(of chemlab data material"),
     ],
 )
 def test_mistakes_are_answered(made: Callable[[], object], message: str) -> None:
@@ -295,6 +297,10 @@ def test_other_compounds_are_looked_up_once(tmp_path: Path) -> None:
     flask = Flask({"anisole": 1.0, "water": 5.0, "acetone": 1.0})
     assert flask.amounts["100-66-3"] == 1.0
     assert [layer.name for layer in flask.layers] == ["aqueous", "organic"]
+    (tmp_path / "kept" / "anisole.toml").rename(tmp_path / "kept" / "moved")
+    with pytest.raises(DataError, match=r"names\.csv: lists 'anisole', whose file is missing; Flask.material"):
+        Flask({"anisole": 1.0})
+    (tmp_path / "kept" / "moved").rename(tmp_path / "kept" / "anisole.toml")
     rows = (tmp_path / "kept" / "pairs.csv").read_text(encoding="utf-8").splitlines()
     assert {tuple(row.split(",")[:2]) for row in rows} == {("acetone", "anisole"), ("anisole", "water")}
     Flask({"anisole": 2.0, "water": 5.0})

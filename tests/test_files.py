@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from chemlab.config.datafile import read_toml
 from chemlab.config.files import (
     check_apart,
     draft_of,
@@ -157,6 +158,12 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path, in_time: No
         assert Path("/proc/self/maps").stat().st_size == 0
         with pytest.raises(OSError, match="is larger than 10 bytes"):
             read_bytes(Path("/proc/self/maps"), 10)
+
+
+def test_a_mark_at_the_beginning_of_a_text_is_none_of_it(tmp_path: Path) -> None:
+    path = tmp_path / "marked.toml"
+    path.write_text("a = 1", encoding="utf-8-sig")
+    assert read_toml(path) == {"a": 1}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")

@@ -498,6 +498,7 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
     refused = command(*words, code=2)
     assert "'maleic_anhydride' with 'toluene'; 'maleic_anhydride' with 'water'" in refused
     assert "--ideal" in refused
+    assert "which chemlab new reads by --pairs" in refused
     assert not path.exists()
     shown = command(*words, "--ideal")
     assert "fitting 2 pairs of liquids" in shown

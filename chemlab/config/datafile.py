@@ -66,7 +66,7 @@ def read_text(path: Path, limit: int = _FILE_BYTES) -> str:
         name = str(path) if len(str(path)) <= _LONGEST_PATH else shown(str(path))
         raise DataError(f"{name}: {error.strerror or error}") from error
     try:
-        return content.decode("utf-8")
+        return content.decode("utf-8-sig")  # some editors of Windows begin a file with a mark
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: not UTF-8: {error}") from error
 

@@ -143,7 +143,7 @@ def load_part(
             raise TypeError(f"{wanted} must be a subclass of {base.__module__}.{base.__name__}, and is {part!r:.200}")
         if of is not None and not isinstance(part, of):
             raise TypeError(f"{wanted} must be a {of.__module__}.{of.__name__}, and is {part!r:.200}")
-    except Exception as error:  # arbitrary errors of the imported file
+    except (Exception, SystemExit) as error:  # arbitrary errors of the imported file; one that exits is no success
         short = f"known: {', '.join(known)}; or name one" if known else "name it"
         kind = (
             "" if isinstance(error, (ValueError, TypeError, AttributeError, OSError)) else f"{type(error).__name__}: "

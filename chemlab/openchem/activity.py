@@ -273,9 +273,8 @@ def make_pairs(
         groups = f" (without groups: {', '.join(map(repr, strange))})" if strange else ""
         raise DataError(
             f"pairs: no form of UNIFAC in thermo describes {listed}{groups}: it lacks groups or interactions, or "
-            "extrapolates them too far; write measured "
-            "parameters into your own pair file and name it with --pairs (docs: Write a material or a reaction), "
-            "or treat these pairs as ideal mixtures with --ideal"
+            "extrapolates them too far; write measured parameters into your own pair file (docs: Write a material or a "
+            "reaction), which chemlab new reads by --pairs, or treat these pairs as ideal mixtures with --ideal"
         )
     span = float(FINE.temperatures_k[0]), float(FINE.temperatures_k[-1])
     rows = []

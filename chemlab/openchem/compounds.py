@@ -200,7 +200,7 @@ def material_tables(
         listed = "; ".join(f"{key}: {', '.join(fields)}" for key, fields in missing.items())
         raise DataError(
             f"not found: {listed}. Write each with its source into a file as below, with the "
-            f"number for 0.0, and name the file with --values:\n{_wanted(missing)}"
+            f"number for 0.0, and name the file with {_OWN}:\n{_wanted(missing)}"
         )
     checked_materials(tables)
     return tables
@@ -210,9 +210,16 @@ def checked_materials(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Mate
     """Return the materials of some tables.
 
     Raises:
-        DataError: a table is invalid.
+        DataError: a table is invalid, as where compilations contradict each other.
     """
-    return {key: validated(Material, table, f"material {key!r}") for key, table in tables.items()}
+    try:
+        return {key: validated(Material, table, f"material {key!r}") for key, table in tables.items()}
+    except DataError as error:
+        raise DataError(f"{error}; numbers of your own, with their source, go into a file named with {_OWN}") from error
+
+
+_OWN = "--values (of chemlab data material or reactions)"
+"""The option by which all commands take a user's own numbers; Flask.material has none."""
 
 
 def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:

@@ -256,6 +256,8 @@ def test_parts_of_a_base_are_found_from_another_folder(tmp_path: Path) -> None:
 def test_a_file_that_does_not_run_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"cannot load 'my_parts.py:\w+' \(NameError: .*'unheard_of'"):
         raw_env(copied(tmp_path, parts="\nunheard_of\n"))
+    with pytest.raises(DataError, match=r"cannot load 'my_parts.py:\w+' \(SystemExit: 0\)"):
+        raw_env(copied(tmp_path, parts="\nraise SystemExit(0)\n"))
 
 
 @pytest.mark.parametrize(
