@@ -193,6 +193,7 @@ class Live:
             ]
             return {
                 "turn": turn,
+                "number": self.room.number(agent),
                 "over": self.room.over,
                 "taken": agent in self.taken,
                 "text": self.room.display(agent),

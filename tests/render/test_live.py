@@ -252,6 +252,21 @@ def test_an_empty_number_is_not_zero(tmp_path: Path, visitor: Any) -> None:
         assert [turn["plays"] for turn in lab.lives[0].film.since(turns)["turns"]] == [[[1, "temperature up 33%"]]]
 
 
+def test_a_double_click_is_one_turn(tmp_path: Path, visitor: Any) -> None:
+    """Nor does a page act on an observation that it does not show."""
+    with served(tmp_path, paused=True) as lab:
+        while lab.lives[0].turn != "rxn_0":
+            lab.lives[0].step()
+        turns = lab.lives[0].film.turns
+        lab.order("/lab/0/seat/rxn_0", do="take")
+        seat = visitor(f"{lab.url}/lab/0/seat/rxn_0")
+        seat.get_by_text("It is your turn.").wait_for()
+        seat.evaluate("for (let i = 0; i < 2; i++) document.querySelector('form button').click()")
+        until(lambda: lab.lives[0].film.turns > turns)
+        time.sleep(0.5)
+        assert lab.lives[0].film.turns == turns + 1
+
+
 # -- without one ------------------------------------------------------------------------------------------------------
 
 
