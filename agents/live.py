@@ -7,6 +7,7 @@ import hmac
 import html
 import itertools
 import json
+import secrets
 import threading
 import traceback
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
@@ -75,7 +76,8 @@ class Live:
         self.taken: set[str] = set()
         self._unseen: set[str] = set()
         """Agents whose policy has not acted yet in this experiment or episode, since a person played its first turn."""
-        self.episode = 0
+        self.episode = ""
+        """Identifies the episode, also among those of servers before."""
         self.room: Room
         self.begin(seed)
 
@@ -98,7 +100,7 @@ class Live:
             self._players = Players(labs, [agent_policy(self._policy, labs, i) for i in range(len(labs.agents))])
             self._players.seed(0, seed)
             self._unseen.clear()
-            self.film, self.episode = Film(labs), self.episode + 1
+            self.film, self.episode = Film(labs), secrets.token_hex(8)
 
     @property
     def turn(self) -> str:
@@ -153,6 +155,8 @@ class Live:
         """A line about the episode, and whether it is good news."""
         if not self.room.over:
             at = self.turn
+            if self.film.turns >= MOST_TURNS:
+                return f"stopped: a page shows at most {MOST_TURNS} turns; begin a new episode", "warn"
             if at in self.taken:
                 return f"waiting for the person at {at}", "warn"
             return "spectators see the truth", "soft"
@@ -189,6 +193,7 @@ class Live:
             ]
             return {
                 "turn": turn,
+                "number": self.room.number(agent),
                 "over": self.room.over,
                 "taken": agent in self.taken,
                 "text": self.room.display(agent),
@@ -320,7 +325,7 @@ def _event(name: str, data: Any) -> str:
     return f"event: {name}\ndata: {json.dumps(data, separators=(',', ':'))}\n\n"
 
 
-async def _film(show: _Show, live: Live, mark: list[int], episode: int) -> AsyncIterator[str]:
+async def _film(show: _Show, live: Live, mark: list[int], episode: str) -> AsyncIterator[str]:
     """The news of a laboratory for one spectator."""
     told: Any = None
     heard: int | None = show.news
@@ -381,6 +386,11 @@ async def _message(request: Request) -> dict[str, Any]:
 async def _refused(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     return JSONResponse({"error": error.detail}, error.status_code)
+
+
+async def _failed(request: Request, error: Exception) -> Response:
+    """Answer after an error of the server, which the terminal shows; a seat must not learn hidden values from it."""
+    return JSONResponse({"error": "the server failed; its terminal shows the error"}, 500)
 
 
 class _Pages:
@@ -444,9 +454,9 @@ class _Pages:
         self.allowed(request)
         try:
             mark = [int(request.query_params.get(key, 0)) for key in ("turns", "shapes", "pool")]
-            episode = int(request.query_params.get("episode", live.episode))
         except ValueError:
-            raise HTTPException(400, "turns, shapes, pool and episode must be whole numbers") from None
+            raise HTTPException(400, "turns, shapes and pool must be whole numbers") from None
+        episode = request.query_params.get("episode", live.episode)
         return _stream(_film(self.show, live, [max(n, 0) for n in mark], episode))
 
     async def control(self, request: Request) -> Response:
@@ -555,7 +565,7 @@ def live_app(
     app = Starlette(
         routes=[Route(path, answer, methods=[method]) for path, answer, method in routes],
         middleware=[Middleware(TrustedHostMiddleware, allowed_hosts=list(hosts))],
-        exception_handlers={HTTPException: _refused},
+        exception_handlers={HTTPException: _refused, Exception: _failed},
         lifespan=lifespan,
     )
     app.state.show = show

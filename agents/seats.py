@@ -228,6 +228,10 @@ class Room:
             for verb in self.verbs(seat)
         ]
 
+    def number(self, seat: str) -> int:
+        """Return the number of the seat's present turn, from 1; a call may give it as ``turn``."""
+        return self._turns[seat]
+
     @property
     def over(self) -> bool:
         """True once the episode is over."""

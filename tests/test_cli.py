@@ -31,6 +31,7 @@ from chemlab import __version__
 from chemlab.cli import PANELS, app, screen, training
 from chemlab.cli.options import FORMER_COMMANDS
 from chemlab.cli.screen import TextConsole, hanging, page, show_table
+from chemlab.cli.servers import _origin
 from chemlab.config.datafile import DataError
 from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
 from chemlab.config.loading import load_scenario
@@ -713,6 +714,31 @@ def test_ports_that_cannot_be_had(server: str, option: str) -> None:
             said = command(server, "wurtz_dodecane_direct", option, port, code=2)
             assert words in said
             assert "http://" not in said
+
+
+def test_hosts_that_cannot_be_had() -> None:
+    pytest.importorskip("starlette")
+    for host in ("nowhere.invalid", "8.8.8.8"):
+        said = " ".join(command("serve", "wurtz_dodecane_direct", "--host", host, "--port", 0, code=2).split())
+        assert f"--host: cannot listen on {host}" in said
+    assert (_origin("::1", 80), _origin("a.b", 80)) == ("http://[::1]:80", "http://a.b:80")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs signals of POSIX")
+@pytest.mark.parametrize("sent", ["SIGHUP", "SIGTERM"])
+def test_a_server_that_is_ended_writes_its_record(sent: str, tmp_path: Path) -> None:
+    """When its terminal is closed, too; nothing is left in the folder of temporary files."""
+    pytest.importorskip("starlette")
+    (temporary := tmp_path / "temporary").mkdir()
+    words = ["serve", "wurtz_dodecane_direct", "--port", "0", "--paused", "--out", str(tmp_path)]
+    options: Any = {"stdout": subprocess.PIPE, "text": True, "env": os.environ | {"TMPDIR": str(temporary)}}
+    with subprocess.Popen([sys.executable, "-m", "chemlab", *words], **options) as server:
+        assert any(line.startswith("watch: ") for line in server.stdout)
+        time.sleep(1.0)  # until it listens
+        server.send_signal(getattr(signal, sent))
+        assert server.wait(30) == 130
+    assert (tmp_path / "0" / "episode-0000.jsonl.part").exists()
+    assert list(temporary.iterdir()) == []
 
 
 def test_notebooks_show_what_things_are(tmp_path: Path) -> None:

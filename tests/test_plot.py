@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import FEATURED, record_episode
+from helpers import FEATURED, mapping, record_episode
 from typer.testing import CliRunner
 
 from chemlab.cli import app
@@ -132,6 +132,17 @@ def test_no_text_covers_another(name: str, policy: str, tmp_path: Path) -> None:
     found = read_record(record_episode(tmp_path / "one.jsonl", name, policy))
     assert overlaps(draw_timeline(found)) == []
     assert overlaps(draw_moles(found)) == []
+
+
+def test_a_long_title_is_within_its_figure(tmp_path: Path) -> None:
+    from chemlab.render.charts import draw_moles, draw_timeline
+
+    scenario = load_scenario(mapping("wurtz_dodecane_direct") | {"title": "Many words " * 20})
+    found = read_record(record_episode(tmp_path / "one.jsonl", scenario))
+    for figure in (draw_timeline(found), draw_moles(found, only=["Na"])):
+        overlaps(figure)  # draws
+        title = figure._suptitle.get_window_extent()
+        assert 0.0 <= title.x0 < title.x1 <= figure.bbox.width
 
 
 def test_spectra_are_those_that_were_seen(scripted: Path) -> None:

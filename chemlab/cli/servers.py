@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -83,7 +84,9 @@ def mcp(
             tokens = {one: token or secrets.token_urlsafe(24) for one in seats}
             for one, own in tokens.items():
                 shown = "the given token" if token else own
-                out.print(plain(f"{one} http://{host}:{port}/{one}/mcp Authorization: Bearer {shown}"), soft_wrap=True)
+                address = f"{_origin(host, port)}/{one}/mcp"
+                out.print(plain(f"{one} {address} Authorization: Bearer {shown}"), soft_wrap=True)
+            _interrupt_on_signals()
             mcp_server.http_server(room, tokens, host, port).run()
     finally:
         room.close()
@@ -125,7 +128,11 @@ def serve(
     ] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0: a free one.")] = 8765,
     out_folder: Annotated[
-        Path | None, typer.Option("--out", help="Folder of the records. Default: a temporary one, deleted at the end.")
+        Path | None,
+        typer.Option(
+            "--out",
+            help="Folder of the records, each written when its episode or the server ends. Default: a temporary one.",
+        ),
     ] = None,
     trust: TrustOption = False,
 ) -> None:
@@ -145,6 +152,7 @@ def serve(
     port = _free_port(host, port)
     agents = spec.agents()
     tokens = None if local else {one: secrets.token_urlsafe(24) for one in ("watch", *agents)}
+    _interrupt_on_signals()
     with tempfile.TemporaryDirectory() as folder:
         lives = [
             Live(spec, name, seed, split, (out_folder or Path(folder)) / str(i)) for i, name in enumerate(policies)
@@ -153,15 +161,23 @@ def serve(
         pages = {"watch": ""} | ({} if tokens is None else {agent: f"lab/0/seat/{agent}" for agent in agents})
         for name, page_path in pages.items():
             query = "" if tokens is None else f"?token={tokens[name]}"
-            out.print(plain(f"{name}: http://{host}:{port}/{page_path}{query}"), soft_wrap=True)
+            out.print(plain(f"{name}: {_origin(host, port)}/{page_path}{query}"), soft_wrap=True)
         live_server(live_app(lives, policies, tokens, hosts, paused, speed), host, port).run()
+
+
+def _interrupt_on_signals() -> None:
+    """End on SIGHUP (a closed terminal) and SIGTERM as on Ctrl-C: records are written, temporary folders deleted."""
+    for name in ("SIGHUP", "SIGTERM"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores SIGHUP
+            signal.signal(number, lambda *_: signal.raise_signal(signal.SIGINT))
 
 
 def _free_port(host: str, port: int = 0, option: str = "--port") -> int:
     """Return ``port`` if a server can listen there; for 0, a free one.
 
     Raises:
-        ValueError: the port is taken, or reserved for administrators.
+        ValueError: the port is taken, or reserved for administrators; the host is no address of this machine.
     """
     import errno
     import socket
@@ -173,7 +189,13 @@ def _free_port(host: str, port: int = 0, option: str = "--port") -> int:
             probe.bind((host, port))
         except OSError as error:
             known = {errno.EADDRINUSE: "is taken", errno.EACCES: "is reserved for administrators"}
-            if error.errno not in known:
-                raise
-            raise ValueError(f"port {port} {known[error.errno]}; give another with {option}") from error
+            if error.errno in known:
+                raise ValueError(f"port {port} {known[error.errno]}; give another with {option}") from error
+            reason = f"--host: cannot listen on {host}: {error.strerror}"
+            raise ValueError(f"{reason}; give an address of this machine, such as 127.0.0.1 or 0.0.0.0") from error
         return int(probe.getsockname()[1])
+
+
+def _origin(host: str, port: int) -> str:
+    """Return the beginning of an address; IPv6 hosts stand in brackets there."""
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

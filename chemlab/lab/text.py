@@ -277,7 +277,7 @@ class RoleText:
             scales["actions"] = ([float(limits.manager_actions)], [""], "actions")
             scales["ticks"] = ([float(limits.ticks)], [""], "ticks")
             for agent, bench in zip(labs.bench_agents, labs.benches, strict=True):
-                scales[f"{agent}_steps_left"] = ([float(bench.step_limit)], [""], f"of {bench.step_limit} steps")
+                scales[f"{agent}_steps_left"] = ([float(bench.step_limit)], [""], "steps left")
         elif isinstance(self._role, Bench):
             full = getattr(self._role.options, "reagents", {})
             scales["reagents"] = ([*full.values()], [*map(self._name, full)], "mol")

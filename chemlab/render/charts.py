@@ -60,14 +60,19 @@ def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list
     return found
 
 
+_LONGEST_TITLE = 62
+"""Characters of a scenario's title that fit a figure."""
+
+
 def _plain(axes: Any) -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
 
 
 def _title(record: Record, scenario: Scenario) -> str:
-    seed = record.header.get("seed")
-    return f"{scenario.title}{'' if seed is None else f', seed {seed}'}"
+    seed, title = record.header.get("seed"), scenario.title
+    title = title if len(title) <= _LONGEST_TITLE else f"{title[: _LONGEST_TITLE - 1]}…"
+    return f"{title}{'' if seed is None else f', seed {seed}'}"
 
 
 # -- timeline ----------------------------------------------------------------------------------------------------------

@@ -74,7 +74,8 @@ def protocol(record: Record, trust: bool = False) -> str:
     lines += ["", "## Procedure", "", *(step.line() for step in steps), "", "## Result", ""]
     lines += [f"- score {float(labs.result(labs.members)[0]):.4f}, after {int(labs.state.ticks[0])} ticks"]
     lines += [f"- cost of {item}: {cost:.4g}" for item, cost in labs.costs().items() if cost]
-    return "\n".join(lines) + "\n"
+    # Names and texts of a record may hold HTML and links, which a reader of Markdown would follow.
+    return "\n".join(lines).replace("<", "&lt;").replace("](", "]\\(") + "\n"
 
 
 def _after(labs: Laboratories, move: Move, agent: str) -> str:

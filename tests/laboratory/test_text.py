@@ -121,7 +121,7 @@ def test_orders_reports_and_vessels_at_benches_are_told() -> None:
         later = view.text(env.observe("manager_0"))
         said += later
     assert "vessel at" not in later
-    for part in ("reported amount", "price", "ticks left", "amount at least"):
+    for part in ("reported amount", "price", "ticks left", "amount at least", " steps left"):
         assert part in said
 
 

@@ -170,12 +170,20 @@ def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     assert re.search(r"Then \d+\.\d K, \d\.\d+ L\.", text)
 
 
-def test_a_protocol_ends_the_summary_with_a_full_stop(tmp_path: Path) -> None:
-    env = raw_env(load_scenario(mapping("wurtz_dodecane_direct") | {"summary": "Sodium to salt"}))
+@pytest.mark.parametrize(
+    ("summary", "shown"),
+    [
+        ("Sodium to salt", "Sodium to salt."),  # ends with a full stop
+        ("<script>a</script>", "&lt;script>a&lt;/script>."),
+        ("[here](javascript:a)", r"[here]\(javascript:a)."),
+    ],
+)
+def test_the_summary_of_a_protocol_is_a_text(summary: str, shown: str, tmp_path: Path) -> None:
+    env = raw_env(load_scenario(mapping("wurtz_dodecane_direct") | {"summary": summary}))
     with Recorder(tmp_path / "a.jsonl", env.laboratories) as recorder:
         env.reset(seed=0)
         recorder.begin(0)
-    assert "\nSodium to salt. Simulated by chemlab" in protocol(read_record(recorder.part))
+    assert f"\n{shown} Simulated by chemlab" in protocol(read_record(recorder.part))
 
 
 def test_a_record_that_cannot_go_on(episode: Path, tmp_path: Path) -> None:
