@@ -281,7 +281,7 @@ def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatc
     command(*shlex.split(hint), "--episodes", "1")
     command(*arguments)
     said = command("export", "starts", "fictitious", code=2)
-    assert "fictitious: its recorded vessels come with chemlab" in said
+    assert "fictitious: its recorded vessels are part of the package" in said
     assert load_scenario("fictitious").argument == "fictitious"
     assert load_scenario(mapping("fictitious")).argument == "FILE.toml"
     assert "chemlab run 'a folder/made.toml'" in command("generate", "made", "-o", "a folder")

@@ -107,7 +107,9 @@ def starts(
 
         path = output or starts_file(spec)
         if output is None and spec.shipped and path.exists():
-            raise ValueError(f"{spec.name}: its recorded vessels come with chemlab; for others give --out FILE")
+            raise ValueError(
+                f"{spec.name}: its recorded vessels are part of the package; give --out FILE to record others"
+            )
         check_result(path, force or output is None, scenario)  # the default is renewed as often as asked
         task = progress.add_task("episodes", total=episodes * len(spec.goals))
         vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))

@@ -246,8 +246,9 @@ def train(
     """Train a bench, an agent of a laboratory, or several roles together; an interrupted run resumes.
 
     --bench trains a bench on its own. --roles trains one agent in its laboratory, or several (ippo and mappo). Without
-    either, all roles learn. Defaults follow the paper's protocol. The run's folder contains its configuration,
-    learning curve, evaluations beside the scripted policy, checkpoints, TensorBoard logs, and at the end result.json.
+    either, all roles learn. For a bench on its own, defaults follow the paper's protocol. The run's folder contains its
+    configuration, learning curve, evaluations beside the scripted policy, checkpoints, TensorBoard logs, and at the
+    end result.json.
     """
     from ..agents.runs import Run
     from ..agents.train.arguments import load_arguments
