@@ -400,9 +400,7 @@ def pretrained_names() -> list[str]:
 
 def _read_card(path: Path) -> Card:
     if not path.exists():
-        raise DataError(
-            f"{path}: no such card; policies that come with chemlab: {', '.join(pretrained_names()) or 'none'}"
-        )
+        raise DataError(f"{path}: no such card; bundled policies: {', '.join(pretrained_names()) or 'none'}")
     return validated(Card, read_json(path), f"{path}: not a card of this version")
 
 

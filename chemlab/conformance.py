@@ -62,7 +62,7 @@ _FROZEN_K = 200.0
 
 
 def doubts(scenario: Scenario) -> list[str]:
-    """Return a line about everything in a valid scenario that can hardly be meant, beginning with its key.
+    """Return a line for each probable mistake in a valid scenario, beginning with its key.
 
     Raises:
         DataError: the scenario, another level of its file, or a part that it names cannot be loaded.

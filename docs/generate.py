@@ -333,7 +333,7 @@ def _audit_section(spec: Scenario) -> list[str]:
         "",
         f"{said}0 is random legal play, 1 a planner that knows each episode "
         f"(`chemlab audit {spec.name} --budget {found['budget']}`, {found['budget_episodes']} episodes, chemlab "
-        f"{found['versions']['chemlab']}; see [Worlds](../../worlds.md)).",
+        f"{found['versions']['chemlab']}; see [Hidden parameters](../../worlds.md#audit)).",
         "",
         _table(("measure", "value [95 % interval]", "by"), rows),
         f"Acceptance criteria: {criteria}.",
@@ -403,6 +403,8 @@ def _scenario_page(spec: Scenario) -> str:
         "",
         _facts(facts.instrument_table(labs)),
         *(["## Hidden parameters", "", _facts(facts.world_table(spec))] if spec.world.draws else []),
+        *(["## Grades", "", _facts(facts.grade_table(spec))] if spec.grades else []),
+        *(["## Reports", "", *facts.report_words(spec), ""] if facts.report_words(spec) else []),
         *(["## Degradation", "", *facts.wear_words(spec)] if facts.wear_words(spec) else []),
         "## Limits, costs, rewards",
         "",

@@ -37,6 +37,7 @@ from chemlab.config.inherit import campaign_names, scenario_names, synthesis_nam
 from chemlab.config.loading import load_scenario
 from chemlab.config.materials import shipped_materials
 from chemlab.envs.aec import env
+from chemlab.lab.describe import world_table
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.openchem.writing import toml_tables
@@ -166,7 +167,9 @@ def test_compare_updates_a_file(tmp_path: Path) -> None:
     page = tmp_path / "page.md"
     page.write_text("before\n<!-- results: begin -->\nold\n<!-- results: end -->\nafter\n")
     arguments = ["evaluate", "fictitious", "--episodes", "2", "--update", page]
-    command(*arguments)
+    shown = command(*arguments)
+    assert "fictitious, laboratory: 2 episodes;" in shown
+    assert re.search(r"P\(improvement\) +ticks", shown)
     text = page.read_text()
     assert text.startswith("before\n<!-- results: begin -->\n| scenario")
     assert text.endswith("<!-- results: end -->\nafter\n")
@@ -279,7 +282,7 @@ def test_hints_name_commands_that_work(hostile: Path, tmp_path: Path, monkeypatc
     command(*shlex.split(hint), "--episodes", "1")
     command(*arguments)
     said = command("export", "starts", "fictitious", code=2)
-    assert "fictitious: its recorded vessels come with chemlab" in said
+    assert "fictitious: its recorded vessels are part of the package" in said
     assert load_scenario("fictitious").argument == "fictitious"
     assert load_scenario(mapping("fictitious")).argument == "FILE.toml"
     assert "chemlab run 'a folder/made.toml'" in command("generate", "made", "-o", "a folder")
@@ -341,6 +344,24 @@ def test_a_scenario_is_described_as_it_is(name: str) -> None:
         assert len(one["actions"]["meanings"]) == int(space.n if one["actions"]["discrete"] else space.shape[0])
         if agent == "manager_0":
             assert one["actions"]["meanings"] == labs.actions.action_meanings
+
+
+@pytest.mark.parametrize(
+    ("name", "observers"),
+    [("relay", {"first_limit": "`rxn`", "titre": "no agent", "price": "manager, on arrival"}), ("relay@1", {})],
+)
+def test_hidden_parameters_grades_and_reports_are_described(name: str, observers: dict[str, str]) -> None:
+    """For people: who observes a hidden parameter, what a grade asks for, how exact a report is. For programs: all."""
+    told, shown = json.loads(command("describe", name, "--json")), runner.invoke(app, ["describe", name]).stdout
+    assert told["world"]["draws"]["first_limit"]["told"] == ["rxn"]
+    assert told["grades"]["quick"]["ticks"] == 8
+    assert told["benches"]["rxn"]["report"] == 0.03
+    rows = {row[0].strip("`"): row[-1] for row in world_table(load_scenario(name)).rows}
+    assert {draw: rows[draw] for draw in observers} == observers
+    assert ("all agents" in rows.values()) == (not observers)
+    assert re.search(r"observed *$", shown, re.M)
+    assert re.search(r"quick +0 +0 +8", shown)
+    assert "rxn (0.03), fin (0.03)" in " ".join(shown.split())
 
 
 @pytest.mark.parametrize("name", ["crude", "failing", "wurtz_two_lines"])

@@ -75,7 +75,7 @@ def test_a_name_beside_its_file_is_defined_in_it() -> None:
 
 
 def test_walks_have_few_stops() -> None:
-    walks = re.split(r"^## Walk: ", TEXT, flags=re.M)[1:]
+    walks = re.split(r"^## The path of ", TEXT, flags=re.M)[1:]
     assert len(walks) == 2
     for walk in walks:
         stops = re.findall(r"^(?:\| )?(\d+)(?:\.| \|)", walk.partition("\n## ")[0], flags=re.M)

@@ -13,7 +13,7 @@ several runs have dealt them out among themselves, it is over runs.
 | ``random`` | random legal actions of everybody: 0 |
 | ``plan`` | the best constant plan of the manager that a search finds in training worlds, over scripted benches |
 | ``scripted`` | the scripted agents |
-| ``pretrained``, ``trained`` | policies that come with chemlab, where one fits |
+| ``pretrained``, ``trained`` | bundled policies, where one fits |
 | a path | a training run, or a folder of runs of which only the seed differs: the best checkpoint by validation, the \
 last, and the first, before training, of runs that began as clones; or records of these episodes that people \
 (``chemlab play``) or language agents (``chemlab mcp`` and the like) have played, a file or a folder of them |

@@ -359,7 +359,7 @@ def brief_table(folder: Path, shipped: bool) -> list[str]:
 
     Args:
         folder: the tables.
-        shipped: whether of the scenarios that come with chemlab, or of the others.
+        shipped: whether of the bundled scenarios, or of the others.
 
     Raises:
         ValueError: there is no ``managers.csv``, or a table is not what was written.

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 audit = typer.Typer(
     cls=DefaultGroup,
-    help="Measure the requirements of a scenario (`chemlab audit SCENARIO`), an open-loop plan, or a difficulty.",
+    help="Measure the requirements of a scenario (`chemlab audit SCENARIO`), its open-loop plan, or its difficulty.",
     no_args_is_help=True,
 )
 app.add_typer(audit, name="audit")
@@ -47,11 +47,11 @@ def measures(
     scenario: ScenarioArgument,
     budget: Annotated[str, typer.Option(help="Numbers of episodes and plans: small or full.")] = "small",
     turns: Annotated[
-        int | None, typer.Option(min=0, help="Turns that each learner learns from; 0: none. Default: the budget's.")
+        int | None, typer.Option(min=0, help="Training turns of each learner; 0: no learners. Default: the budget's.")
     ] = None,
     keep: Annotated[
         Path | None,
-        typer.Option(help="Folder of finished parts, from which the same command resumes."),
+        typer.Option(help="Folder of cached results, from which the same command resumes."),
     ] = None,
     processes: ProcessesOption = None,
     address: AddressOption = None,
@@ -62,7 +62,7 @@ def measures(
 ) -> None:
     """Measure the value of observations, instruments, benches, roles and planning, against open-loop policies.
 
-    Scores are normalized: 0 is random legal play, 1 a planner's lower bound of the optimum of each episode.
+    Scores are normalized: 0 is random legal play, 1 the oracle, a planner that knows the hidden parameters.
     Acceptance criteria apply to scenarios with hidden parameters.
     """
     from ..agents.evaluate.audit import audit as measure
@@ -101,7 +101,7 @@ def plan(
     scenario: ScenarioArgument,
     benches: Annotated[
         str,
-        typer.Option(callback=current_policy, help="Policy of the benches, as --policy of `chemlab run`."),
+        typer.Option(callback=current_policy, help="Policy of the benches, named as for `chemlab run`."),
     ] = "scripted",
     budget: Annotated[int, typer.Option(help="Maximum number of plans tried.")] = 10_000,
     seed: SeedOption = 0,

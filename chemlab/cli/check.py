@@ -16,7 +16,7 @@ def check(scenario: ScenarioArgument, trust: TrustOption = False, as_json: JsonO
     """Check that a scenario, with the benches, operations and instruments that it names, conforms to the interfaces.
 
     Plays random legal actions and tests spaces, limits, seeds, copies, conservation, records, and the agreement of all
-    environments. Exits with 0 if every check passes, and with 1 if one fails. Warns of what can hardly be meant.
+    environments. Exits with 0 if every check passes, and with 1 if one fails. Warns of probable mistakes.
     """
     from ..config.loading import load_scenario
     from ..conformance import CHECKS, check_scenario, doubts

@@ -44,8 +44,8 @@ IdealOption = Annotated[
 RateOption = Annotated[
     list[str] | None,
     typer.Option(
-        help="Rate constant at 298.15 K in (L/mol)^(order-1)/s of all reactions of a template: one for each --smarts, "
-        "then each --side; or 'A + B -> C=NUMBER' for one reaction, as the table names it."
+        help="Rate constant at 298.15 K in (L/mol)^(order-1)/s, for all reactions of a template: one for each "
+        "--smarts, then for each --side; or 'A + B -> C=NUMBER' for one reaction, named as in the printed table."
     ),
 ]
 
@@ -122,7 +122,7 @@ def material(
     values: ValuesOption = None,
     pairs: Annotated[
         Path | None,
-        typer.Option(help="Pair file to write for all of these; bundled materials may be named."),
+        typer.Option(help="Pair file to write for all named materials, bundled ones included."),
     ] = None,
     ideal: IdealOption = False,
     force: ForceOption = False,
@@ -274,14 +274,14 @@ def reactions(
     ],
     more: Annotated[list[str] | None, typer.Argument(help="More reactants.")] = None,
     output: Annotated[Path, typer.Option("--out", "-o", help="Reaction file to write.")] = Path("reactions.toml"),
-    side: Annotated[list[str] | None, typer.Option(help="Template of a side reaction.")] = None,
+    side: Annotated[list[str] | None, typer.Option(help="Template of a side reaction; repeatable.")] = None,
     rate: RateOption = None,
-    activation: Annotated[list[str] | None, typer.Option(help="Activation energy in J/mol, given likewise.")] = None,
+    activation: Annotated[list[str] | None, typer.Option(help="Activation energy in J/mol, given like --rate.")] = None,
     equilibrium: Annotated[
         list[str] | None,
-        typer.Option(help="Equilibrium constant at 298.15 K, given likewise; 0: not reversible."),
+        typer.Option(help="Equilibrium constant at 298.15 K, given like --rate; 0: not reversible."),
     ] = None,
-    source: Annotated[str, typer.Option(help="Source of these values.")] = "",
+    source: Annotated[str, typer.Option(help="Source of the given constants.")] = "",
     catalyst: Annotated[
         list[str] | None, typer.Option(help="Material without which the main reaction does not run.")
     ] = None,
@@ -459,7 +459,7 @@ def new(
     solvent: Annotated[str, typer.Option(help="Solvent; default: one that boils far from the goal.")] = "",
     mol: Annotated[float, typer.Option(min=0.01, max=5.0, help="Theoretical maximum of the goal, in mol.")] = 0.25,
     ideal: IdealOption = False,
-    output: Annotated[Path | None, typer.Option("--out", "-o", help="Default: NAME.toml here.")] = None,
+    output: Annotated[Path | None, typer.Option("--out", "-o", help="Output file. Default: NAME.toml.")] = None,
     force: ForceOption = False,
 ) -> None:
     """Write a playable scenario of your own reaction with the physics backend `real`.
@@ -545,20 +545,20 @@ def new(
 @app.command()
 def generate(
     name: Annotated[str, typer.Argument(help="Name of the scenario: lower-case letters, digits and _.")],
-    seed: Annotated[int, typer.Option(help="Which chemistry.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of the chemistry.")] = 0,
     materials: Annotated[int | None, typer.Option(help="Number of materials, without the solvent.")] = None,
     reactions: Annotated[int | None, typer.Option(help="Number of reactions, side reactions included.")] = None,
     steps: Annotated[int | None, typer.Option(help="Number of reactions of the route to the last goal.")] = None,
     goals: Annotated[int, typer.Option(help="Number of goals: the last products of the route.")] = 1,
-    difficulty: Annotated[str, typer.Option(help="easy, medium or hard.")] = "medium",
-    physics: Annotated[str, typer.Option(help="paper or real.")] = "paper",
+    difficulty: Annotated[str, typer.Option(help="Difficulty: easy, medium or hard.")] = "medium",
+    physics: Annotated[str, typer.Option(help="Physics backend: paper or real.")] = "paper",
     output: Annotated[Path, typer.Option("--out", "-o", help="Output folder.")] = Path(),
     force: ForceOption = False,
 ) -> None:
     """Write a random chemistry: invented materials and balanced reactions with a route to every goal.
 
-    Equal options give equal files on every machine. Omitted numbers of materials, reactions and steps depend on the
-    difficulty.
+    The same options give the same files on every machine. The difficulty sets the numbers of materials, reactions and
+    steps that are not given.
     """
     from ..openchem.generate import generated
 

@@ -55,7 +55,7 @@ def evaluate(
     goal: Annotated[
         list[str] | None,
         typer.Option(
-            help="A goal; repeat the option. Default: all of a bench; in a laboratory each episode draws its goals."
+            help="A goal; repeatable. Default: all goals of a bench; in a laboratory each episode draws its goals."
         ),
     ] = None,
     starts: Annotated[str, typer.Option(help="Initial states of a single bench: paper, lab or both.")] = "paper",
@@ -73,15 +73,15 @@ def evaluate(
     ] = None,
     force: ForceOption = False,
     update: Annotated[
-        Path | None, typer.Option(help="Write the rows of laboratories into the table of this Markdown file.")
+        Path | None, typer.Option(help="Markdown file whose table of results is updated with the rows of laboratories.")
     ] = None,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Evaluate policies on the same seeds, with 95 % confidence intervals.
 
-    The interquartile mean is that of all episodes. P(improvement) is the share of episodes in which the policy scores
-    above the baseline from the same seed, a tie counting one half.
+    The interquartile mean is taken over all episodes. P(improvement) is the share of episodes in which the policy
+    scores above the baseline with the same seed; a tie counts one half.
     """
     from ..agents.evaluate.play import evaluate as play
     from ..agents.evaluate.play import find_target
@@ -158,13 +158,15 @@ def _show(results: dict[str, Any]) -> None:
     target, rows = results["target"], results["policies"]
     names = [row["policy"] for row in rows]
     what = f"{target['scenario']}, bench {target['bench']}" if target["bench"] else f"{target['scenario']}, laboratory"
-    title = f"{what}: {results['episodes_per_goal']} episodes per goal; [{results['confidence']:.0%} intervals]"
+    each = " per goal" if len(results["goals"]) > 1 else ""
+    title = f"{what}: {results['episodes_per_goal']} episodes{each}; [{results['confidence']:.0%} intervals]"
     whole = []
     for row in rows:
         mean, middle, gain = (interval_text(row[key]) for key in ("mean", "interquartile_mean", "difference"))
         beside = ("", "") if row["policy"] == results["baseline"] else (gain, interval_text(row["improvement"], 2))
         whole.append((row["policy"], mean, middle, *beside, f"{row['mean_length']:.1f}"))
-    head = ("policy", "mean", "interquartile mean", f"minus {results['baseline']}", "P(improvement)", "steps")
+    length = "steps" if target["bench"] else "ticks"
+    head = ("policy", "mean", "interquartile mean", f"minus {results['baseline']}", "P(improvement)", length)
     show_table(title, head, whole, right=range(1, 6))
     for key, kind in (("by_goal", "goal"), ("by_case", "starting state")):
         if len(rows[0][key]) > 1:

@@ -34,15 +34,15 @@ app.add_typer(export, name="export")
 def policy(
     run: Annotated[Path, typer.Argument(help="Folder of a training run; :greedy or :sampled after it.")],
     to: Annotated[Path, typer.Option("--out", "-o", help="Path of the two files; the file name is the policy's name.")],
-    role: Annotated[str | None, typer.Option(help="Role, if several learned together.")] = None,
+    role: Annotated[str | None, typer.Option(help="Role to export, if several learned together.")] = None,
     force: ForceOption = False,
     trust: TrustOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Export a run's best checkpoint as a policy without PyTorch: NAME.safetensors and NAME.json.
 
-    It plays as the checkpoint was evaluated, unless :greedy or :sampled after the folder says otherwise.
-    It is compared with the original on observations of the bench, and rejected if outputs differ by more than 1e-5.
+    The policy plays greedily or sampled, as the checkpoint was evaluated, unless :greedy or :sampled follows the
+    folder. The export fails if the policy's outputs on the bench's observations differ by more than 1e-5.
     """
     from ..agents.former_names import split_way
     from ..agents.train.export import export_run
@@ -72,8 +72,8 @@ def demos(
 ) -> None:
     """Export records as demonstrations: one Minari dataset per agent.
 
-    An episode is the laboratory's for the manager, and an experiment for a bench's agent. Observations are recomputed
-    by replay; records that fail verification are rejected. Needs the extra `data`.
+    The manager's episodes are those of the laboratory; an episode of a bench's agent is one experiment. Observations
+    are recomputed by replay. Records that fail verification are rejected. Needs the extra `data`.
     """
     from ..agents.demonstrations import write_datasets
 
@@ -107,7 +107,9 @@ def starts(
 
         path = output or starts_file(spec)
         if output is None and spec.shipped and path.exists():
-            raise ValueError(f"{spec.name}: its recorded vessels come with chemlab; for others give --out FILE")
+            raise ValueError(
+                f"{spec.name}: its recorded vessels are part of the package; give --out FILE to record others"
+            )
         check_result(path, force or output is None, scenario)  # the default is renewed as often as asked
         task = progress.add_task("episodes", total=episodes * len(spec.goals))
         vessels = record_starts(spec, episodes, seed, lambda: progress.advance(task))

@@ -115,14 +115,16 @@ def _show_scenario(labs: Laboratories, trust: bool) -> None:
     _show("Benches", facts.bench_table(labs))
     if spec.demand.order:
         _show("Orders", facts.order_table(spec))
+    if spec.grades:
+        _show("Grades, one of which the manager sets for each experiment", facts.grade_table(spec))
     _show(f"Shelf of {spec.shelf.slots} slots, initial state", facts.vessel_table(spec))
     _show("Stock (prices in units of the score: 1 is the theoretical maximum, pure)", facts.stock_table(spec))
     if spec.instruments:
         _show("Instruments", facts.instrument_table(labs))
     if spec.world.draws:
         _show("Hidden parameters, drawn for each episode", facts.world_table(spec))
-    wear = facts.wear_words(spec)
-    for words in (*wear, facts.limit_words(spec), facts.safety_words(spec), facts.reward_words(spec)):
+    benches = [*facts.report_words(spec), *facts.wear_words(spec)]
+    for words in (*benches, facts.limit_words(spec), facts.safety_words(spec), facts.reward_words(spec)):
         page.print(plain(words.replace("`", "")))
 
 
@@ -189,7 +191,9 @@ def run(
     force: Annotated[bool, typer.Option("--force", help="Overwrite existing records.")] = False,
     watch: Annotated[
         bool,
-        typer.Option("--watch", help="Watch in a browser instead, as with `chemlab serve` (needs the extra `live`)."),
+        typer.Option(
+            "--watch", help="Show the episodes in a browser instead, as `chemlab serve` does (needs the extra `live`)."
+        ),
     ] = False,
     trust: TrustOption = False,
 ) -> None:

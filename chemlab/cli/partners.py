@@ -34,14 +34,14 @@ def crossplay(
             "Default: scripted, scripted:unsafe, scripted@0.1 (a random action at one turn in ten)."
         ),
     ] = None,
-    benches: Annotated[list[str] | None, typer.Option(help="Policies of the benches, given likewise.")] = None,
+    benches: Annotated[list[str] | None, typer.Option(help="Policies of the benches, given like --manager.")] = None,
     split: SplitOption = "test",
     budget: Annotated[str, typer.Option(help="Number of episodes, as for `chemlab audit`: small or full.")] = "small",
     keep: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of finished parts, from which the same command resumes. That of an audit, or "
-            "PARTS/SCENARIO of a benchmark, contains the scale."
+            help="Folder of cached results, from which the same command resumes. The folder of an audit, or "
+            "parts/SCENARIO of a benchmark, contains the scale."
         ),
     ] = None,
     processes: ProcessesOption = None,
@@ -53,7 +53,7 @@ def crossplay(
 ) -> None:
     """Play each manager with each set of benches, and measure the loss of learned policies with unseen partners.
 
-    The partners of their training are included if they are not named. Scores are normalized as in the benchmark, from 0
+    Training partners of learned policies are always included. Scores are normalized as in the benchmark, from 0
     (random) to 1 (oracle), in the same worlds.
     """
     from ..agents.evaluate.crossplay import PARTNERS, crossplay_count, find_players

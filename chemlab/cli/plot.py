@@ -111,8 +111,8 @@ def runs(
 ) -> None:
     """Make pages of training runs: results of each algorithm with intervals, and learning curves.
 
-    Managers have a separate page (laboratory.md), beside policies without training. The command needs only the runs'
-    small files or tables (and the extra `plot`); --collect also needs the runs' checkpoints.
+    Managers have a separate page (laboratory.md), which compares them with policies without training. The command
+    needs only the runs' small files or tables; --collect also needs the runs' checkpoints.
     """
     from ..agents.evaluate.page import write_page
     from ..agents.evaluate.results import read_runs

@@ -45,8 +45,8 @@ def verify(
 ) -> None:
     """Verify records of episodes: replay their actions on the simulator and compare every number.
 
-    For a leaderboard (a file with suffix .json), every line is recomputed from the scores of its episodes, and its
-    records are replayed. For lines without scores, only their records are verified; these lines are counted.
+    For a leaderboard (a file with suffix .json), every entry is recomputed from the scores of its episodes, and its
+    records are replayed. Entries without scores are counted, and only their records are verified.
 
     Exit codes: 0 if every record is right; 1 if a value differs from the replay (the first difference is named); 3 if
     the end is missing; 4 if another version or platform made the record; 5 if the file is not a record or cannot be
@@ -96,7 +96,7 @@ def replay(
         list[Path],
         typer.Argument(
             metavar="FILE [OTHER]",
-            help="A record, finished or not (see `chemlab run --record`). Two: beside each other, with one clock.",
+            help="A record, finished or not (see `chemlab run --record`). Two are shown side by side, in step.",
         ),
     ],
     output: Annotated[
@@ -104,15 +104,15 @@ def replay(
         typer.Option(
             "--output",
             "-o",
-            help="Output file: a page (.html), or of one record an animation (.gif, .webp, with ffmpeg .mp4; needs the "
-            "extra `plot`) or a protocol of its procedure (.md). Default: the record's name with .html.",
+            help="Output file: a page (.html); for one record also an animation (.gif, .webp, with ffmpeg .mp4; needs "
+            "the extra `plot`) or a protocol of its procedure (.md). Default: the record's name with .html.",
         ),
     ] = None,
     force: ForceOption = False,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     trust: TrustOption = False,
 ) -> None:
-    """Make an interactive HTML page, an animation or a protocol of a record; the page needs no network."""
+    """Make an interactive HTML page, an animation or a written protocol of a record; the page needs no network."""
     from ..config.files import write_bytes
     from ..record import read_record
 

@@ -22,7 +22,7 @@ def mcp(
     scenario: ScenarioArgument,
     seat: Annotated[
         list[str] | None,
-        typer.Option(help="An agent (manager_0), a kind (rxn) or all; repeat the option. Default: manager_0."),
+        typer.Option(help="An agent (manager_0), a kind (rxn) or all; repeatable. Default: manager_0."),
     ] = None,
     http: Annotated[
         int | None,
@@ -34,12 +34,14 @@ def mcp(
     ] = None,
     host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
     background: Annotated[str, typer.Option(help="Policy of the agents without a seat.")] = "scripted",
-    names: Annotated[str, typer.Option(help="plain, or opaque: materials under permuted code names.")] = "plain",
-    calls: Annotated[int | None, typer.Option(help="Calls of each seat; one more truncates the episode.")] = None,
-    say: Annotated[int, typer.Option(help="Characters that a seat may say to other seats.")] = 0,
+    names: Annotated[str, typer.Option(help="Names of materials: plain, or opaque (permuted codes).")] = "plain",
+    calls: Annotated[
+        int | None, typer.Option(help="Maximum number of calls of a seat; one more truncates the episode.")
+    ] = None,
+    say: Annotated[int, typer.Option(help="Characters that a seat may send to the other seats.")] = 0,
     episode: Annotated[
         int | None,
-        typer.Option(min=0, help="Number of an episode of the benchmark, which has its seed. Needs CHEMLAB_SALT."),
+        typer.Option(min=0, help="Play this episode of the benchmark, with its seed; needs CHEMLAB_SALT."),
     ] = None,
     token: Annotated[
         str | None,
@@ -55,7 +57,8 @@ def mcp(
 ) -> None:
     """Serve seats of a laboratory to language agents by the Model Context Protocol (needs the extra `mcp`).
 
-    The variable CHEMLAB_SALT is the salt of the private split. Default: a fresh one, published at the end.
+    The environment variable CHEMLAB_SALT sets the salt of the private split. Without it, a salt is drawn, and
+    published at the end.
     """
     salt = _taken_salt()
     from ..agents.evaluate.jobs import AUDIT_SEED
@@ -117,12 +120,12 @@ def serve(
     scenario: ScenarioArgument,
     policy: Annotated[
         list[str] | None,
-        typer.Option(help="Policy of all agents whose seat is free. Given twice: two laboratories side by side."),
+        typer.Option(help="Policy of all agents whose seat is free. Two policies give two laboratories side by side."),
     ] = None,
     seed: SeedOption = 0,
     split: SplitOption = "train",
     speed: Annotated[int, typer.Option(help="Turns a second: 1, 2, 6, 15, 40 or 60.")] = 6,
-    paused: Annotated[bool, typer.Option("--paused", help="Wait for a command in the page.")] = False,
+    paused: Annotated[bool, typer.Option("--paused", help="Begin paused, until Run is pressed in the page.")] = False,
     host: Annotated[
         str, typer.Option(help="Address to listen on. Addresses that others can reach need tokens, which are printed.")
     ] = "127.0.0.1",
@@ -138,7 +141,8 @@ def serve(
 ) -> None:
     """Watch and play a laboratory in a browser (needs the extra `live`).
 
-    The first address is that of the spectators, who see the truth. A seat shows what its agent observes.
+    The printed address opens the spectators' page, which shows the true contents. The page of a seat shows only what
+    its agent observes.
     """
     from ..agents.live import LOCAL, SPEEDS, Live, live_app, live_server
 

@@ -233,7 +233,7 @@ def train(
     ],
     config: Annotated[
         Optional[Path],  # noqa: UP045 - read at run time
-        typer.Option("--config", help="TOML file with any of these arguments; flags come first.", show_default=False),
+        typer.Option("--config", help="TOML file with any of these arguments; flags override it.", show_default=False),
     ] = None,
     folder: Annotated[
         Optional[Path],  # noqa: UP045
@@ -245,10 +245,10 @@ def train(
 ) -> None:
     """Train a bench, an agent of a laboratory, or several roles together; an interrupted run resumes.
 
-    --bench trains a bench on its own, --roles one agent in its laboratory, or several
-    (algorithms ippo and mappo).
-    Defaults are the paper's protocol. The run's folder gets its configuration, learning curve, evaluations with the
-    scripted policy's scores, checkpoints, TensorBoard logs, and at the end result.json.
+    --bench trains a bench on its own. --roles trains one agent in its laboratory, or several (ippo and mappo). Without
+    either, all roles learn. For a bench on its own, defaults follow the paper's protocol. The run's folder contains its
+    configuration, learning curve, evaluations beside the scripted policy, checkpoints, TensorBoard logs, and at the
+    end result.json.
     """
     from ..agents.runs import Run
     from ..agents.train.arguments import load_arguments
@@ -269,7 +269,7 @@ _COLOURS = {"done": "green", "running": "cyan", "failed": "red", "other": "red",
 
 @app.command()
 def sweep(
-    file: Annotated[Path, typer.Argument(help="Sweep file (see studies/baselines/).")],
+    file: Annotated[Path, typer.Argument(help="Sweep file (TOML; examples: studies/baselines/).")],
     processes: ProcessesOption = None,
     address: AddressOption = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of results.")] = Path("results"),

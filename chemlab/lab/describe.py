@@ -13,6 +13,7 @@ from typing import Any
 
 import gymnasium
 
+from ..config.draws import ORDER_QUANTITIES
 from ..config.scenario import DemandSpec, InstrumentSpec, ProductSpec, Scenario
 from ..roles.bench import Channel
 from .engine import Laboratories
@@ -152,11 +153,11 @@ def _demand_words(demand: DemandSpec) -> list[str]:
     if demand.order:
         less = f"{share(demand.late)} if that is late, and {share(demand.short)} if it is too little or too impure"
         less = less if demand.late or demand.short else "and nothing otherwise"
-        words.append(f"An order pays its price for a submission in time that meets it, {less}.")
+        words.append(f"An order pays its price for a submission that meets it in time, {less}.")
     if demand.missed:
         words.append(f"An order that pays nothing costs {demand.missed:g}{' of its price' * bool(demand.order)}.")
     if demand.fill_at_least:
-        words.append(f"Only a vessel that is seen to be filled to {demand.fill_at_least:g} at least may be submitted.")
+        words.append(f"Only a vessel whose fill level reads at least {demand.fill_at_least:g} may be submitted.")
     if demand.feedback:
         noise = "at the end of the episode"
         if demand.feedback != "none":
@@ -231,9 +232,28 @@ def world_table(spec: Scenario) -> FactTable:
         each = "one number" if draw.variables == 1 else "each its own"
         changes = draw.what not in ("identity", "titre")  # which are values
         change = {"factor": "x ", "offset": "+ ", "value": "= "}[draw.change] if changes else ""
-        rows.append((code(name), what, whose, f"{change}{kind}: {words}", each))
+        unseen = "manager, on arrival" if draw.what in ORDER_QUANTITIES else "no agent"
+        who = "all agents" if spec.world.revealed else codes(draw.told) or unseen
+        rows.append((code(name), what, whose, f"{change}{kind}: {words}", each, who))
     note = "x: multiplies the stated value, +: is added to it, =: replaces it"
-    return _facts(("draw", "what", "of", "drawn from", "shared"), rows, note=note if rows else "")
+    head = ("draw", "what", "of", "drawn from", "shared", "observed by")
+    return _facts(head, rows, note=note if rows else "")
+
+
+def grade_table(spec: Scenario) -> FactTable:
+    """Return the quality requirements that the manager may set for an experiment."""
+    rows = [
+        (code(name), f"{grade.amount_at_least_mol:g}", f"{grade.purity_at_least:g}", grade.ticks or "step limit")
+        for name, grade in spec.grades.items()
+    ]
+    return _facts(("grade", "least mol", "least purity", "most ticks"), rows, range(1, 4))
+
+
+def report_words(spec: Scenario) -> list[str]:
+    """Describe the benches' reports in a sentence."""
+    noise = {key: bench.report for key, bench in spec.benches.items() if bench.report is not None}
+    listed = ", ".join(f"`{key}` ({value:g})" for key, value in noise.items())
+    return [f"Benches that report their outcomes to the manager, with the noise: {listed}."] if noise else []
 
 
 def stock_table(spec: Scenario) -> FactTable:
@@ -309,7 +329,7 @@ def safety_words(spec: Scenario) -> str:
     weights = ", ".join(f"`{kind}` {weight:g}" for kind, weight in spec.safety.weights.items())
     return (
         f'Weights of safety events in `info["cost"]`: {weights}. '
-        f"A unit of that cost takes {spec.safety.reward_price:g} off the reward."
+        f"A unit of that cost lowers the reward by {spec.safety.reward_price:g}."
     )
 
 
@@ -317,8 +337,8 @@ def reward_words(spec: Scenario) -> str:
     """Describe the reward mix."""
     mix = spec.rewards
     return (
-        f"Reward mix: benches {mix.bench_local:g} of their own and {mix.bench_team:g} of the manager's result, the "
-        f"manager {mix.manager_local:g} and {mix.manager_team:g}."
+        f"Reward mix: a bench gets {mix.bench_local:g} x its own pay + {mix.bench_team:g} x the manager's result; the "
+        f"manager gets {mix.manager_local + mix.manager_team:g} x its result."
     )
 
 
@@ -333,14 +353,15 @@ def description(labs: Laboratories, agents: Sequence[str] | None = None) -> dict
         agents: agents whose spaces are included (default: all).
 
     Returns:
-        The scenario's keys, ``file``, and under ``agents`` for each of them ``kind``, ``score`` (score of an
-        experiment, or of an episode for the manager), ``step_limit`` (maximum number of its actions), ``observation``
-        (``size``, and ``channels`` with ``start`` and ``stop`` index, name, unit, bounds, meaning) and ``actions``
-        (``discrete``, and ``meanings`` by index).
+        The scenario's keys (hidden parameters under ``world``), ``file``, and under ``agents`` for each of them
+        ``kind``, ``score`` (score of an experiment, or of an episode for the manager), ``step_limit`` (maximum number
+        of its actions), ``observation`` (``size``, and ``channels`` with ``start`` and ``stop`` index, name, unit,
+        bounds, meaning) and ``actions`` (``discrete``, and ``meanings`` by index).
     """
     spec = labs.scenario
     keys = {"name", "title", "summary", "goals", "lab_goals", "orders", "theoretical_maximum_mol", "stock", "shelf"}
     keys |= {"instruments", "limits", "costs", "safety", "rewards", "demand", "specifications"}
+    keys |= {"benches", "grades", "world"}
     told: dict[str, Any] = {}
     for agent in labs.agents if agents is None else agents:
         number = labs.agents.index(agent)

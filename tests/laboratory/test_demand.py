@@ -94,7 +94,7 @@ def test_what_an_order_pays(terms: dict[str, float], demand: dict[str, float], w
 def test_terms_are_described() -> None:
     labs = laboratory(shop({"within": 5, "price": 3}, {"arrives": 50}, late=0.4, missed=0.1)).laboratories
     told = " ".join(goal_words(labs.scenario))
-    assert "pays its price for a submission in time that meets it, 0.4 of it if that is late, and nothing if" in told
+    assert "pays its price for a submission that meets it in time, 0.4 of it if that is late, and nothing if" in told
     assert "An order that pays nothing costs 0.1 of its price." in told
     assert order_table(labs.scenario).rows[0] == ("order 0", "0", "5", "3", "0", "0")
     assert description(labs)["demand"]["late"] == 0.4
