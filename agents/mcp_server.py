@@ -62,6 +62,7 @@ def http_server(room: Room, tokens: Mapping[str, str], host: str, port: int) -> 
             for own in apps.values():
                 await stack.enter_async_context(own.router.lifespan_context(own))
             yield
+        room.close()  # here, because a signal that has ended the server ends the process after it
 
     app = Starlette(routes=[Mount(f"/{seat}", guarded(seat)) for seat in room.seats], lifespan=lifespan)
     # uvicorn's own setting of logging would close the handlers of the whole process.
