@@ -200,7 +200,8 @@ def _bench_lines(bench: Bench) -> list[str]:
     noise = ", ".join(f"{channel} {deviation:g}" for channel, deviation in bench.spec.noise.items())
     often = " What is mostly noise is shown only at the first step, and by look."
     return [
-        f"You operate a{'n' * (bench.kind[0] in 'aeiou')} {bench.kind} bench. Score of an experiment: {bench.score_meaning}.",
+        f"You operate {'an' if bench.kind[0] in 'aeiou' else 'a'} {bench.kind} bench. "
+        f"Score of an experiment: {bench.score_meaning}.",
         f"An experiment has at most {bench.spec.step_limit} steps. Vessels: {position_words(bench)}.",
         *([f"Gauges: {ranges}."] if ranges else []),
         *([f"Noise (of full scale): {noise}.{often}"] if noise else []),
