@@ -5,6 +5,7 @@ A :class:`Room` holds one laboratory, its episode and its seats; policies play t
 ``get_reward``. Annotations in this module are types, not strings, because frameworks read them.
 """
 
+import atexit
 import functools
 import hashlib
 import inspect
@@ -203,6 +204,7 @@ class Room:
         players = {a: self._background for a in self.laboratories.agents if a not in self.seats}  # seats: as they act
         self._recorder = Recorder(f"{self._stem}.jsonl", self.laboratories, policies=players, held=True)
         self._recorder.begin(self._seed, options)
+        atexit.register(self.close)  # a script that fails, or does not close the room, keeps its episode
 
     def _make_verbs(self, seat: str) -> list[Verb]:
         labs = self.laboratories
@@ -296,6 +298,7 @@ class Room:
         ended["seconds"] = round(time.monotonic() - self._began, 3)
         append_entry(self._folder / LEDGER, ended)
         self._recorder = None
+        atexit.unregister(self.close)
 
     # -- turns --------------------------------------------------------------------------------------------------------
 

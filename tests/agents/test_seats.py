@@ -303,6 +303,13 @@ def test_a_disk_that_is_full_at_the_end_costs_nothing(tmp_path: Path) -> None:
     assert verify_record(tmp_path / "episode-0000.jsonl").status == "ok"
 
 
+def test_a_script_that_fails_keeps_its_episode(tmp_path: Path) -> None:
+    code = "from chemlab.agents.seats import Room\nRoom('salt_from_oil', folder='.').call('manager_0', 'look')\n1 / 0"
+    assert subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True).returncode == 1
+    assert [entry["status"] for entry in ended_episodes(tmp_path).values()] == ["given up"]
+    assert len((tmp_path / "episode-0000.transcript.jsonl").read_text().splitlines()) == 2
+
+
 def test_forged_ledgers_are_refused(tmp_path: Path) -> None:
     ended = {"event": "ended", "begun": 0, "record": "", "seats": {}}
     for k, end in enumerate([ended, ended | {"begun": [0]}, {"event": "ended"}]):
