@@ -87,8 +87,8 @@ def mcp(
 
     try:
         if http is None:
-            for one in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(one, end)
+            for ending in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(ending, end)
             anyio.run(mcp_server.serve_stdio, room)
         else:
             port = _free_port(host, http, "--http")
