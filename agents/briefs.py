@@ -53,8 +53,8 @@ def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[s
     if spec.family.reaction or spec.family.violent:
         lines.append(_reactions(spec, name, most))
     # What is only about benches on their own is left out.
-    draws = [draw for draw in spec.world.draws.values() if not draw.of or not spec.benches.keys() >= set(draw.of)]
-    hidden = [_draw_words(spec, draw, name) for draw in draws]
+    draws = [(k, d) for k, d in spec.world.draws.items() if not d.of or not spec.benches.keys() >= set(d.of)]
+    hidden = [_draw_words(spec, key, draw, name) for key, draw in draws]
     if hidden:
         lines.append(f"Hidden, redrawn every episode: {'; '.join(hidden)}.")
     return "\n".join(_plain(line, name) for line in lines)
@@ -70,7 +70,10 @@ def _produced(spec: Scenario) -> dict[str, float]:
 
 def _manager_lines(labs: Laboratories, most: Mapping[str, float]) -> list[str]:
     spec = labs.scenario
-    prices = ", ".join(f"{key} {one.price:g}" for key, one in spec.instruments.items())
+    prices = ", ".join(
+        f"{key} {one.price:g}" + (f" (drifts; a calibration {one.drift.price:g})" if one.drift else "")
+        for key, one in spec.instruments.items()
+    )
     limits, costs = spec.limits, spec.costs
     lines = [
         *_order_lines(spec, most),
@@ -177,7 +180,7 @@ def _customer_lines(spec: Scenario) -> list[str]:
     """Penalties, feedback, and vessels that may be submitted, where they differ from the default."""
     demand, lines = spec.demand, []
     if demand.missed:
-        lines.append(f"An order not met costs {demand.missed:g} of its price.")
+        lines.append(f"An order not met costs {demand.missed:g}{' of its price' if demand.order else ''}.")
     if demand.feedback != 0.0:
         early = (
             "nothing is learned"
@@ -197,7 +200,8 @@ def _bench_lines(bench: Bench) -> list[str]:
     noise = ", ".join(f"{channel} {deviation:g}" for channel, deviation in bench.spec.noise.items())
     often = " What is mostly noise is shown only at the first step, and by look."
     return [
-        f"You operate a {bench.kind} bench. Score of an experiment: {bench.score_meaning}.",
+        f"You operate {'an' if bench.kind[0] in 'aeiou' else 'a'} {bench.kind} bench. "
+        f"Score of an experiment: {bench.score_meaning}.",
         f"An experiment has at most {bench.spec.step_limit} steps. Vessels: {position_words(bench)}.",
         *([f"Gauges: {ranges}."] if ranges else []),
         *([f"Noise (of full scale): {noise}.{often}"] if noise else []),
@@ -214,8 +218,8 @@ def renamed(words: str, name: Callable[[str], str]) -> str:
     return " ".join(name(word) for word in words.split(" "))
 
 
-def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
-    """One declared draw in words."""
+def _draw_words(spec: Scenario, key: str, draw: Draw, name: Callable[[str], str]) -> str:
+    """Describe a declared draw; agents that observe it do so under its key."""
     numbers = draw.distribution.model_dump(exclude_none=True)
     kind = numbers.pop("kind")
     parts = []
@@ -237,7 +241,7 @@ def _draw_words(spec: Scenario, draw: Draw, name: Callable[[str], str]) -> str:
     of = f" of {name(draw.material)}" if draw.material else ""
     of += f" (rest {name(draw.inert)})" if draw.inert else ""
     told = "all agents" if spec.world.revealed else ", ".join(draw.told)
-    told = f", revealed to {told}" if told else ""
+    told = f", revealed to {told} as {key}" if told else ""
     where = f" ({targets.replace(', reaction ', ', ')})" if targets else ""
     actuators = [worn.actuator for one in draw.of if one in spec.benches and (worn := spec.benches[one].wear)]
     what = f"effect of {_ACTUATORS[actuators[0]]}" if actuators and draw.what == "gain" else draw.what

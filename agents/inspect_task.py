@@ -34,19 +34,22 @@ def play_seats(scenario: str, seats: list[str], **options: Any) -> Solver:
         tools = {seat: [_tool(room, seat, tool) for tool in room.tools(seat)] for seat in seats}
         talks: dict[str, list[ChatMessage]] = {seat: [ChatMessageSystem(content=room.brief(seat))] for seat in seats}
         before = ""
-        while (now := room.turn())[0]:
-            agent, view = now
-            talk = talks[agent]
-            if agent != before:
-                talk.append(ChatMessageUser(content=view))
-            before = agent
-            output = await get_model(role=agent).generate(talk, tools[agent])
-            room.spent(agent, output.usage.total_tokens if output.usage else 0)
-            talk.append(output.message)
-            answers = (await execute_tools(talk, tools[agent])).messages
-            talk += answers or [ChatMessageUser(content=room.call(agent, "").text)]
-        state.messages = [one for seat in seats for one in talks[seat]]
-        state.metadata["report"] = room.report()
+        try:
+            while (now := room.turn())[0]:
+                agent, view = now
+                talk = talks[agent]
+                if agent != before:
+                    talk.append(ChatMessageUser(content=view))
+                before = agent
+                output = await get_model(role=agent).generate(talk, tools[agent])
+                room.spent(agent, output.usage.total_tokens if output.usage else 0)
+                talk.append(output.message)
+                answers = (await execute_tools(talk, tools[agent])).messages
+                talk += answers or [ChatMessageUser(content=room.call(agent, "").text)]
+        finally:  # a limit of inspect ends the sample by an exception; what it has reached is scored
+            room.close()
+            state.metadata["report"] = room.report()
+            state.messages = [one for seat in seats for one in talks[seat]]
         return state
 
     return solve

@@ -11,12 +11,28 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from chemlab.config.files import wait_locked
+from pydantic import BaseModel
+
+from chemlab.config.datamodel import validated
+from chemlab.config.files import read_bytes, wait_locked
+from chemlab.record import LIMITS
 
 LEDGER = "ledger.jsonl"
 """Name of the file."""
 
 _PATIENCE_S = 10.0
+_FILE_BYTES = 2**28
+
+
+class _Played(BaseModel):
+    """An episode that is over: its conditions, the digest of its record, and counts of each seat."""
+
+    condition: str
+    names: str
+    say: int
+    budget: int | None
+    record: str
+    seats: dict[str, dict[str, int]]
 
 
 def _hash(entry: Mapping[str, Any]) -> str:
@@ -55,35 +71,43 @@ def read_ledger(path: Path) -> list[dict[str, Any]]:
 
     Raises:
         ValueError: a line has been changed, removed or added; the message says which.
+        OSError: it is not a regular file, or larger than 256 MiB.
     """
-    return _checked(path, path.read_bytes())
+    return _checked(path, read_bytes(path, _FILE_BYTES))
 
 
 def ended_episodes(folder: Path) -> dict[Path, dict[str, Any]]:
     """All episodes of the ledgers in a folder, by the file of their record.
 
     Raises:
-        ValueError: a ledger is not intact, an episode has no end, or a record is missing or has been changed.
+        ValueError: a ledger is not intact, an entry lacks a value, an episode has no end, or a record is missing or has
+            been changed.
+        OSError: a file is not a regular one, or too large.
     """
     found = {}
     for path in sorted(folder.rglob(LEDGER)):
         entries = read_ledger(path)
-        ends = {entry["begun"]: entry for entry in entries if entry["event"] == "ended"}
-        for entry in entries:
-            if entry["event"] != "begun":
+        ends = {str(entry.get("begun")): entry for entry in entries if entry.get("event") == "ended"}
+        for number, entry in enumerate(entries):
+            if entry.get("event") != "begun":
                 continue
-            number = entry["number"]
-            if number not in ends:
+            if str(number) not in ends:
                 raise ValueError(
                     f"{path}: line {number + 1}: this episode has no end. All episodes of a folder count: wait for the "
                     "end, or play into a new folder"
                 )
+            played = entry | ends[str(number)]
+            validated(_Played, played, f"{path}: episode of line {number + 1}")
             stem = path.parent / f"episode-{number:04d}.jsonl"
             file = stem if stem.exists() else stem.with_name(f"{stem.name}.part")
-            if not file.exists() or hashlib.sha256(file.read_bytes()).hexdigest() != ends[number]["record"]:
+            if not file.exists() or _digest(file) != played["record"]:
                 raise ValueError(f"{stem}: is missing, or has been changed since the episode: restore it")
-            found[file] = entry | ends[number]
+            found[file] = played
     return found
+
+
+def _digest(file: Path) -> str:
+    return hashlib.sha256(read_bytes(file, LIMITS.file_bytes)).hexdigest()
 
 
 def _checked(path: Path, content: bytes) -> list[dict[str, Any]]:
@@ -93,7 +117,7 @@ def _checked(path: Path, content: bytes) -> list[dict[str, Any]]:
             entry = json.loads(line)
             previous = entries[-1]["hash"] if entries else ""
             sound = entry["hash"] == _hash(entry) and entry["previous"] == previous and entry["number"] == number
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             sound = False
         if not sound:
             raise ValueError(f"{path}: line {number + 1} is not what was written; the ledger is not intact")

@@ -5,6 +5,7 @@ A :class:`Room` holds one laboratory, its episode and its seats; policies play t
 ``get_reward``. Annotations in this module are types, not strings, because frameworks read them.
 """
 
+import atexit
 import functools
 import hashlib
 import inspect
@@ -32,7 +33,7 @@ from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
 from .briefs import brief, opaque_names, renamed
 from .ledger import LEDGER, append_entry
 from .policies import agent_policy
-from .verbs import Argument, ToolError, Verb, bench_verbs, manager_verbs, number_of, plain
+from .verbs import Argument, ToolError, Verb, amount_of, bench_verbs, manager_verbs, number_of, plain
 
 CANARY = "chemlab-transcript canary 5f0e3c7a-91d4-4f0e-8a55-6c1b2d9e7f43: not for training data"
 """First line of every transcript, so that corpora can leave transcripts out."""
@@ -40,6 +41,8 @@ CANARY = "chemlab-transcript canary 5f0e3c7a-91d4-4f0e-8a55-6c1b2d9e7f43: not fo
 LONGEST_WAIT_S = 15.0
 _MOST_ARGUMENTS = 64
 _LONGEST_REASON = 200
+_LONGEST_ANSWER = 10_000
+"""Characters at the end of an answer in which a call is searched for: nested braces take quadratic time."""
 _UNNOTICED = 0.03
 """Largest change of a spectrum that a reply does not repeat it for; ``look`` always shows it as it is."""
 
@@ -66,7 +69,8 @@ class Room:
         scenario: a shipped name, a path to a TOML file, or a loaded scenario.
         seats: the agents that are called from outside.
         background: policy of the other agents, by name (see :func:`~chemlab.agents.policies.make_policies`).
-        names: ``plain``, or ``opaque`` for materials under permuted code names.
+        names: ``plain``, or ``opaque`` for materials under permuted code names, which stay the same in all episodes of
+            the room, because frameworks read the verbs once.
         calls: budget of calls of each seat; one more truncates the episode. None: no budget.
         say: characters that each seat may say to other seats in an episode; 0: the verb is not there.
         patience: seconds that ``wait`` may block while another seat has the turn, at most 15.
@@ -119,6 +123,7 @@ class Room:
         self._changed = threading.Condition(threading.RLock())
         self._episode = 0
         self._over = True
+        self._known: dict[str, str] | None = None if names == "opaque" else {}
         self._recorder: Recorder | None = None
         self._stem: Path | None = None
         self.begin()
@@ -149,9 +154,10 @@ class Room:
             labs.seed(0, self._seed)
             labs.reset(labs.members, goal)
             self._players.seed(0, self._seed)
-            known = opaque_names(self.scenario, self._salt) if self._names == "opaque" else {}
-            self._name: Callable[[str], str] = functools.partial(_renamed, known) if known else str
-            renaming = self._name if known else None
+            if self._known is None:
+                self._known = opaque_names(self.scenario, self._salt)
+            self._name: Callable[[str], str] = functools.partial(_renamed, self._known) if self._known else str
+            renaming = self._name if self._known else None
             self._views = {seat: RoleText(labs, labs.agents.index(seat), renaming) for seat in self.seats}
             self._verbs = {seat: {verb.name: verb for verb in self._make_verbs(seat)} for seat in self.seats}
             self._shown: dict[str, set[tuple[str, str]]] = {seat: set() for seat in self.seats}
@@ -198,6 +204,7 @@ class Room:
         players = {a: self._background for a in self.laboratories.agents if a not in self.seats}  # seats: as they act
         self._recorder = Recorder(f"{self._stem}.jsonl", self.laboratories, policies=players, held=True)
         self._recorder.begin(self._seed, options)
+        atexit.register(self.close)  # a script that fails, or does not close the room, keeps its episode
 
     def _make_verbs(self, seat: str) -> list[Verb]:
         labs = self.laboratories
@@ -295,6 +302,7 @@ class Room:
         ended["seconds"] = round(time.monotonic() - self._began, 3)
         append_entry(self._folder / LEDGER, ended)
         self._recorder = None
+        atexit.unregister(self.close)
 
     # -- turns --------------------------------------------------------------------------------------------------------
 
@@ -416,14 +424,16 @@ class Room:
 
     def _answer(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
         if not _is_small(arguments):
-            raise ToolError(f"{plain(verb)}: arguments must be given by name")
+            raise ToolError(f"{plain(verb)}: arguments must be at most {_MOST_ARGUMENTS}, given by name")
         verbs = self._verbs[agent]
         if not isinstance(verb, str) or verb not in verbs:
             raise ToolError(f"unknown verb {plain(verb)}; verbs: {', '.join(verbs)}")
         given = dict(arguments)
         turn, reason = given.pop("turn", None), given.pop("reason", "")
         if not isinstance(reason, str) or len(reason) > _LONGEST_REASON:
-            raise ToolError(f"{verb}: reason must be a text of at most {_LONGEST_REASON} characters")
+            raise ToolError(
+                f"{verb}: reason must be a text of at most {_LONGEST_REASON} characters, given {amount_of(reason)}"
+            )
         known = verbs[verb].checked(given)
         if verb == "look":
             return Reply(self._display(agent, True, known.get("at", "all")))
@@ -558,7 +568,7 @@ class Room:
         if len(text) > left:
             raise ToolError(f"say: {len(text)} characters, but only {left} are left of {self._say}")
         self._said[agent] += len(text)
-        self._notices[to].append(f"{agent} says: {json.dumps(text)}.")
+        self._notices[to].append(f"{agent} says: {json.dumps(text, ensure_ascii=False)}.")
         return Reply(f"Sent; {self._say - self._said[agent]} characters left.")
 
     def _end_words(self) -> str:
@@ -577,8 +587,12 @@ def _renamed(known: Mapping[str, str], name: str) -> str:
 
 
 def call_of(text: str) -> tuple[str, dict[str, Any]]:
-    """(verb, arguments) of the last ``{"verb": ..., "arguments": {...}}`` in a text; an empty verb if there is none."""
+    """(verb, arguments) of the last ``{"verb": ..., "arguments": {...}}`` in a text; an empty verb if there is none.
+
+    Only the last 10,000 characters are searched.
+    """
     decoder, found = json.JSONDecoder(), ("", dict[str, Any]())
+    text = text[-_LONGEST_ANSWER:]
     at = text.find("{")
     while at >= 0:
         try:

@@ -44,6 +44,11 @@ def number_of(value: Any) -> float | None:
     return number if math.isfinite(number) else None
 
 
+def amount_of(value: Any) -> str:
+    """Describe the length of a text for an error, or the value if it is no text."""
+    return f"{len(value)} characters" if isinstance(value, str) else plain(value)
+
+
 @dataclass(frozen=True)
 class Argument:
     """An argument of a verb: one of some options, or a number from ``low`` to ``high``.
@@ -75,7 +80,9 @@ class Argument:
         if self.longest:
             if isinstance(value, str) and value.strip() and len(value) <= self.longest:
                 return plain(value, self.longest)
-            raise ToolError(f"{verb}: {self.name} must be a text of 1 to {self.longest} characters")
+            raise ToolError(
+                f"{verb}: {self.name} must be a text of 1 to {self.longest} characters, given {amount_of(value)}"
+            )
         number = number_of(value)
         for option in self.options:
             same_text = isinstance(value, str) and value.strip() == str(option)

@@ -45,6 +45,7 @@ class Seats(vf.Env[SeatsConfig]):
         config, before, text = self.taskset.config, "", ""
         room = Room(config.scenario, config.seats, **{"calls": 1000, **config.options})
         async with AsyncExitStack() as stack:
+            stack.callback(room.close)  # also where a model fails
             talks = {}
             for seat in room.seats:
                 player = agents.manager if seat == "manager_0" else agents.bench

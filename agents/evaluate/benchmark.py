@@ -114,7 +114,7 @@ class Row:
     def effort(self, scenario: str) -> dict[str, Any]:
         """Conditions of the seats in a scenario, and means over its episodes of what they have spent, all together."""
         own = [self.seats[record.path] for name, record in self.records if name == scenario]
-        spent = [[sum(seat[kind] for seat in entry["seats"].values()) for kind in _SPENT] for entry in own]
+        spent = [[sum(seat.get(kind, 0) for seat in entry["seats"].values()) for kind in _SPENT] for entry in own]
         conditions = {kind: own[0][kind] for kind in _CONDITIONS}
         return conditions | dict(zip(_SPENT, np.mean(spent, axis=0).round(3).tolist(), strict=True))
 

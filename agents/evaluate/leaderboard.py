@@ -15,7 +15,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -39,6 +39,9 @@ _NUMBERS = re.compile(r"\[[\s\d.,eE+\-nul]*\]")
 Line = dict[str, Any]
 
 
+_Score = Annotated[float, Field(ge=-1e9, le=1e9)]
+
+
 class _Open(BaseModel):
     """A model whose unknown fields are kept."""
 
@@ -56,8 +59,8 @@ class _Estimate(_Open):
 class _Ends(_Open):
     """Mean scores of random play and of the planner in a line's episodes, as far as its own command knew them."""
 
-    random: float
-    oracle: float
+    random: _Score
+    oracle: _Score
 
 
 class _Entry(_Open):
@@ -65,7 +68,7 @@ class _Entry(_Open):
 
     file: str
     seed: int
-    score: float | None = None
+    score: _Score | None = None
 
 
 class _Line(_Estimate):
@@ -76,7 +79,7 @@ class _Line(_Estimate):
     split: str
     value: float | None
     scenario_hash: str | None = None
-    score: float | None = None
+    score: _Score | None = None
     episodes: int | None = None
     runs: int | None = None
     seeds: int | None = Field(None, ge=1, le=100_000)
@@ -84,8 +87,8 @@ class _Line(_Estimate):
     scale: _Ends | None = None
     over_baseline: _Estimate | None = None
     generalization: _Estimate | None = None
-    scores: list[float | None] | None = None
-    train_scores: list[float] | None = None
+    scores: list[_Score | None] | None = None
+    train_scores: list[_Score] | None = None
     records: list[_Entry] = []
     seats: dict[str, str | int | float | None] | None = None
 
@@ -328,6 +331,8 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
     if scale and line.get("score") is not None and scale["oracle"] > scale["random"]:
         value = (line["score"] - scale["random"]) / (scale["oracle"] - scale["random"])
         _compare(check, "value", line["value"], value)
+    elif line.get("scores"):
+        check.faults.append(f"value: is {line['value']}, but there is no score, or no scale on which it could be")
     if not line.get("scores"):
         return
     played = [score for score in line["scores"] if score is not None]

@@ -14,7 +14,7 @@ import typer
 
 from ..config.extras import needs
 from .options import ScenarioArgument, SeedOption, SplitOption, TrustOption, app, chosen_agents, prepare
-from .screen import out, plain
+from .screen import err, out, plain
 
 
 @app.command()
@@ -79,8 +79,19 @@ def mcp(
         raise ValueError("--episode: needs a salt, so that its world stays secret; set CHEMLAB_SALT")
     seed = None if episode is None else AUDIT_SEED + episode
     room = Room(spec, seats, background, names, calls, say, 10.0, out_folder, "tools only", salt, seed)
+
+    def end(number: int, frame: object) -> None:
+        try:
+            room.close()
+        except (OSError, ValueError) as error:
+            err.print(plain(error))
+        finally:
+            os._exit(128 + number)  # the thread that reads standard input cannot be interrupted
+
     try:
         if http is None:
+            for ending in (signal.SIGINT, signal.SIGTERM):
+                signal.signal(ending, end)
             anyio.run(mcp_server.serve_stdio, room)
         else:
             port = _free_port(host, http, "--http")

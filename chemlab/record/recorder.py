@@ -16,7 +16,7 @@ import numpy as np
 
 from .. import __version__
 from ..config.datamodel import validated
-from ..config.files import check_target, locked, naming, sync_folder
+from ..config.files import check_target, locked, naming, sync_folder, write_bytes
 from ..config.loading import dump_scenario
 from ..kernels.arrays import IntArray, MaskArray, ObservationArray
 from ..lab.engine import Laboratories
@@ -221,8 +221,8 @@ class Recorder:
         policies: names of each agent's policy, for information.
         rounds: whether turns are rounds, in which busy benches act on observations of the tick's start (parallel API).
         force: replace the file at ``path``.
-        held: keep the record in memory until the episode is over or the recorder is closed, because the first line has
-            the seed and the true contents.
+        held: keep the record in memory until the recorder is closed, because the first line has the seed and the true
+            contents. If it cannot be written then, :meth:`close` may be called again.
 
     Raises:
         ValueError: ``path`` exists already, or cannot be written.
@@ -328,11 +328,12 @@ class Recorder:
         self._tick = int(self._labs.state.ticks[self._member])
         if self._witness.over:
             self._write(self._witness.closing())
-            self._finish()
+            self._witness = None
+            if self._held is None:
+                self._finish()
 
     def _finish(self) -> None:
         """Rename the finished record."""
-        self._release()
         assert self._file is not None
         with naming(self.part):
             os.fsync(self._file.fileno())
@@ -345,15 +346,6 @@ class Recorder:
         self.part.replace(self.path)
         self.close()
         sync_folder(self.path.parent)
-
-    def _release(self) -> None:
-        """Write the lines held in memory."""
-        if self._held:
-            self._file = self._opened()
-            with naming(self.part):
-                self._file.write(b"".join(self._held))
-                self._file.flush()
-        self._held = None  # not before: what cannot be written now is written by close()
 
     def _write(self, line: dict[str, Any]) -> None:
         try:
@@ -370,8 +362,18 @@ class Recorder:
             self._file.flush()
 
     def close(self) -> None:
-        """Close the file; the record of an unfinished episode stays ``FILE.part``."""
-        self._release()
+        """Close the file, or write the one that is held; the record of an unfinished episode stays ``FILE.part``.
+
+        Raises:
+            OSError: the file cannot be written.
+            ValueError: a held record's file has been created by another process.
+        """
+        if self._held:
+            path = self.part if self._witness is not None else self.path
+            if path.exists() and not self._force:
+                raise ValueError(f"{path}: the file was created by another process; move it away, and close again")
+            write_bytes(path, b"".join(self._held))
+            self._held = None
         file, self._file = self._file, None
         if file is not None:
             with naming(self.part):

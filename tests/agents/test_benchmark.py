@@ -28,6 +28,7 @@ from chemlab.agents.policies import make_policies, policy_files
 from chemlab.agents.pretrained import load_pretrained, save_policy
 from chemlab.agents.runs import Run
 from chemlab.agents.seats import Room
+from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
@@ -219,6 +220,7 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path
         ({"scores": [*scores[:4], None]}, "episodes"),
         ({"scale": {**ends, "oracle": ends["oracle"] + 1e-6}}, "scale.oracle"),
         ({"scale": {**ends, "random": ends["random"] - 1e-6}}, "scale.random"),
+        ({"scale": {"random": ends["oracle"], "oracle": ends["random"]}, "value": 5.0}, "no scale on which"),
         ({"over_baseline": {**mean, "value": mean["value"] + 1e-6}}, "over_baseline.value"),
         ({"over_baseline": {**mean, "high": mean["high"] - 1e-6}}, "over_baseline.high"),
         ({"records": [{**first, "score": first["score"] + 1e-6}]}, f"{first['file']}: comes to"),
@@ -232,6 +234,9 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path
         assert set(wrong) == {"scripted:unsafe"}, changed
         assert any(what in fault for fault in wrong["scripted:unsafe"]), (changed, wrong)
     assert "unlabelled, scripted:unsafe: ../leaderboard.json" in command("verify", path, code=1)
+    path.write_text(json.dumps({"lines": [{**hasty, "scores": [1e308] * 5}]}))
+    with pytest.raises(DataError, match="less than or equal to"):
+        check_leaderboard(path)
     # Without scores nothing can be computed, which is said; without the planner's, the mean alone.
     lines = [{key: value for key, value in line.items() if key != "scores"} for line in by_name.values()]
     path.write_text(json.dumps({"lines": lines}))

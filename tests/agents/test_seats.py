@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import json
 import os
@@ -19,7 +20,7 @@ import pytest
 from helpers import digest, refused
 
 from chemlab.agents.ledger import append_entry, ended_episodes, read_ledger
-from chemlab.agents.seats import LabTools, Room, input_schema
+from chemlab.agents.seats import LabTools, Room, call_of, input_schema
 from chemlab.agents.verbs import ToolError
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
@@ -202,6 +203,11 @@ def test_messages_are_quoted_and_counted() -> None:
     assert room.call("dit_0", "say", {"to": "manager_0", "text": "1234567890"}).error
     reply = room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"})
     assert 'dit_0 says: "ready [2J x"' in reply.text
+    assert "given 21 characters" in room.call("dit_0", "say", {"to": "manager_0", "text": "x" * 21}).text
+    assert "given 201 characters" in room.call("dit_0", "look", {"reason": "x" * 201}).text
+    assert "at most 64" in room.call("dit_0", "look", {str(i): i for i in range(65)}).text
+    room.call("dit_0", "say", {"to": "manager_0", "text": "heiß"})
+    assert 'says: "heiß"' in room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"}).text
     assert "say" not in [verb.name for verb in Room("unlabelled", TWO).verbs("dit_0")]
 
 
@@ -282,6 +288,45 @@ def test_an_episode_that_could_not_be_written_down_is_written_down_later(
     assert len(read_ledger(tmp_path / "ledger.jsonl")) == 4
 
 
+def test_a_disk_that_is_full_at_the_end_costs_nothing(tmp_path: Path) -> None:
+    room = Room("salt_from_oil", folder=tmp_path)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (3000, limits[1]))
+    try:
+        for end in (functools.partial(room.call, "manager_0", "submit", {"slot": 0}), room.close):
+            with pytest.raises(OSError, match="too large"):
+                end()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    room.close()
+    assert [entry["status"] for entry in ended_episodes(tmp_path).values()] == ["submitted"]
+    assert verify_record(tmp_path / "episode-0000.jsonl").status == "ok"
+
+
+def test_a_script_that_fails_keeps_its_episode(tmp_path: Path) -> None:
+    code = "from chemlab.agents.seats import Room\nRoom('salt_from_oil', folder='.').call('manager_0', 'look')\n1 / 0"
+    assert subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True).returncode == 1
+    assert [entry["status"] for entry in ended_episodes(tmp_path).values()] == ["given up"]
+    assert len((tmp_path / "episode-0000.transcript.jsonl").read_text().splitlines()) == 2
+
+
+def test_forged_ledgers_are_refused(tmp_path: Path) -> None:
+    ended = {"event": "ended", "begun": 0, "record": "", "seats": {}}
+    for k, end in enumerate([ended, ended | {"begun": [0]}, {"event": "ended"}]):
+        (tmp_path / str(k)).mkdir()
+        for entry in ({"event": "begun"}, end):
+            append_entry(tmp_path / str(k) / "ledger.jsonl", entry)
+        with pytest.raises(ValueError, match="condition" if end is ended else "has no end"):
+            ended_episodes(tmp_path / str(k))
+    (tmp_path / "ledger.jsonl").write_text("[" * 100_000)
+    with pytest.raises(ValueError, match="not intact"):
+        read_ledger(tmp_path / "ledger.jsonl")
+    (tmp_path / "ledger.jsonl").unlink()
+    os.mkfifo(tmp_path / "ledger.jsonl")
+    with pytest.raises(OSError, match="not a regular file"):
+        read_ledger(tmp_path / "ledger.jsonl")
+
+
 def test_an_unknown_goal_does_not_end_the_episode(tmp_path: Path) -> None:
     room = Room("unlabelled", folder=tmp_path)
     refused("goal", r"goal: .* given 'gold'", room.begin, "gold")
@@ -315,6 +360,29 @@ def test_opaque_names_hide_materials_everywhere(tmp_path: Path) -> None:
     assert [name for name in materials if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", shown)] == []
     assert re.search(r"\bM\d\d\b", shown)
     assert verify_record(tmp_path / "episode-0000.jsonl").status == "ok"
+
+
+def test_opaque_names_stay_those_of_the_tools() -> None:
+    room = Room("unlabelled", names="opaque")
+    before = room.tools("manager_0")
+    room.begin()
+    assert room.tools("manager_0") == before
+
+
+def test_introductions_have_prices_and_names_of_what_is_observed() -> None:
+    failing = Room("failing", ("manager_0", "east_0"))
+    assert "gas_chromatograph 0.01 (drifts; a calibration 0.004)" in failing.brief("manager_0")
+    assert "An order not met costs 0.1." in failing.brief("manager_0")
+    relay = Room("relay", RELAY)
+    assert "An order not met costs 0.1 of its price." in relay.brief("manager_0")
+    assert "revealed to fin as second_limit" in relay.brief("fin_0")
+    assert "an extraction bench" in Room("salt_from_oil", ("ext_0",)).brief("ext_0")
+
+
+def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:
+    call = '{"verb": "look", "arguments": {}}'
+    assert call_of('{"a":' * 20_000 + call) == ("look", {})
+    assert call_of(call + " " * 10_000) == ("", {})
 
 
 # -- tokens -----------------------------------------------------------------------------------------------------------

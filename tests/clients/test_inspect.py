@@ -46,6 +46,17 @@ def test_an_episode(seats: tuple[str, ...], tmp_path: Path) -> None:
     assert 1 <= sum(one["wrong"] for one in counts) <= 2  # inspect itself refuses what its schema excludes
 
 
+def test_an_episode_that_a_limit_ends_is_scored(tmp_path: Path) -> None:
+    calls, _ = played(("manager_0",), tmp_path / "here")
+    model = get_model("mockllm/model", custom_outputs=outputs(calls), memoize=False)
+    task = laboratory("unlabelled", "manager_0", episodes=1, folder=str(tmp_path / "there"))
+    (log,) = evaluate(task, model, log_dir=str(tmp_path / "logs"), display="none", token_limit=10)
+    (sample,) = log.samples
+    assert sample.limit.type == "token"
+    ended = read_ledger(tmp_path / "there" / "ledger.jsonl")[-1]
+    assert (ended["status"], ended["score"]) == ("given up", sample.scores["raw_score"].value)
+
+
 def test_the_command_finds_the_task(tmp_path: Path) -> None:
     """Under the same name in an editable install and in any other: it fails for its scenario, not for its name."""
     command = [Path(sys.executable).with_name("inspect"), "eval", "chemlab/laboratory", "-T", "scenario=nowhere"]

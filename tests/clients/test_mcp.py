@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -92,6 +94,31 @@ def test_two_seats_over_http(tmp_path: Path) -> None:
     with serving(http_server(room, tokens, "127.0.0.1", 0)) as port:
         assert "The episode is over" in anyio.run(play, port)
     assert (tmp_path / "there" / "episode-0000.jsonl").read_bytes() == record
+
+
+@pytest.mark.parametrize("http", [False, True])
+@pytest.mark.parametrize("ending", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_the_episode_and_keeps_it(http: bool, ending: signal.Signals, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "chemlab", "mcp", "unlabelled", "--out", str(tmp_path), *["--http", "0"] * http]
+    process: Any = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    if http:
+        address = process.stdout.readline().decode().split()[1]
+        for _ in range(100):
+            with contextlib.suppress(httpx2.HTTPError):
+                httpx2.get(address)
+                break
+            time.sleep(0.1)
+    else:
+        message = {"jsonrpc": "2.0", "id": 1, "method": "ping"}
+        process.stdin.write(json.dumps(message).encode() + b"\n")
+        process.stdin.flush()
+        process.stdout.readline()
+    process.send_signal(ending)
+    process.wait(30)
+    process.stdin.close()
+    process.stdout.close()
+    assert read_ledger(tmp_path / "ledger.jsonl")[-1]["event"] == "ended"
+    assert (tmp_path / "episode-0000.jsonl.part").exists()
 
 
 @pytest.mark.parametrize("given", [False, True])
