@@ -234,14 +234,20 @@ def test_hidden_pages_leave_connections_to_others(tmp_path: Path, visitor: Any) 
         assert pages[1].evaluate("count") == 0
 
 
+def taken_seat(lab: Any, visitor: Any) -> tuple[Any, int]:
+    """The page of the reaction bench's seat at its first turn, taken by a person, and the turns before."""
+    while lab.lives[0].turn != "rxn_0":
+        lab.lives[0].step()
+    turns = lab.lives[0].film.turns
+    lab.order("/lab/0/seat/rxn_0", do="take")
+    seat = visitor(f"{lab.url}/lab/0/seat/rxn_0")
+    seat.get_by_text("It is your turn.").wait_for()
+    return seat, turns
+
+
 def test_an_empty_number_is_not_zero(tmp_path: Path, visitor: Any) -> None:
     with served(tmp_path, paused=True) as lab:
-        while lab.lives[0].turn != "rxn_0":
-            lab.lives[0].step()
-        turns = lab.lives[0].film.turns
-        lab.order("/lab/0/seat/rxn_0", do="take")
-        seat = visitor(f"{lab.url}/lab/0/seat/rxn_0")
-        seat.get_by_text("It is your turn.").wait_for()
+        seat, turns = taken_seat(lab, visitor)
         field, button = seat.locator("input[name=temperature_change]"), seat.get_by_role("button", name="step")
         field.fill("")
         button.click()
@@ -255,12 +261,7 @@ def test_an_empty_number_is_not_zero(tmp_path: Path, visitor: Any) -> None:
 def test_a_double_click_is_one_turn(tmp_path: Path, visitor: Any) -> None:
     """Nor does a page act on an observation that it does not show."""
     with served(tmp_path, paused=True) as lab:
-        while lab.lives[0].turn != "rxn_0":
-            lab.lives[0].step()
-        turns = lab.lives[0].film.turns
-        lab.order("/lab/0/seat/rxn_0", do="take")
-        seat = visitor(f"{lab.url}/lab/0/seat/rxn_0")
-        seat.get_by_text("It is your turn.").wait_for()
+        seat, turns = taken_seat(lab, visitor)
         seat.evaluate("for (let i = 0; i < 2; i++) document.querySelector('form button').click()")
         until(lambda: lab.lives[0].film.turns > turns)
         time.sleep(0.5)
