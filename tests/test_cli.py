@@ -752,12 +752,17 @@ def test_a_server_that_is_ended_writes_its_record(sent: str, tmp_path: Path) -> 
     pytest.importorskip("starlette")
     (temporary := tmp_path / "temporary").mkdir()
     words = ["serve", "wurtz_dodecane_direct", "--port", "0", "--paused", "--out", str(tmp_path)]
+    ending = getattr(signal, sent)
     options: Any = {"stdout": subprocess.PIPE, "text": True, "env": os.environ | {"TMPDIR": str(temporary)}}
+    options["preexec_fn"] = lambda: signal.signal(ending, signal.SIG_DFL)  # under nohup, SIGHUP is ignored
     with subprocess.Popen([sys.executable, "-m", "chemlab", *words], **options) as server:
-        assert any(line.startswith("watch: ") for line in server.stdout)
-        time.sleep(1.0)  # until it listens
-        server.send_signal(getattr(signal, sent))
-        assert server.wait(30) == 130
+        try:
+            assert any(line.startswith("watch: ") for line in server.stdout)
+            time.sleep(1.0)  # until it listens
+            server.send_signal(ending)
+            assert server.wait(30) == 130
+        finally:
+            server.kill()
     assert (tmp_path / "0" / "episode-0000.jsonl.part").exists()
     assert list(temporary.iterdir()) == []
 

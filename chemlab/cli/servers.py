@@ -181,11 +181,11 @@ def serve(
 
 
 def _interrupt_on_signals() -> None:
-    """End on SIGHUP (a closed terminal) and SIGTERM as on Ctrl-C: records are written, temporary folders deleted."""
-    for name in ("SIGHUP", "SIGTERM"):
-        number = getattr(signal, name, None)  # Windows has no SIGHUP
-        if number is not None and signal.getsignal(number) is signal.SIG_DFL:  # nohup ignores SIGHUP
-            signal.signal(number, lambda *_: signal.raise_signal(signal.SIGINT))
+    """End on SIGTERM and SIGHUP (a closed terminal) as on Ctrl-C: records are written, temporary folders deleted."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    hangup = getattr(signal, "SIGHUP", None)  # Windows has none
+    if hangup is not None and signal.getsignal(hangup) is signal.SIG_DFL:  # nohup ignores it
+        signal.signal(hangup, lambda *_: signal.raise_signal(signal.SIGTERM))
 
 
 def _free_port(host: str, port: int = 0, option: str = "--port") -> int:

@@ -410,8 +410,6 @@ def return_vessels(
             if slot >= 0:
                 rest_on_shelf(row, chem, arrays.waste[n], events[n], rules.work)
                 move(row, arrays.rows[base + slot])
-                if p > 0:
-                    _forget(n, slot, state)
                 state.last_bench[n, slot] = 1 + rules.bench_of[b]
                 state.last_position[n, slot] = p
                 state.reserved[n, slot] = -1
