@@ -183,7 +183,7 @@ def test_a_scene_is_drawn_the_same_every_time() -> None:
 
 
 def test_too_small_a_picture_is_refused() -> None:
-    with pytest.raises(ValueError, match="480 x 270, .* given 479 x 540"):
+    with pytest.raises(ValueError, match=r"480 x 270, .* given 479 x 540"):
         draw(episode("wurtz_dodecane")[0], 479, 540)
 
 
