@@ -123,7 +123,8 @@ class Room:
         self._changed = threading.Condition(threading.RLock())
         self._episode = 0
         self._over = True
-        self._known: dict[str, str] | None = None if names == "opaque" else {}
+        self._known: dict[str, str] = {}
+        """Code names of materials, if they are opaque."""
         self._recorder: Recorder | None = None
         self._stem: Path | None = None
         self.begin()
@@ -154,7 +155,7 @@ class Room:
             labs.seed(0, self._seed)
             labs.reset(labs.members, goal)
             self._players.seed(0, self._seed)
-            if self._known is None:
+            if self._names == "opaque" and not self._known:
                 self._known = opaque_names(self.scenario, self._salt)
             self._name: Callable[[str], str] = functools.partial(_renamed, self._known) if self._known else str
             renaming = self._name if self._known else None

@@ -7,6 +7,7 @@ import secrets
 import signal
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -79,19 +80,9 @@ def mcp(
         raise ValueError("--episode: needs a salt, so that its world stays secret; set CHEMLAB_SALT")
     seed = None if episode is None else AUDIT_SEED + episode
     room = Room(spec, seats, background, names, calls, say, 10.0, out_folder, "tools only", salt, seed)
-
-    def end(number: int, frame: object) -> None:
-        try:
-            room.close()
-        except (OSError, ValueError) as error:
-            err.print(plain(error))
-        finally:
-            os._exit(128 + number)  # the thread that reads standard input cannot be interrupted
-
     try:
         if http is None:
-            for ending in (signal.SIGINT, signal.SIGTERM):
-                signal.signal(ending, end)
+            _exit_on_signals(room.close)
             anyio.run(mcp_server.serve_stdio, room)
         else:
             port = _free_port(host, http, "--http")
@@ -178,6 +169,21 @@ def serve(
             query = "" if tokens is None else f"?token={tokens[name]}"
             out.print(plain(f"{name}: {_origin(host, port)}/{page_path}{query}"), soft_wrap=True)
         live_server(live_app(lives, policies, tokens, hosts, paused, speed), host, port).run()
+
+
+def _exit_on_signals(close: Callable[[], None]) -> None:
+    """Call ``close`` on Ctrl-C and SIGTERM, and end at once: reading standard input cannot be interrupted."""
+
+    def end(number: int, frame: object) -> None:
+        try:
+            close()
+        except (OSError, ValueError) as error:
+            err.print(plain(error))
+        finally:
+            os._exit(128 + number)
+
+    for ending in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(ending, end)
 
 
 def _interrupt_on_signals() -> None:

@@ -4,8 +4,7 @@ Makes single-line mutants of physics, roles and laboratories: another operator, 
 condition. Runs the given tests on each mutant in a temporary copy of the working tree; a mutant is killed if a test
 fails, or if the tests take ten times as long as without it. Results are appended to FILE: a second run with the same
 arguments continues. ``--tests-of COMMIT`` takes the tests of another commit, to compare two test suites on the same
-mutants. Kernels run as plain Python unless ``--compiled`` is given: compilation takes about a minute per mutant. Tests
-that need compiled kernels are then excluded with ``--options='-k "not ..."'``.
+mutants. Kernels are compiled for every mutant, which takes about a minute: give the tests of one part at a time.
 """
 
 from __future__ import annotations
@@ -154,15 +153,16 @@ def _copy(to: Path, tests_of: str | None) -> None:
         subprocess.run(["tar", "-x", "-C", str(to)], input=packed, check=True)
 
 
-def _run(command: Sequence[str], copy: Path, compiled: bool, limit_s: float | None) -> tuple[int | None, float, str]:
+def _run(command: Sequence[str], copy: Path, limit_s: float | None) -> tuple[int | None, float, str]:
     """Run the tests in a copy; return the exit code (None: timed out), the seconds, and the last lines of output."""
-    environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
-    environment |= {} if compiled else {"NUMBA_DISABLE_JIT": "1"}
     began = time.monotonic()
-    try:
-        done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=limit_s)
-    except subprocess.TimeoutExpired:
-        return None, time.monotonic() - began, "timed out"
+    with tempfile.TemporaryDirectory() as kernels:  # those of a mutant serve nothing else
+        environment = {**os.environ, "PYTHONPATH": str(copy), "PYTHONDONTWRITEBYTECODE": "1"}
+        environment["NUMBA_CACHE_DIR"] = kernels
+        try:
+            done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, text=True, timeout=limit_s)
+        except subprocess.TimeoutExpired:
+            return None, time.monotonic() - began, "timed out"
     return done.returncode, time.monotonic() - began, done.stdout[-2000:]
 
 
@@ -178,14 +178,14 @@ def _judged(arguments: argparse.Namespace, copy: Path) -> dict[str, dict[str, ob
     chosen, results = choose(arguments.mutants, arguments.seed, arguments.folders), _known(arguments.results)
     waiting = [mutant for mutant in chosen if str(mutant) not in results]
     if waiting:
-        code, seconds, output = _run(command, copy, arguments.compiled, None)
+        code, seconds, output = _run(command, copy, None)
         if code != 0:
             raise SystemExit(f"the tests do not pass without a mutant (exit code {code}):\n{output}")
         print(f"without a mutant: {seconds:.0f} s", file=sys.stderr)
     for mutant in waiting:
         source = (copy / mutant.path).read_text(encoding="utf-8")
         mutant.apply(copy)
-        code, seconds_here, _ = _run(command, copy, arguments.compiled, max(10.0 * seconds, _LEAST_S))
+        code, seconds_here, _ = _run(command, copy, max(10.0 * seconds, _LEAST_S))
         (copy / mutant.path).write_text(source, encoding="utf-8")
         result = {"mutant": str(mutant), "killed": code != 0, "exit_code": code, "seconds": round(seconds_here, 1)}
         results[str(mutant)] = result | asdict(mutant)
@@ -205,7 +205,6 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.add_argument("--folders", nargs="+", default=FOLDERS, help="folders whose files are changed")
     parser.add_argument("--tests-of", help="commit whose tests are run; default: those of the working tree")
     parser.add_argument("--options", default="", help="further options of pytest")
-    parser.add_argument("--compiled", action="store_true", help="run compiled kernels")
     parser.add_argument("--json", action="store_true", help="print JSON")
     arguments = parser.parse_args(given)
     with tempfile.TemporaryDirectory() as place:
