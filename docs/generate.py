@@ -33,6 +33,7 @@ from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.policies import has_memory
 from chemlab.cli import app as command
 from chemlab.cli.evaluation import RESULT_COLUMNS
+from chemlab.cli.options import paragraphs
 from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
 from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
 from chemlab.config.loading import load_scenario
@@ -685,8 +686,7 @@ def _command_page() -> str:
         for p in options:
             shown = isinstance(p.default, (str, int, float, Path)) and p.default is not False
             rows.append((facts.codes(p.opts), p.help or "", facts.code(p.default) if shown else ""))
-        text = re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(found.help or ""))
-        parts += [f"## {name}", "", facts.code(" ".join(usage)), "", text, ""]
+        parts += [f"## {name}", "", facts.code(" ".join(usage)), "", paragraphs(found.help), ""]
         parts += [_table(("argument", "meaning", "default"), rows)]
     return "\n".join(parts)
 

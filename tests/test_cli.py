@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import io
+import itertools
 import json
 import os
 import re
@@ -61,6 +62,14 @@ def test_list_names_every_scenario() -> None:
     assert all(row["agents"][0] == "manager_0" for row in rows)
     shown = command("list")
     assert all(name in shown for name in names)
+
+
+@pytest.mark.parametrize("words", [["evaluate"], ["data", "material"]])
+def test_paragraphs_of_help_fill_the_width(words: list[str]) -> None:
+    shown = runner.invoke(app, [*words, "--help"], env={"COLUMNS": "80"}).stdout
+    lines = [line.strip() for line in shown.partition("╭─")[0].splitlines()]
+    for line, following in itertools.pairwise(lines):
+        assert not line or not following or len(f"{line} {following.split()[0]}") > 78
 
 
 def test_help_shows_commands_in_panels() -> None:

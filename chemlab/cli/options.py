@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import re
 import traceback
@@ -94,6 +95,11 @@ def _current_command(args: list[str]) -> list[str]:
     return [*args[:at], *words, *args[at + 1 :]]
 
 
+def paragraphs(text: str | None) -> str:
+    """Return a help text with each paragraph on one line, to be wrapped to any width."""
+    return re.sub(r"(?<!\n)\n(?!\n)", " ", inspect.cleandoc(text or ""))
+
+
 class DefaultGroup(TyperGroup):
     """A group whose first command is the default."""
 
@@ -117,6 +123,13 @@ class _Commands(TyperGroup):
         with readable_errors():  # for --help, whose text is printed here
             parsed: list[str] = super().parse_args(ctx, args)
         return parsed
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        found = super().get_command(ctx, cmd_name)
+        for one in (found, *getattr(found, "commands", {}).values()):
+            if one is not None:
+                one.help = paragraphs(one.help)
+        return found
 
     def invoke(self, ctx: Any) -> Any:
         with readable_errors():
