@@ -6,6 +6,7 @@ import inspect
 import json
 import signal
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Optional
@@ -183,7 +184,17 @@ def _hint(name: str, kind: Any, text: str, panel: str = "", hidden: bool = False
     flag = f"--{option}/--no-{option}" if kind is bool else f"--{option}"
     # An option that is not given is None, so that what was given wins over file and preset.
     given = typer.Option(flag, help=text, hidden=hidden, show_default=False, rich_help_panel=panel or None)
+    if kind is int:
+        given.parser, given.metavar = _whole, "<int>"
     return Annotated[Optional[kind], given]  # noqa: UP045 - made at run time
+
+
+def _whole(text: str) -> int:
+    """Convert a whole number, also written as 1e6."""
+    with suppress(ValueError):
+        if (value := float(text)).is_integer():
+            return int(value)
+    raise typer.BadParameter(f"must be a whole number, such as 1000000 or 1e6; given {text!r}")
 
 
 def _default_text(fields: dict[str, Any]) -> str:

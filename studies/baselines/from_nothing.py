@@ -140,17 +140,21 @@ def table(scores: dict[str, Any]) -> list[str]:
 
 
 def ladder(scores: dict[str, Any]) -> list[str]:
-    """Return the lines of the table of what has been learned from nothing by whom; what has not been tried is open."""
-    groups, rows = ("manager", "benches", f"all roles, {STAGES}", "all roles"), []
+    """Return the lines of the table of learned scores as multiples of the scripted one, one for each training seed."""
+    groups, rows = ("benches", "manager", f"all roles, {STAGES}", "all roles"), []
     for scenario in (*world_scenarios(), "wurtz_dodecane"):
-        cells = [f"{scores['untrained'][scenario]['scripted']:.3f}" if scenario in scores["untrained"] else ""]
-        for who in groups:
-            best = [
-                run["best"] for run in scores["runs"] if run["scenario"] == scenario and learners(run["roles"]) == who
-            ]
-            cells.append(f"{statistics.median(best):.3f}" if best else "open")
-        rows.append([f"`{scenario}`", *cells])
-    return markdown_table({"scenario": False, **dict.fromkeys(("scripted", *groups), True)}, rows)
+        runs = sorted((run for run in scores["runs"] if run["scenario"] == scenario), key=lambda run: run["seed"])
+        cells = [[f"{multiple(run, scores):.2f}" for run in runs if learners(run["roles"]) == who] for who in groups]
+        rows.append([f"`{scenario}`", *(", ".join(cell) or "open" for cell in cells)])
+    return markdown_table(dict.fromkeys(("scenario", *groups), False), rows)
+
+
+def multiple(run: dict[str, Any], scores: dict[str, Any]) -> float:
+    """Return a run's score in ``validation`` as a multiple of the scripted one in the same episodes."""
+    found = run.get("gains", {}).get("validation")
+    if found is None:
+        return float(run["best"] / scores["untrained"][run["scenario"]]["scripted"])
+    return float(1.0 + found["value"] / found["scripted"])
 
 
 def compared(scores: dict[str, Any]) -> list[str]:
