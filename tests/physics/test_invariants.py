@@ -131,10 +131,12 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
         check_seen(laboratories, members)
 
     turns, rounds, experiments = 0, 0, np.zeros(len(laboratories.experiments))
+    events = np.zeros(laboratories.safety_totals.shape[1])
     while turns < TURNS:
         turns += random_turns(laboratories, rng, policy, 0.1)
         rounds += 1
         experiments += laboratories.busy.any(axis=1)
+        events += laboratories.safety_totals.sum(axis=0)
         over = np.flatnonzero(laboratories.state.status != RUNNING)
         if rounds % 12 == 0:
             check(laboratories.members)
@@ -145,6 +147,8 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
             start[over] = laboratories.total()[over] @ atoms_in
     check_pressures(laboratories)
     assert (experiments > 0).all()  # every bench was used
+    # It is not tame: spills, relief, boiling dry, dry heating and metal in water all happen.
+    assert (events > 0.0).all() or scenario != "wurtz_two_lines", events
     assert laboratories.state.ticks.max() > 0
 
 
@@ -229,21 +233,6 @@ def test_extremes_leave_nothing_out_of_bounds(scenario: str) -> None:
         if rounds % 4 == 0:
             spoil(shelf, rng)
         start = laboratories.total() @ atoms_in
-
-
-def test_random_agents_meet_every_safety_event() -> None:
-    """The random play above is not tame: spills, relief, boiling dry, dry heating and metal in water all happen."""
-    laboratories = Laboratories("wurtz_dodecane", 40)
-    laboratories.begin()
-    rng, policy = np.random.default_rng(5), RandomPolicy(0, 6)
-    seen = np.zeros(laboratories.safety_totals.shape[1])
-    for _ in range(TURNS // 40):
-        random_turns(laboratories, rng, policy, 0.1)
-        seen = np.maximum(seen, laboratories.safety_totals.max(axis=0))
-        over = np.flatnonzero(laboratories.state.status != RUNNING)
-        if len(over):
-            laboratories.reset(over)
-    assert (seen > 0.0).all(), seen
 
 
 @pytest.mark.parametrize("bench", ["ext", "dit"])
