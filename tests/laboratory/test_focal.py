@@ -22,7 +22,6 @@ from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.parallel import parallel_env
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
-from chemlab.lab.text import named_events
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_state import LIMIT
 
@@ -66,27 +65,31 @@ class ByHand:
         else:
             self.seed(np.random.SeedSequence([int(self.series), self.episode]))
         self.env.reset(seed=seed)
-        self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
+        self.others(self.nothing())
         while self.labs.state.status[0] != 0:
             self.labs.episodes.again[:] = True  # stands in for the same episode
             self.env.reset()
-            self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
+            self.others(self.nothing())
         self.last_turn = int(self.labs.state.ticks[0])
         return self.env.observe(self.agent)
+
+    def nothing(self) -> dict[str, Any]:
+        """What a step without any turn has led to."""
+        events = np.zeros(len(self.env.scenario.safety_events))
+        return {"reward": 0.0, "cost": 0.0, "lab_cost": 0.0, "illegal_action": False, "score": 0.0, "events": events}
 
     def turn(self, action: Any, found: dict[str, Any]) -> None:
         """Somebody's turn, and what it means for the agent."""
         mover = self.env.agent_selection
         self.env.step(action)
-        found["rewards"] += self.env.rewards[self.agent]
-        found["lab_cost"] += self.env.infos[mover]["cost"]
-        for kind, value in named_events(self.env.scenario, self.env.infos[mover]).items():
-            found["events"][kind] = found["events"].get(kind, 0.0) + value
+        info, score = self.env.infos[mover], float(self.labs.scores[0, self.number])
+        found["reward"] += self.env.rewards[self.agent]
+        found["lab_cost"] += info["cost"]
+        found["events"] += info["events"]
         if mover == self.agent:
-            found["cost"], found["illegal"] = self.env.infos[mover]["cost"], self.env.infos[mover]["illegal_action"]
-        score = self.labs.scores[0, self.number]
+            found.update(cost=info["cost"], illegal_action=info["illegal_action"])
         if np.isfinite(score):
-            found["score"] = found.get("score", 0.0) + float(score)
+            found.update(score=found["score"] + score, experiment_over=True)
 
     def others(self, found: dict[str, Any]) -> None:
         """Move everybody else until the agent has the turn or all is over."""
@@ -102,41 +105,30 @@ class ByHand:
 
     def step(self, action: Any) -> dict[str, Any]:
         """The agent's turn, and the others' until its next."""
-        found: dict[str, Any] = {"rewards": 0.0, "cost": 0.0, "lab_cost": 0.0, "illegal": False, "events": {}}
+        found = self.nothing() | {"experiment_over": False}
         self.turn(action, found)
         self.others(found)
-        ticks, status = int(self.labs.state.ticks[0]), int(self.labs.state.status[0])
-        found["elapsed"], self.last_turn = ticks - self.last_turn, ticks
-        found["terminated"], found["truncated"] = status != 0, False
-        if status != 0 and self.number == 0:
-            found["score"] = float(self.labs.result(self.labs.members)[0])
-        found["experiment_over"] = "score" in found
-        found["kinds"] = self.env.scenario.safety_events
-        found["observation"] = self.env.observe(self.agent)
-        mask = self.labs.mask(self.number, self.labs.members)
-        found["mask"] = None if mask is None else mask[0]
+        ticks, found["terminated"] = int(self.labs.state.ticks[0]), self.labs.state.status[0] != 0
+        found["elapsed_ticks"], self.last_turn = ticks - self.last_turn, ticks
+        if found["terminated"] and self.number == 0:
+            found.update(score=float(self.labs.result(self.labs.members)[0]), experiment_over=True)
         return found
 
 
-def check_step(found: dict[str, Any], step: Any) -> None:
+def check_step(hand: ByHand, found: dict[str, Any], step: Any) -> None:
     """A step of the focal view against what was met by hand."""
     observation, reward, terminated, truncated, info = step
-    np.testing.assert_array_equal(observation, found["observation"])
-    assert reward == pytest.approx(found["rewards"], rel=1e-12, abs=1e-15)
-    assert (terminated, truncated) == (found["terminated"], found["truncated"])
-    assert info["elapsed_ticks"] == found["elapsed"]
-    assert info["experiment_over"] == found["experiment_over"]
-    assert info["score"] == found.get("score", 0.0)
-    assert info["illegal_action"] == found["illegal"]
+    np.testing.assert_array_equal(observation, hand.env.observe(hand.agent))
+    assert reward == pytest.approx(found["reward"], rel=1e-12, abs=1e-15)
+    assert (terminated, truncated) == (found["terminated"], False)
+    for key in ("elapsed_ticks", "experiment_over", "score", "illegal_action"):
+        assert info[key] == found[key], key
     assert info["cost"] == pytest.approx(found["cost"], rel=1e-12)
     # Sums over a step are differences of sums over the episode, hence the last digits.
     assert info["lab_cost"] == pytest.approx(found["lab_cost"], rel=1e-9, abs=1e-9)
-    events = [found["events"].get(kind, 0.0) for kind in found["kinds"]]
-    assert info["events"] == pytest.approx(events, rel=1e-9, abs=1e-9)
-    if found["mask"] is None:
-        assert "action_mask" not in info
-    else:
-        np.testing.assert_array_equal(info["action_mask"], found["mask"])
+    assert info["events"] == pytest.approx(found["events"], rel=1e-9, abs=1e-9)
+    mask = hand.labs.mask(hand.number, hand.labs.members)
+    np.testing.assert_equal(info.get("action_mask"), None if mask is None else mask[0])
 
 
 @pytest.mark.parametrize(("name", "agent", "background"), CASES)
@@ -154,7 +146,7 @@ def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str)
             assert not info["experiment_over"]
         action = choose(env.laboratories, env.focal, 0, rng)
         result = env.step(action)
-        check_step(hand.step(action), result)
+        check_step(hand, hand.step(action), result)
         if env.episodes.action_count:
             np.testing.assert_array_equal(env.action_masks(), result[4]["action_mask"] == 1)
         over = result[2] or result[3]

@@ -13,36 +13,12 @@ from chemlab.config.loading import load_scenario
 from chemlab.laboratory import raw_env
 from chemlab.roles.bench import channel_slices
 
-ELSEWHERE = {
-    "stream",
-    "rewards",
-    "cost",
-    "scores",
-    "safety_totals",
-    "illegal",
-    "begun",
-    "recalled",
-    "measured",
-    "variant",
-    "ready",
-    "drift_stream",
-}
+ELSEWHERE = {"stream", "drift_stream", "rewards", "cost", "scores", "safety_totals", "illegal", "begun", "recalled"}
+ELSEWHERE |= {"measured", "variant", "ready"}
 """Random streams, what the last turn led to, and totals for people: nothing else depends on them; the tick
 when a fitter will have gone, of which the state says how many are left."""
-PASSING = {
-    "ended",
-    "illegal",
-    "events",
-    "stream",
-    "noise_stream",
-    "places",
-    "changed",
-    "layers",
-    "profile",
-    "image",
-    "elapsed",
-    "told",
-}
+PASSING = {"ended", "illegal", "events", "stream", "noise_stream", "places", "changed", "layers", "profile", "image"}
+PASSING |= {"elapsed", "told"}
 """The same of experiments; pictures of vessels are worked out anew from them, and what a world tells a bench is the
 world's."""
 

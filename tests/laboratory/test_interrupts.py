@@ -49,22 +49,10 @@ class Interrupter:
         return self
 
 
-def lines_of(call: Callable[[], Any]) -> int:
-    """How many lines of chemlab's a call runs."""
-    counter = Interrupter(10**9)
+def traced(call: Callable[[], Any], interrupter: Interrupter) -> bool:
+    """Whether a call was interrupted."""
     before = sys.gettrace()
-    sys.settrace(counter)
-    try:
-        call()
-    finally:
-        sys.settrace(before)
-    return 10**9 - counter.left
-
-
-def interrupted(call: Callable[[], Any], line: int) -> bool:
-    """Whether a call was interrupted at that line."""
-    before = sys.gettrace()
-    sys.settrace(Interrupter(line))
+    sys.settrace(interrupter)
     try:
         call()
     except KeyboardInterrupt:
@@ -72,6 +60,18 @@ def interrupted(call: Callable[[], Any], line: int) -> bool:
     finally:
         sys.settrace(before)
     return False
+
+
+def lines_of(call: Callable[[], Any]) -> int:
+    """How many lines of chemlab's a call runs."""
+    counter = Interrupter(10**9)
+    traced(call, counter)
+    return 10**9 - counter.left
+
+
+def interrupted(call: Callable[[], Any], line: int) -> bool:
+    """Whether a call was interrupted at that line."""
+    return traced(call, Interrupter(line))
 
 
 class Played(NamedTuple):

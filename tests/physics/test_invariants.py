@@ -5,8 +5,6 @@ Random agents play every shipped scenario for tens of thousands of turns; a stat
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -157,25 +155,17 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
 
 def extreme(name: str) -> Scenario:
     """A shipped scenario with apparatus as extreme as files may have it, in thin air, and instruments all of noise."""
-    values = mapping(name)
-    values["ambient_pressure_kpa"] = 60.0
-    for bench in values["benches"].values():
+    values, benches = mapping(name), {}
+    for key, bench in values["benches"].items():
         if bench["kind"] == "reaction":
-            bench["temperature_k"] = {"low": COLDEST_K, "high": HOTTEST_K, "step": 3000.0}
+            benches[key] = {"temperature_k": {"low": COLDEST_K, "high": HOTTEST_K, "step": 3000.0}}
         else:
-            bench |= {"hottest_k": HOTTEST_K, "coolest_k": COLDEST_K}
+            benches[key] = {"hottest_k": HOTTEST_K, "coolest_k": COLDEST_K, "process": bench["process"]}
             for process in bench["process"]:
                 amounts = {"heat": [1e4, 1e-3, -1e-3, -1e4], "pour": [1.0, 1.0 - 1e-12, 1e-9], "dry": [1e-3, 1e6]}
                 process["magnitudes"] = amounts.get(process["kind"], process["magnitudes"])
-    for instrument in values.get("instruments", {}).values():
-        instrument["noise"] = 1.0
-    # Files that a scenario names stand beside its own.
-    folder = Path(load_scenario(name).origin).parent
-    for key in ("material_files", "pair_files"):
-        values[key] = [str(folder / file) for file in values.get(key, [])]
-    if str(values["reactions"]).endswith(".toml"):
-        values["reactions"] = str(folder / values["reactions"])
-    return load_scenario(values)
+    noisy = {"instruments": {instrument: {"noise": 1.0} for instrument in values.get("instruments", {})}}
+    return load_scenario({"base": name, "name": "extreme", "ambient_pressure_kpa": 60.0, "benches": benches, **noisy})
 
 
 def spoil(shelf: Shelf, rng: np.random.Generator) -> None:
