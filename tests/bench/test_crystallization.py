@@ -157,14 +157,3 @@ def test_without_filtering_hot_the_sand_stays() -> None:
     _, recovered, purity = scripted(careful=False)
     assert recovered > 0.85
     assert purity < 0.65
-
-
-def test_colder_is_more_and_less_pure(monkeypatch: pytest.MonkeyPatch) -> None:
-    module = "chemlab.agents.scripted.crystallization._COLD_K"
-    found = {}
-    for kelvin in (278.15, 284.15, 298.15):
-        monkeypatch.setattr(module, kelvin)
-        found[kelvin] = scripted()
-    assert found[278.15][1] > found[284.15][1] > found[298.15][1] + 0.03
-    assert found[278.15][2] < 0.99  # salicylic acid has come down, too
-    assert min(found[284.15][2], found[298.15][2]) > 0.999

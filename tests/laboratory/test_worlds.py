@@ -104,18 +104,6 @@ def test_a_world_disturbs_no_other_stream() -> None:
     assert results[0] == results[1]
 
 
-def test_episodes_go_on_to_other_worlds_and_seeds_begin_again() -> None:
-    env = raw_env(scenario())
-    seen = []
-    for _ in range(2):
-        env.reset(seed=4)
-        first = worlds(env)
-        env.reset()
-        seen.append((first, worlds(env)))
-    assert seen[0] == seen[1]
-    assert seen[0][0] != seen[0][1]
-
-
 def test_splits_have_worlds_of_their_own() -> None:
     """What they draw: tests/test_world.py."""
     titres = {}
