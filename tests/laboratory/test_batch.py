@@ -76,6 +76,7 @@ def test_members_are_single_laboratories(name: str, members: int) -> None:
 
 
 @pytest.mark.parametrize("name", FEATURED)
+@np.errstate(all="raise")  # a common way to find a learner's NaN: nothing here may fail by it
 def test_idle_rows_may_be_left_as_they_were(name: str) -> None:
     """Without ``idle_observations`` agents with the turn see the same, and results are the same."""
     assert_plays_rounds(Batched(name, 3, copy=False), name, 3, 60)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED
+from helpers import FEATURED, laboratory, manager, random_legal
 
 from chemlab.config.loading import load_scenario
 from chemlab.laboratory import raw_env
@@ -32,19 +32,16 @@ def parts(env: Any) -> dict[str, npt.NDArray[np.float32]]:
 
 def played(name: str, seed: int, turns: int) -> raw_env:
     """A laboratory after some random turns, with a bench at work."""
-    env, rng = raw_env(name), np.random.default_rng(seed)
-    env.reset(seed=seed)
-    labs = env.laboratories
-    agent = labs.bench_agents[0]
-    goal = labs.scenario.goals[labs.state.goal[0, 0]]
-    env.step(labs.actions.encode("start", agent, 0, goal, *list(env.scenario.grades)[:1]))
-    env.step(labs.actions.encode("wait"))
+    env, rng = laboratory(name, seed), np.random.default_rng(seed)
+    scenario, labs = env.scenario, env.laboratories
+    goal = scenario.goals[labs.state.goal[0, 0]]
+    manager(env, "start", labs.bench_agents[0], 0, goal, *list(scenario.grades)[:1])
+    manager(env, "wait")
     for _ in range(turns):
         if env.agent_selection == "manager_0":
             break
         mask = env.infos[env.agent_selection].get("action_mask")
-        space = env.action_space(env.agent_selection)
-        env.step(rng.random(space.shape) if mask is None else int(rng.choice(np.flatnonzero(mask)[:-1])))
+        env.step(random_legal(env.action_space(env.agent_selection), None if mask is None else mask[:-1], rng))
     return env
 
 
