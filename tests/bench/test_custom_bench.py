@@ -7,9 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import laboratory, litres
 
 import chemlab.scenarios
 from chemlab.config.datafile import DataError
+from chemlab.config.loading import load_scenario
 from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
 from chemlab.lab.experiments import ExperimentBatch
@@ -82,8 +84,7 @@ def test_its_own_arrays_are_part_of_the_state_and_of_its_hash(scenario: Path) ->
 
 
 def test_a_manager_routes_a_vessel_through_it(scenario: Path) -> None:
-    env = raw_env(scenario)
-    env.reset(seed=0, options={"goal": "dodecane"})
+    env = laboratory(load_scenario(scenario))
     labs, shelf = env.laboratories, env.laboratories.shelf
     shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0, "Na": 2.0})
     total = shelf.total()
@@ -99,8 +100,7 @@ def test_a_manager_routes_a_vessel_through_it(scenario: Path) -> None:
     # Nothing but metal in the funnel now: filtering again is a lost turn.
     assert env.infos["fil_0"]["action_mask"].tolist() == [0, 1]
     seen = env.observe("fil_0")
-    metal = env.scenario.materials["Na"]
-    metal_l = 2.0 * metal.molar_mass_g_mol / (1000.0 * metal.density_kg_l)
+    metal_l = litres(env.scenario, {"Na": 2.0})
     assert seen[sees["fill_funnel"]][0] == pytest.approx(metal_l / 1.2, rel=1e-6)
     assert seen[sees["fill_filtrate"]][0] == pytest.approx(funnel_before - metal_l / 1.2, rel=1e-5)
     vessels = shelf.vessels.copy()
@@ -110,8 +110,8 @@ def test_a_manager_routes_a_vessel_through_it(scenario: Path) -> None:
     np.testing.assert_array_equal(shelf.vessels, vessels)
     env.step(1)
     # 1 mol of 7 before, 1 of 5 after: purity 1/7 became 1/5.
-    assert env.infos["fil_0"]["score"] == pytest.approx(1.0 / 5.0 - 1.0 / 7.0, rel=1e-12)
-    assert env.rewards["fil_0"] == pytest.approx(1.0 / 5.0 - 1.0 / 7.0, rel=1e-12)
+    score = pytest.approx(1.0 / 5.0 - 1.0 / 7.0, rel=1e-12)
+    assert (env.infos["fil_0"]["score"], env.rewards["fil_0"]) == (score, score)
     assert env.agent_selection == "manager_0"
     # The funnel is back on its slot, the filtrate on the first free one.
     assert shelf.vessel(0, 0).amounts(1e-12) == {"Na": 2.0}
@@ -122,41 +122,11 @@ def test_a_manager_routes_a_vessel_through_it(scenario: Path) -> None:
     assert env.rewards["manager_0"] == pytest.approx(1.0 * (1.0 / 5.0) / 0.5 - cost, rel=1e-12)
 
 
-def test_salt_stays_back_and_its_ions_go_through(scenario: Path) -> None:
-    env = raw_env(scenario)
-    env.reset(seed=0)
-    labs, shelf = env.laboratories, env.laboratories.shelf
-    shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "NaCl": 1.0})
-    sodium = shelf.total()[0] @ np.array([m.composition.get("Na", 0.0) for m in env.scenario.materials.values()])
-    env.step(labs.actions.encode("start", "fil_0", 0, "NaCl"))
-    env.step(labs.actions.encode("wait"))
-    places = labs.experiments[3].places[0]
-    held = shelf.amounts[0, places[0]].copy()
-    env.step(0)
-    before = dict(zip(env.scenario.materials, held, strict=True))
-    amounts = dict(zip(env.scenario.materials, shelf.amounts[0, places[1]], strict=True))
-    assert before["NaCl"] > 0.0
-    assert amounts["NaCl"] == 0.0
-    assert amounts["Na+"] == before["Na+"] > 0.0
-    assert amounts["diethyl_ether"] == 4.0
-    env.step(1)
-    # Back on the shelf each vessel comes to its own equilibrium, and no sodium is lost.
-    counts = np.array([m.composition.get("Na", 0.0) for m in env.scenario.materials.values()])
-    assert shelf.total()[0] @ counts == pytest.approx(sodium, rel=1e-12)
-
-
-def test_its_mistakes_in_the_scenario_are_named(scenario: Path) -> None:
-    text = scenario.read_text()
-    for old, new, part in (
-        ("FiltrationBench", "CentrifugeBench", "CentrifugeBench"),
-        ("filtration_bench:", "no_such_module:", "no_such_module"),
-        ("auxiliary_capacity_l = 1.2\n", "auxiliary_capacity_l = 1.2\npaper = 3\n", "paper"),
-    ):
-        head, _, entry = text.partition("[benches.fil]")
-        scenario.write_text(f"{head}[benches.fil]{entry.replace(old, new)}")
-        with pytest.raises(DataError, match=part) as caught:
-            raw_env(scenario)
-        assert f"{scenario}: benches.fil" in str(caught.value)
+def test_a_mistake_in_its_options_is_named(scenario: Path) -> None:
+    """Others: tests/parts/test_parts.py."""
+    scenario.write_text(f"{scenario.read_text()}paper = 3\n")
+    with pytest.raises(DataError, match=r"with_filter\.toml: benches\.fil.*paper"):
+        raw_env(scenario)
 
 
 @pytest.mark.parametrize(

@@ -10,14 +10,7 @@ from chemlab.config.datamodel import written
 from chemlab.config.loading import load_scenario
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.record import scenario_hash
-from chemlab.roles.discrete import Discretised
 from chemlab.roles.kinds import discretised_twin
-
-
-def bench(name: str = "wurtz_dodecane") -> Discretised:
-    made = RoleEnv(name, bench="rxn", actions="discrete").bench
-    assert isinstance(made, Discretised)
-    return made
 
 
 def test_each_choice_does_what_its_numbers_do() -> None:
@@ -35,7 +28,7 @@ def test_each_choice_does_what_its_numbers_do() -> None:
 
 def test_all_choices_are_legal_differ_and_say_what_they_do() -> None:
     for name in ("wurtz_dodecane", "fictitious", "campaign", "wurtz_real"):
-        one = bench(name)
+        one = RoleEnv(name, bench="rxn", actions="discrete").bench
         assert len(np.unique(one.action_rows, axis=0)) == len(one.action_rows) == one.action_count
         assert len(set(one.action_meanings)) == one.action_count
         assert ((one.action_rows >= 0.0) & (one.action_rows <= 1.0)).all()

@@ -5,6 +5,7 @@ made of it into ``docs/security.md``.
     python tests/fuzz/attacks.py table                            # the table alone
 
 A run takes the place of what was kept of this kind and seed before; ``--forget`` leaves out its other seeds, too.
+``--look`` keeps nothing but the files that fail, one folder each, and says where they are.
 """
 
 from __future__ import annotations
@@ -112,11 +113,15 @@ def main() -> int:
     parser.add_argument("--tries", type=int, default=1000, help="files, records, or episodes that are forged")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--forget", action="store_true", help="leave out what was kept of other seeds of this kind")
+    parser.add_argument("--look", action="store_true", help="print what fails, and leave results and page as they are")
     arguments = parser.parse_args()
     failures: list[str] = []
     if arguments.kind != "table":
         outcomes, failures = KINDS[arguments.kind](arguments.tries, arguments.seed)
         print("\n".join(failures))
+        if arguments.look:
+            print(json.dumps(outcomes, indent=1))
+            return int(bool(failures))
         own = {"kind": arguments.kind, "tries": arguments.tries, "seed": arguments.seed, "commit": _commit()}
         own |= {"outcomes": outcomes, "failures": len(failures)}
         others = [

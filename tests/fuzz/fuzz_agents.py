@@ -1,7 +1,7 @@
 """Broken files about agents, by the thousand: whatever is in a policy's card or weights, a file of plans, a training
 run's folder, a sweep or a configuration, either it is read or the error is a ValueError that names the file.
 
-    python tests/fuzz/fuzz_agents.py --files 5000 --seed 0     # what fails is kept in --keep, one folder each
+    python tests/fuzz/attacks.py agents --tries 5000 --seed 0 --look
 
 Each try takes a file that is read, changes it as ``fuzz_files.py`` does, in its structure or in its text, and gives it
 to everything that reads such files: a policy that loads plays, a run is put into tables, its task looked for.
@@ -25,7 +25,7 @@ from safetensors.numpy import save, save_file
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from fuzz_files import LONGEST_MESSAGE, NASTY, campaign, change, changed, main, scribble, write_json, write_toml
+from fuzz_files import LONGEST_MESSAGE, NASTY, campaign, change, changed, scribble, write_json, write_toml
 from run_files import write_run
 
 import chemlab.agents.pretrained
@@ -300,7 +300,3 @@ def attempt(folder: Path, kind: str, rng: np.random.Generator) -> str:
 def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tuple[Counter[str], list[str]]:
     """A campaign of files about agents; nothing takes ``turns``."""
     return campaign(tuple(TRIES), attempt, files, seed, keep)
-
-
-if __name__ == "__main__":
-    sys.exit(main(__doc__, fuzz))

@@ -2,7 +2,7 @@
 a record, or in what ``chemlab new`` and ``chemlab data material`` are given, either it loads or the error is a
 DataError that names the file.
 
-    python tests/fuzz/fuzz_files.py --files 5000 --seed 0      # what fails is kept in --keep, one folder each
+    python tests/fuzz/attacks.py files --tries 5000 --seed 0 --look
 
 Each try takes a set of files that load, changes one of them (its numbers a little, its structure, its text, or a part
 for the same part of another), loads it, builds its laboratory and, with ``--turns``, plays some turns at random, of
@@ -11,13 +11,11 @@ which some are not legal. What has been played is recorded, and the record must 
 
 from __future__ import annotations
 
-import argparse
 import copy
 import importlib.util
 import json
 import shutil
 import signal
-import sys
 import tempfile
 import traceback
 from collections import Counter
@@ -474,22 +472,3 @@ def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tup
         return attempt(folder, kind, bases, rng, turns)
 
     return campaign(KINDS, one, files, seed, keep)
-
-
-def main(text: str | None = __doc__, run: Callable[..., tuple[Counter[str], list[str]]] = fuzz) -> int:
-    """Run a fuzzer, print what failed."""
-    parser = argparse.ArgumentParser(description=text, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--files", type=int, default=1000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--turns", type=int, default=0, help="random turns to play where a file loads")
-    parser.add_argument("--keep", type=Path, default=None, help="folder for the files that failed")
-    arguments = parser.parse_args()
-    outcomes, failures = run(arguments.files, arguments.seed, arguments.turns, arguments.keep)
-    print("\n".join(failures))
-    for outcome, count in sorted(outcomes.items()):
-        print(f"{outcome}: {count}")
-    return min(len(failures), 1)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,6 +1,6 @@
 """Records as a stranger might send them: every reader must say what is wrong with them, and none may die or hang.
 
-    python tests/fuzz/fuzz_records.py --files 5000 --seed 0     # what fails is kept in --keep, one folder each
+    python tests/fuzz/attacks.py records --tries 5000 --seed 0 --look
 
 Each file is an honest record with a few changes: of the values in it, of its lines, or of its text. It is verified and
 given to the other readers: replay page, charts, demonstrations, command line. It fails if
@@ -13,7 +13,6 @@ given to the other readers: replay page, charts, demonstrations, command line. I
 from __future__ import annotations
 
 import json
-import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable
@@ -21,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from fuzz_files import campaign, change, main, scribble
+from fuzz_files import campaign, change, scribble
 from typer.testing import CliRunner
 
 from chemlab.agents.demonstrations import demonstrations
@@ -157,7 +156,3 @@ def fuzz(files: int, seed: int, turns: int = 0, keep: Path | None = None) -> tup
     with tempfile.TemporaryDirectory() as folder:
         sources = honest(Path(folder))
     return campaign(("record, verified",), lambda folder, _, rng: attempt(folder, sources, rng), files, seed, keep)
-
-
-if __name__ == "__main__":
-    sys.exit(main(__doc__, fuzz))

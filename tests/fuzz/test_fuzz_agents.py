@@ -1,4 +1,4 @@
-"""A few hundred broken files about agents, the same every time; more by ``python tests/fuzz/fuzz_agents.py``."""
+"""A few hundred broken files about agents, always the same; more by ``python tests/fuzz/attacks.py agents --look``."""
 
 from __future__ import annotations
 

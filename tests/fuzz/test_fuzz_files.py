@@ -1,4 +1,4 @@
-"""A few hundred broken files, the same every time; thousands by ``python tests/fuzz/fuzz_files.py``."""
+"""A few hundred broken files, the same every time; thousands by ``python tests/fuzz/attacks.py files --look``."""
 
 from __future__ import annotations
 

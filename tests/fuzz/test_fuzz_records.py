@@ -1,4 +1,4 @@
-"""A few hundred mutated records; more by ``python tests/fuzz/fuzz_records.py``."""
+"""A few hundred mutated records; more by ``python tests/fuzz/attacks.py records --look``."""
 
 from __future__ import annotations
 

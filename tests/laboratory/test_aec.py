@@ -12,12 +12,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import FEATURED, digest, manager, mapping, random_legal
+from helpers import FEATURED, digest, laboratory, manager, mapping, random_legal
 from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
 
-from chemlab.agents.policies import make_policies
-from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.laboratory import env as laboratory_env
 from chemlab.roles.bench import channel_slices
@@ -52,12 +50,13 @@ def test_state(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", FEATURED)
-def test_turns_in_random_play(name: str) -> None:
+def test_turns_and_observations_in_random_play(name: str) -> None:
     env = raw_env(name)
     labs, rng = env.laboratories, np.random.default_rng(0)
     env.reset(seed=0)
     order: list[str] = []
     while labs.state.status[0] == 0:
+        check_seen(env)
         agent, number = env.agent_selection, env.possible_agents.index(env.agent_selection)
         busy = [labs.agents[1 + b] for b in np.flatnonzero(labs.busy[:, 0])]
         assert agent == "manager_0" or agent in busy, "an idle bench has no turn"
@@ -87,31 +86,21 @@ def test_turns_in_random_play(name: str) -> None:
     assert labs.state.status[0] == 2 or labs.scenario.demand.order
 
 
-# -- spaces ---------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_observations_lie_in_their_space_and_idle_benches_see_zeros(name: str) -> None:
-    env = raw_env(name)
-    rng = np.random.default_rng(4)
-    env.reset(seed=4)
-    while env.laboratories.state.status[0] == 0:
-        for number, agent in enumerate(env.possible_agents):
-            seen = env.observe(agent)
-            assert env.observation_space(agent).contains(seen)
-            if number > 0 and not env.laboratories.busy[number - 1, 0]:
-                assert not seen.any()
-            elif number > 0:
-                bench = env.laboratories.benches[number - 1]
-                goal = seen[channel_slices(bench.channels)["goal"]]
-                own = env.laboratories.experiments[number - 1]
-                first = own.steps[0] == 0 and env.agent_selection == "manager_0"
-                if env.scenario.hides and first:  # nothing of a vessel before the first turn with it
-                    assert not seen.any()
-                    continue
-                assert goal.sum() == 1.0
-                assert goal.argmax() == env.laboratories.experiments[number - 1].goal[0]
-        env.step(random_turn(env, rng, submit=False))
+def check_seen(env: raw_env) -> None:
+    """Observations lie in their spaces, and idle benches see zeros."""
+    for number, agent in enumerate(env.possible_agents):
+        seen = env.observe(agent)
+        assert env.observation_space(agent).contains(seen)
+        if number == 0:
+            continue
+        own = env.laboratories.experiments[number - 1]
+        # Nothing of a vessel before the first turn with it, where the scenario hides something.
+        first = env.scenario.hides and own.steps[0] == 0 and env.agent_selection == "manager_0"
+        if first or not own.busy[0]:
+            assert not seen.any()
+        else:
+            goal = seen[channel_slices(env.laboratories.benches[number - 1].channels)["goal"]]
+            assert goal.tolist() == np.eye(len(goal))[own.goal[0]].tolist()
 
 
 # -- masks ----------------------------------------------------------------------------------------------------------
@@ -172,96 +161,59 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
     assert all(played[role, illegal] > 20 for role in roles for illegal in (True, False)), played
 
 
-# -- actions --------------------- ------------------------------------------------------------------------------------
+# -- actions -----------------------------------------------------------------------------------------------------------
 
 
-def with_the_turn(agent: str) -> raw_env:
-    """A laboratory in which this agent has the turn."""
-    env = raw_env(WURTZ)
-    env.reset(seed=0)
-    if agent != "manager_0":
-        manager(env, "start", agent, 0, "dodecane")
-        manager(env, "wait")
-    assert env.agent_selection == agent
-    return env
-
-
-@pytest.mark.parametrize("agent", ["manager_0", "rxn_0", "ext_0", "dit_0"])
-def test_every_way_to_write_an_action_is_the_same_action(agent: str) -> None:
-    states = set()
-    written: list[Any] = [int, np.int32, np.int64, np.array]
-    if agent == "rxn_0":
-        written = [list, tuple, np.array, lambda values: np.array(values, dtype=np.float32)]
-    for write in written:
-        env = with_the_turn(agent)
-        env.step(write([0.5, 0.25, 0.5, 0.0, 1.0, 0.125]) if agent == "rxn_0" else write(3))
-        states.add(digest(env.laboratories.snapshot()))
-    assert len(states) == 1
+def test_every_way_to_write_an_action_is_the_same_action() -> None:
+    numbers, fine = [int, np.int32, np.int64, np.array], [0.5, 0.25, 0.5, 0.0, 1.0, 0.125]
+    boxes = [list, tuple, np.array, lambda values: np.array(values, dtype=np.float32)]
+    for agent, action, written in (("manager_0", 3, numbers), ("ext_0", 3, numbers), ("rxn_0", fine, boxes)):
+        states = set()
+        for write in written:
+            env = raw_env(WURTZ)
+            env.reset(seed=0)
+            if agent != "manager_0":
+                manager(env, "start", agent, 0, "dodecane")
+                manager(env, "wait")
+            env.step(write(action))
+            states.add(digest(env.laboratories.snapshot()))
+        assert len(states) == 1, agent
 
 
 # -- rewards --------------------------------------------------------------------------------------------------------
 
 
-def play_and_count(env: raw_env, act: Any) -> tuple[dict[str, float], dict[str, float], dict[str, float]]:
-    """Play to the end; (what agents saw through last(), sum of env.rewards, sum of experiments' scores)."""
-    wrapped = laboratory_env(env.scenario)
-    inner = wrapped.unwrapped
-    assert isinstance(inner, raw_env)
-    # Whatever the scenario draws, there is something to sell in the world of this seed.
-    wrapped.reset(seed=3)
-    agents = inner.possible_agents
+@pytest.mark.parametrize("name", FEATURED)
+def test_no_reward_is_lost(name: str) -> None:
+    """What ``last()`` gives = what the environment pays = scores of experiments and the manager's result."""
+    env, rng = laboratory_env(name), np.random.default_rng(1)
+    inner: Any = env.unwrapped
+    env.reset(seed=3)
+    agents, labs = inner.possible_agents, inner.laboratories
     seen, paid, scored = (dict.fromkeys(agents, 0.0) for _ in range(3))
-    for agent in wrapped.agent_iter():
-        observation, reward, terminated, truncated, _ = wrapped.last()
-        assert observation is not None
+    for agent in env.agent_iter():
+        _, reward, terminated, truncated, _ = env.last()
         seen[agent] += reward
         if terminated or truncated:
-            wrapped.step(None)
+            env.step(None)
             continue
-        wrapped.step(act(inner, agent, observation))
-        for name, value in wrapped.rewards.items():
-            paid[name] += value
+        env.step(random_turn(inner, rng))
+        for other, value in env.rewards.items():
+            paid[other] += value
         scored[agent] -= inner.scenario.safety.reward_price * inner.infos[agent]["cost"]
-        for i in np.flatnonzero(np.isfinite(inner.laboratories.scores[0])):
-            scored[agents[i]] += float(inner.laboratories.scores[0, i])
-            assert inner.infos[agents[i]]["score"] == inner.laboratories.scores[0, i]
-    assert not wrapped.agents
-    scored["manager_0"] = float(inner.laboratories.result(inner.laboratories.members)[0])
-    return seen, paid, scored
-
-
-@pytest.mark.parametrize("policy", ["scripted", "random"])
-@pytest.mark.parametrize("name", FEATURED)
-def test_no_reward_is_lost(name: str, policy: str) -> None:
-    """What agents see = what the environment pays = scores of experiments and the manager's result."""
-    env = raw_env(name)
-    rng = np.random.default_rng(1)
-    policies = make_policies("scripted", env.laboratories)
-
-    def act(inner: raw_env, agent: str, observation: Any) -> Any:
-        if policy == "random":
-            return random_turn(inner, rng)
-        number = inner.possible_agents.index(agent)
-        step = inner.laboratories.state.actions if number == 0 else inner.laboratories.experiments[number - 1].steps
-        mask = inner.infos[agent].get("action_mask")
-        mask = None if mask is None else mask[None]
-        return policies[agent].act(observation[None], mask, step[:1], inner.laboratories.members)[0]
-
-    seen, paid, scored = play_and_count(env, act)
+        for i in np.flatnonzero(np.isfinite(labs.scores[0])):
+            scored[agents[i]] += float(labs.scores[0, i])
+            assert inner.infos[agents[i]]["score"] == labs.scores[0, i]
+    scored["manager_0"] = float(labs.result(labs.members)[0])
     assert seen == pytest.approx(paid, rel=1e-12, abs=1e-12)
     assert paid == pytest.approx(scored, rel=1e-12, abs=1e-12)
-    if policy == "scripted":
-        assert scored["manager_0"] > 0.0
-        # A world may have no use for a bench.
-        assert env.scenario.world.draws or all(scored[f"{key}_0"] != 0.0 for key in env.scenario.benches)
 
 
 # -- endings --------------------------------------------------------------------------------------------------------
 
 
 def test_a_start_with_a_safety_event_keeps_an_unread_score() -> None:
-    env = raw_env(WURTZ)
-    env.reset(seed=0)
+    env = laboratory(WURTZ)
     labs, act = env.laboratories, env.laboratories.act
     env.infos["rxn_0"] |= {"experiment_over": True, "score": 0.5}
 
@@ -298,11 +250,8 @@ def test_submitting_terminates_for_all() -> None:
 def test_submitting_with_the_last_action_is_a_submission() -> None:
     values = mapping(WURTZ)
     values["limits"]["manager_actions"] = 1
-    env = raw_env(load_scenario(values))
-    env.reset(seed=0)
+    env = laboratory(values)
     manager(env, "submit", 0)
-    assert all(env.terminations.values())
-    assert not any(env.truncations.values())
     assert env.laboratories.state.status[0] == CLOSED
 
 
@@ -328,40 +277,19 @@ def test_an_unknown_option_is_a_warning() -> None:
         env.reset(seed=0, options={"gaol": "dodecane"})
 
 
-def test_goals_of_seeds_are_drawn_uniformly() -> None:
-    """Those of an episode after the other: ``test_goals_of_orders_are_drawn_apart``."""
-    env = raw_env("wurtz_any")
-    labs = env.laboratories
-    draws, goals = 2100, env.scenario.lab_goals
-    by_seed: Counter[int] = Counter()
-    for seed in range(draws):
-        labs.seed(0, seed)
-        labs.reset(labs.members)
-        by_seed[int(labs.state.goal[0, 0])] += 1
-    assert set(by_seed) == {env.scenario.goals.index(goal) for goal in goals}
-    expected = draws / len(goals)
-    statistic = sum((count - expected) ** 2 / expected for count in by_seed.values())
-    assert statistic < 30.0  # chi-square with 6 degrees of freedom: beyond 30 once in 25,000
-
-
 @pytest.mark.parametrize("name", ["rush", "wurtz_two_lines"])
 def test_rendering_as_text(name: str) -> None:
-    env = raw_env(name, render_mode="ansi")
+    env = laboratory(name, render_mode="ansi")
     rng = np.random.default_rng(0)
-    env.reset(seed=0)
     texts = []
     while env.laboratories.state.status[0] == 0:
-        text = env.render()
-        assert isinstance(text, str)
+        texts.append(text := str(env.render()))
         first = int(env.infos["manager_0"]["goals"][0])
         assert f"goal {'unknown' if first < 0 else env.scenario.goals[first]} - " in text
         assert env.scenario.title in text
         assert f"turn: {env.agent_selection}" in text
-        for slot in range(env.scenario.shelf.slots):
-            assert re.search(rf"^\s*slot {slot}\b", text, re.MULTILINE)
-        for agent in env.scenario.bench_agents():
-            assert re.search(rf"^\s*{agent}\b", text, re.MULTILINE)
-        texts.append(text)
+        for start in (*(f"slot {slot}" for slot in range(env.scenario.shelf.slots)), *env.scenario.bench_agents()):
+            assert re.search(rf"^\s*{start}\b", text, re.MULTILINE)
         env.step(random_turn(env, rng, submit=False))
     assert "limit reached" in str(env.render()) or env.scenario.demand.order
     assert any("step " in text for text in texts)

@@ -6,14 +6,13 @@ What is in a vessel is put there by hand, so that what a submission is worth, an
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import allowed, laboratory, manager, mapping
+from helpers import allowed, laboratory, manager, mapping, refused
 
-from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.policies import make_policies
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -55,9 +54,7 @@ def test_an_order_is_seen_once_it_has_come() -> None:
     assert seen(env, 0) == pytest.approx([1.0, 33 / 40, 1 / 3, 0.0, 0.0])
     assert seen(env, 1) == pytest.approx([1.0, 0.5, 1.0, 0.0, 0.0])
     assert allowed(env, "submit", 0, 1)
-
-
-def test_an_order_that_comes_gives_the_manager_the_turn_while_benches_work() -> None:
+    # One that comes while benches work gives the manager the turn.
     env = laboratory(shop({}, {"arrives": 3}))
     manager(env, "start", "rxn_0", 0, "2-chlorohexane")
     manager(env, "wait")
@@ -70,7 +67,6 @@ def test_an_order_that_comes_gives_the_manager_the_turn_while_benches_work() -> 
 @pytest.mark.parametrize(
     ("terms", "demand", "wait", "paid"),
     [
-        ({"within": 5, "price": 3}, {}, False, 3.0),
         ({"within": 5, "price": 3}, {"late": 0.4}, True, 1.2),
         ({"amount_at_least_mol": 2.999, "price": 3}, {}, False, 3.0),
         ({"amount_at_least_mol": 3.001, "price": 3}, {}, False, 0.0),
@@ -94,11 +90,10 @@ def test_what_an_order_pays(terms: dict[str, float], demand: dict[str, float], w
 def test_terms_are_described() -> None:
     labs = laboratory(shop({"within": 5, "price": 3}, {"arrives": 50}, late=0.4, missed=0.1)).laboratories
     told = " ".join(goal_words(labs.scenario))
-    assert "pays its price for a submission that meets it in time, 0.4 of it if that is late, and nothing if" in told
-    assert "An order that pays nothing costs 0.1 of its price." in told
+    assert re.search("0.4 of it if that is late, and nothing if.*pays nothing costs 0.1 of its price", told)
     assert order_table(labs.scenario).rows[0] == ("order 0", "0", "5", "3", "0", "0")
     assert description(labs)["demand"]["late"] == 0.4
-    assert labs.manager.workplace.score_meaning.startswith("price of each order that is met, less 0.1 x price for each")
+    assert "less 0.1 x price" in labs.manager.workplace.score_meaning
 
 
 def test_a_vessel_without_the_goal_pays_nothing_whatever_the_file_says() -> None:
@@ -110,6 +105,7 @@ def test_a_vessel_without_the_goal_pays_nothing_whatever_the_file_says() -> None
 
 
 def test_an_episode_is_over_when_no_order_can_be_met() -> None:
+    """Where late pays it goes on, and nobody waits for nothing."""
     env = laboratory(shop({"within": 5}, {"arrives": 10, "within": 5}))
     labs = env.laboratories
     manager(env, "wait")  # the first is late
@@ -117,9 +113,6 @@ def test_an_episode_is_over_when_no_order_can_be_met() -> None:
     manager(env, "wait")  # the second comes
     manager(env, "wait")
     assert (labs.state.ticks[0], labs.state.status[0]) == (16, CLOSED)
-
-
-def test_where_late_pays_the_episode_goes_on_and_nobody_waits_for_nothing() -> None:
     env = laboratory(shop({"within": 5}, late=0.5))
     manager(env, "wait")
     assert not allowed(env, "wait")
@@ -133,10 +126,7 @@ def test_vessels_on_the_shelf_go_on_reacting_where_the_scenario_says_so() -> Non
     env = laboratory(values)
     labs = env.laboratories
     at = labs.shelf.layout.index("3-chlorohexane")
-    rate = 4.86e11 * math.exp(-85000.0 / (GAS * 298.15)) * 40.0
-    for vessel in range(4):
-        labs.shelf.vessels[0, vessel, :] = labs.shelf.vessels[0, 0, :]
-    first, second = (4.86e12 * math.exp(-85000.0 / (GAS * 298.15)) * 40.0), rate
+    first, second = (factor * math.exp(-85000.0 / (GAS * 298.15)) * 40.0 for factor in (4.86e12, 4.86e11))
     for ticks in (30, 60):
         manager(env, "wait")
         left, kept = math.exp(-first * ticks), math.exp(-second * ticks)
@@ -145,13 +135,12 @@ def test_vessels_on_the_shelf_go_on_reacting_where_the_scenario_says_so() -> Non
 
 
 def test_terms_are_drawn() -> None:
-    values = mapping("rush")
-    labs = Laboratories(load_scenario(values), 3, split="test")
-    play_laboratory(labs, make_policies("random", labs, 0), None, 5)
-    drawn = [labs.worlds.values(member) for member in range(3)]
+    labs = Laboratories("rush", 3, split="test")
+    labs.begin(5)
     for member in range(3):
+        drawn = labs.worlds.values(member)
         for which, key in enumerate(("arrives", "within", "price", "amount")):
-            own = [drawn[member][key][f"order_{o}"] for o in range(labs.scenario.orders)]
+            own = [drawn[key][f"order_{o}"] for o in range(labs.scenario.orders)]
             assert labs.state.terms[member, :, which].tolist() == own
 
 
@@ -184,16 +173,11 @@ def test_a_wait_that_nothing_could_interrupt_for_minutes_is_refused() -> None:
     load_scenario(values | {"demand": {}, "orders": 1})
 
 
-@pytest.mark.parametrize("number", [-1.0, 1e9, 1e300, math.inf, math.nan, "soon", None, []])
 @pytest.mark.parametrize("key", ["arrives", "within", "price", "amount_at_least_mol", "purity_at_least"])
-def test_terms_are_numbers_within_bounds(key: str, number: Any) -> None:
-    if key == "within" and number is None:
-        return
-    with pytest.raises(DataError, match=rf"demand\.order\.0\.{key}: "):
-        load_scenario(shop({key: number}))
+def test_terms_are_numbers_within_bounds(key: str) -> None:
+    for number in (-1.0, 1e9, math.inf, math.nan, "soon", *([] if key == "within" else [None])):
+        refused(str(number), rf"demand\.order\.0\.{key}: ", load_scenario, shop({key: number}))
 
 
 def test_there_are_as_many_orders_as_a_laboratory_may_have() -> None:
-    with pytest.raises(DataError, match="at most 16") as refused:
-        load_scenario(shop(*[{"arrives": 0.0}] * 5000))
-    assert len(str(refused.value)) < 2000
+    assert len(refused("5000", "at most 16", load_scenario, shop(*[{"arrives": 0.0}] * 5000))) < 2000

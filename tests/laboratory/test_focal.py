@@ -22,24 +22,18 @@ from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.envs.parallel import parallel_env
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
-from chemlab.lab.text import named_events
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_state import LIMIT
 
 WURTZ = "wurtz_dodecane"
 CASES = [
-    (WURTZ, "manager_0"),
-    (WURTZ, "rxn_0"),
-    (WURTZ, "ext_0"),
-    (WURTZ, "dit_0"),
-    ("wurtz_safe", "manager_0"),
-    ("wurtz_safe", "ext_0"),
-    ("wurtz_two_lines", "manager_0"),
-    ("wurtz_two_lines", "rxn_1"),
-    ("wurtz_two_lines", "dit_0"),
-    ("fictitious", "manager_0"),
+    (WURTZ, "manager_0", "scripted"),
+    (WURTZ, "rxn_0", "random"),
+    ("wurtz_safe", "ext_0", "random"),
+    ("wurtz_two_lines", "manager_0", "random"),
+    ("wurtz_two_lines", "dit_0", "scripted"),
 ]
-BACKGROUNDS = ("scripted", "random")
+BENCHES = ("rxn_0", "ext_0", "dit_0")
 MEMBERS = [("wurtz_any", "manager_0"), (WURTZ, "ext_0"), ("wurtz_two_lines", "rxn_1")]
 
 
@@ -71,27 +65,31 @@ class ByHand:
         else:
             self.seed(np.random.SeedSequence([int(self.series), self.episode]))
         self.env.reset(seed=seed)
-        self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
+        self.others(self.nothing())
         while self.labs.state.status[0] != 0:
             self.labs.episodes.again[:] = True  # stands in for the same episode
             self.env.reset()
-            self.others({"rewards": 0.0, "lab_cost": 0.0, "events": {}})
+            self.others(self.nothing())
         self.last_turn = int(self.labs.state.ticks[0])
         return self.env.observe(self.agent)
+
+    def nothing(self) -> dict[str, Any]:
+        """What a step without any turn has led to."""
+        events = np.zeros(len(self.env.scenario.safety_events))
+        return {"reward": 0.0, "cost": 0.0, "lab_cost": 0.0, "illegal_action": False, "score": 0.0, "events": events}
 
     def turn(self, action: Any, found: dict[str, Any]) -> None:
         """Somebody's turn, and what it means for the agent."""
         mover = self.env.agent_selection
         self.env.step(action)
-        found["rewards"] += self.env.rewards[self.agent]
-        found["lab_cost"] += self.env.infos[mover]["cost"]
-        for kind, value in named_events(self.env.scenario, self.env.infos[mover]).items():
-            found["events"][kind] = found["events"].get(kind, 0.0) + value
+        info, score = self.env.infos[mover], float(self.labs.scores[0, self.number])
+        found["reward"] += self.env.rewards[self.agent]
+        found["lab_cost"] += info["cost"]
+        found["events"] += info["events"]
         if mover == self.agent:
-            found["cost"], found["illegal"] = self.env.infos[mover]["cost"], self.env.infos[mover]["illegal_action"]
-        score = self.labs.scores[0, self.number]
+            found.update(cost=info["cost"], illegal_action=info["illegal_action"])
         if np.isfinite(score):
-            found["score"] = found.get("score", 0.0) + float(score)
+            found.update(score=found["score"] + score, experiment_over=True)
 
     def others(self, found: dict[str, Any]) -> None:
         """Move everybody else until the agent has the turn or all is over."""
@@ -107,44 +105,33 @@ class ByHand:
 
     def step(self, action: Any) -> dict[str, Any]:
         """The agent's turn, and the others' until its next."""
-        found: dict[str, Any] = {"rewards": 0.0, "cost": 0.0, "lab_cost": 0.0, "illegal": False, "events": {}}
+        found = self.nothing() | {"experiment_over": False}
         self.turn(action, found)
         self.others(found)
-        ticks, status = int(self.labs.state.ticks[0]), int(self.labs.state.status[0])
-        found["elapsed"], self.last_turn = ticks - self.last_turn, ticks
-        found["terminated"], found["truncated"] = status != 0, False
-        if status != 0 and self.number == 0:
-            found["score"] = float(self.labs.result(self.labs.members)[0])
-        found["experiment_over"] = "score" in found
-        found["kinds"] = self.env.scenario.safety_events
-        found["observation"] = self.env.observe(self.agent)
-        mask = self.labs.mask(self.number, self.labs.members)
-        found["mask"] = None if mask is None else mask[0]
+        ticks, found["terminated"] = int(self.labs.state.ticks[0]), self.labs.state.status[0] != 0
+        found["elapsed_ticks"], self.last_turn = ticks - self.last_turn, ticks
+        if found["terminated"] and self.number == 0:
+            found.update(score=float(self.labs.result(self.labs.members)[0]), experiment_over=True)
         return found
 
 
-def check_step(found: dict[str, Any], step: Any) -> None:
+def check_step(hand: ByHand, found: dict[str, Any], step: Any) -> None:
     """A step of the focal view against what was met by hand."""
     observation, reward, terminated, truncated, info = step
-    np.testing.assert_array_equal(observation, found["observation"])
-    assert reward == pytest.approx(found["rewards"], rel=1e-12, abs=1e-15)
-    assert (terminated, truncated) == (found["terminated"], found["truncated"])
-    assert info["elapsed_ticks"] == found["elapsed"]
-    assert info["experiment_over"] == found["experiment_over"]
-    assert info["score"] == found.get("score", 0.0)
-    assert info["illegal_action"] == found["illegal"]
+    np.testing.assert_array_equal(observation, hand.env.observe(hand.agent))
+    assert reward == pytest.approx(found["reward"], rel=1e-12, abs=1e-15)
+    assert (terminated, truncated) == (found["terminated"], False)
+    for key in ("elapsed_ticks", "experiment_over", "score", "illegal_action"):
+        assert info[key] == found[key], key
     assert info["cost"] == pytest.approx(found["cost"], rel=1e-12)
     # Sums over a step are differences of sums over the episode, hence the last digits.
     assert info["lab_cost"] == pytest.approx(found["lab_cost"], rel=1e-9, abs=1e-9)
-    events = [found["events"].get(kind, 0.0) for kind in found["kinds"]]
-    assert info["events"] == pytest.approx(events, rel=1e-9, abs=1e-9)
-    if found["mask"] is None:
-        assert "action_mask" not in info
-    else:
-        np.testing.assert_array_equal(info["action_mask"], found["mask"])
+    assert info["events"] == pytest.approx(found["events"], rel=1e-9, abs=1e-9)
+    mask = hand.labs.mask(hand.number, hand.labs.members)
+    np.testing.assert_equal(info.get("action_mask"), None if mask is None else mask[0])
 
 
-@pytest.mark.parametrize(("name", "agent", "background"), [(*case, BACKGROUNDS[i % 2]) for i, case in enumerate(CASES)])
+@pytest.mark.parametrize(("name", "agent", "background"), CASES)
 def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str) -> None:
     env, hand = role_env(name, agent, background), ByHand(name, agent, background)
     rng = np.random.default_rng(5)
@@ -159,7 +146,7 @@ def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str)
             assert not info["experiment_over"]
         action = choose(env.laboratories, env.focal, 0, rng)
         result = env.step(action)
-        check_step(hand.step(action), result)
+        check_step(hand, hand.step(action), result)
         if env.episodes.action_count:
             np.testing.assert_array_equal(env.action_masks(), result[4]["action_mask"] == 1)
         over = result[2] or result[3]
@@ -172,123 +159,69 @@ def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str)
 # -- ends -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("limit", ["manager_actions", "ticks"])
-def test_every_interface_says_that_a_limit_terminates(limit: str) -> None:
+def test_every_interface_says_that_a_limit_terminates() -> None:
     """A limit is observed and nothing follows it: a learner must not add the value of what would follow."""
     values = mapping(WURTZ)
-    values["limits"][limit] = 3
+    values["limits"]["manager_actions"] = 2
     spec = load_scenario(values)
-    actions = ManagerActions.of(spec)
-    moves = [actions.encode("measure", 0, "balance")] * 3
-    if limit == "ticks":
-        moves = [actions.encode("start", "ext_0", 0, "dodecane"), actions.encode("wait")]
-    idle = {"ext_0": 3}  # as long as it may
-    ends: list[tuple[bool, bool]] = []
-
+    move, ends = ManagerActions.of(spec).encode("measure", 0, "balance"), []
     aec = raw_env(spec)
     aec.reset(seed=0)
-    for move in moves:
+    for _ in range(2):
         aec.step(move)
-    while limit == "ticks" and aec.agent_selection == "ext_0":
-        aec.step(3)
-    for agent in aec.possible_agents:
-        ends.append((aec.terminations[agent], aec.truncations[agent]))
     assert aec.laboratories.state.status[0] == LIMIT
-
-    rounds = parallel_env(spec)
-    rounds.reset(seed=0)
-    batches = [BatchedLaboratory(2, spec, autoreset=autoreset) for autoreset in (True, False)]
-    for batch in batches:
-        batch.reset(seed=0)
-    steps: list[dict[str, int]] = [{"manager_0": move} for move in moves] + [idle] * (3 * (limit == "ticks"))
-    for step in steps:
-        _, _, over, cut, _ = rounds.step(step)
-        seen = [batch.step({agent: np.array([action] * 2) for agent, action in step.items()}) for batch in batches]
-    ends += [(over[agent], cut[agent]) for agent in rounds.possible_agents]
-    ends += [(bool(o), bool(c)) for _, _, overs, cuts, _ in seen for o, c in zip(overs, cuts, strict=True)]
-
-    background = {agent: (lambda seen, mask: np.full(len(seen), 3)) for agent in ("ext_0", "dit_0")}
-    background["rxn_0"] = lambda seen, mask: np.full((len(seen), 6), 0.5)
-    single = RoleEnv(spec, policies=background)
-    single.reset(seed=0)
-    for move in moves:
-        _, _, one_over, one_cut, _ = single.step(move)
-    ends.append((one_over, one_cut))
-    for mode in AutoresetMode:
-        several = RoleVectorEnv(2, spec, policies=background, autoreset_mode=mode)
-        several.reset(seed=0)
-        for move in moves:
-            _, _, overs, cuts, _ = several.step(np.full(2, move))
-        ends += [(bool(o), bool(c)) for o, c in zip(overs, cuts, strict=True)]
-
-    plan = iter([*moves, moves[-1]])
-    others = {**background, "manager_0": lambda seen, mask: np.full(len(seen), next(plan))}
-    if limit == "ticks":  # and for a bench's agent
-        bench = RoleEnv(spec, "ext_0", {name: policy for name, policy in others.items() if name != "ext_0"})
-        bench.reset(seed=0)
-        found = [bench.step(3) for _ in range(3)]
-        assert [step[2] for step in found] == [False, False, True]
-        ends.append((found[-1][2], found[-1][3]))
-
+    ends += [(aec.terminations[agent], aec.truncations[agent]) for agent in aec.possible_agents]
+    interfaces: list[tuple[Any, Any]] = [
+        (parallel_env(spec), {"manager_0": move}),
+        (role_env(spec), move),
+        *((BatchedLaboratory(2, spec, autoreset=own), {"manager_0": np.full(2, move)}) for own in (True, False)),
+        *((role_vector_env(2, spec, autoreset_mode=mode), np.full(2, move)) for mode in AutoresetMode),
+    ]
+    for env, actions in interfaces:
+        env.reset(seed=0)
+        env.step(actions)
+        _, _, over, cut, _ = env.step(actions)
+        over, cut = (list(end.values()) if isinstance(end, dict) else end for end in (over, cut))
+        ends += zip(np.atleast_1d(over).tolist(), np.atleast_1d(cut).tolist(), strict=True)
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.sb3 import ChemlabVecEnv
 
-    venv = ChemlabVecEnv(RoleVectorEnv(2, spec, policies=background, autoreset_mode=AutoresetMode.SAME_STEP))
+    venv = ChemlabVecEnv(role_vector_env(2, spec, autoreset_mode=AutoresetMode.SAME_STEP))
     venv.reset()
-    for move in moves:
-        _, _, dones, infos = venv.step(np.full(2, move))
+    venv.step(np.full(2, move))
+    _, _, dones, infos = venv.step(np.full(2, move))
     ends += [(bool(done), info["TimeLimit.truncated"]) for done, info in zip(dones, infos, strict=True)]
+    assert len(ends) == 4 + 4 + 1 + 2 * 2 + 3 * 2 + 2
     assert set(ends) == {(True, False)}
 
 
 # -- batches --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("background", BACKGROUNDS)
+@pytest.mark.parametrize("background", ["scripted", "random"])
 @pytest.mark.parametrize(
     ("name", "agent", "mode"), [(*case, mode) for case, mode in zip(MEMBERS, AutoresetMode, strict=True)]
 )
 def test_members_are_single_environments(name: str, agent: str, background: str, mode: AutoresetMode) -> None:
-    """Member i of N = 3 or 8 is the environment with seed s + i, whichever way it is reset."""
-    for count in (8, 3):
-        batch = role_vector_env(count, name, agent, background, autoreset_mode=mode)
-        singles = [role_env(name, agent, background) for _ in range(count)]
-        rngs = [np.random.default_rng([7, i]) for i in range(count)]
+    """Member i of any number of them is the environment with seed s + i, whichever way it is reset."""
+    count = 3 if background == "scripted" else 6
+    batch = role_vector_env(count, name, agent, background, autoreset_mode=mode)
+    singles = [role_env(name, agent, background) for _ in range(count)]
+    rngs = [np.random.default_rng([7, i]) for i in range(count)]
 
-        def act(step: int, i: int, singles: Any = singles, rngs: Any = rngs) -> Any:
-            return choose(singles[i].laboratories, singles[i].focal, 0, rngs[i])
+    def act(step: int, i: int) -> Any:
+        return choose(singles[i].laboratories, singles[i].focal, 0, rngs[i])
 
-        ends = assert_is_singles(batch, singles, 70, act, 60)
-        assert ends > 0 or count < 8 or agent != "manager_0"
-
-
-def test_random_members_do_not_play_alike() -> None:
-    """Random backgrounds have a stream for every member: the same focal actions, other seeds, other laboratories."""
-    batch = role_vector_env(6, WURTZ, background="random")
-    batch.reset(seed=0)
-    encode = batch.laboratories.actions.encode
-    for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
-        batch.step(np.full(6, action))
-    assert len({row.tobytes() for row in batch.laboratories.shelf.vessels}) == 6
-    again = role_vector_env(6, WURTZ, background="random")
-    again.reset(seed=[0, 0, 2, 2, 4, 5])
-    for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
-        again.step(np.full(6, action))
-    rows = [row.tobytes() for row in again.laboratories.shelf.vessels]
-    assert rows[0] == rows[1] == batch.laboratories.shelf.vessels[0].tobytes()
-    assert rows[2] == rows[3] == batch.laboratories.shelf.vessels[2].tobytes()
-    assert rows[5] == batch.laboratories.shelf.vessels[5].tobytes()
+    ends = assert_is_singles(batch, singles, 70, act, 60)
+    assert ends > 0 or background == "scripted" or agent != "manager_0"
 
 
-# -- copies and states ----------------------------------------------------------------------------------------------
+# -- what may play in the background ----------------------------------------------------------------------------------
 
 
 def anything(observation: Any, mask: Any) -> Any:
     """A policy without memory or randomness."""
     return np.full((len(observation), 6), 0.5) if mask is None else mask.argmax(axis=1)
-
-
-# -- what may play in the background ----------------------------------------------------------------------------------
 
 
 class Model:
@@ -299,7 +232,7 @@ class Model:
         self.given: list[Any] = []
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: Any = False
     ) -> Any:
         self.given.append((observation.shape, deterministic))
         return np.full(len(observation), self.end), None
@@ -308,17 +241,10 @@ class Model:
 class Maskable(Model):
     """What sb3-contrib's maskable models look like."""
 
-    def predict(  # type: ignore[override]
-        self,
-        observation: Any,
-        state: Any = None,
-        episode_start: Any = None,
-        deterministic: bool = False,
-        action_masks: Any = None,
-    ) -> Any:
+    def predict(self, observation: Any, *others: Any, action_masks: Any = None, **more: Any) -> Any:
         assert action_masks.shape == (len(observation), self.end + 1)
         assert action_masks.any(axis=1).all()
-        return super().predict(observation, state, episode_start, deterministic)
+        return super().predict(observation, *others, **more)
 
 
 def test_models_and_functions_play() -> None:
@@ -342,11 +268,7 @@ def test_models_and_functions_play() -> None:
     assert rested == [((2, 213), None)] * limit or rested == [((2, 214), None)] * limit
 
 
-@pytest.mark.parametrize(
-    "nonsense",
-    [None, "settle", 3, [], [-1], [41], [1.0], [True], [[1]], [1, 2], [[1], [1, 2]], [np.nan], [10**400], {}],
-    ids=repr,
-)
+@pytest.mark.parametrize("nonsense", [None, "settle", [], [41], [1.0], [[1], [1, 2]], [10**400]], ids=repr)
 def test_a_policy_that_talks_nonsense_is_named(nonsense: Any) -> None:
     """The error names its agent; the laboratory asks for a reset, and is then as good as new."""
     env = role_env(WURTZ, "manager_0", {"ext_0": lambda observation, mask: nonsense})
@@ -355,15 +277,9 @@ def test_a_policy_that_talks_nonsense_is_named(nonsense: Any) -> None:
     env.step(encode("start", "ext_0", 0, "dodecane"))
     with pytest.raises(ValueError, match=r"^ext_0: actions must be 1 integers from 0 to 40"):
         env.step(encode("wait"))
-    # Halfway through a step nobody can go on.
+    # Halfway through a step nobody can go on; what a reset heals: test_interrupts.py.
     with pytest.raises(ResetNeeded):
         env.step(encode("wait"))
-    observation, _ = env.reset(seed=5)
-    fresh = role_env(WURTZ)
-    np.testing.assert_array_equal(observation, fresh.reset(seed=5)[0])
-    for action in (encode("start", "rxn_0", 0, "dodecane"), encode("wait")):
-        for one, other in zip(env.step(action)[:4], fresh.step(action)[:4], strict=True):
-            np.testing.assert_array_equal(one, other)
 
 
 def test_masked_actions_of_the_background_are_lost_turns() -> None:
@@ -378,32 +294,21 @@ def test_masked_actions_of_the_background_are_lost_turns() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error", "parts"),
+    ("arguments", "error", "words"),
     [
-        ({"agent": "rxn_1"}, ValueError, ["'rxn_1'", "manager_0, rxn_0, ext_0, dit_0"]),
-        ({"agent": ""}, ValueError, ["''", "manager_0"]),
-        ({"starts": "paper", "goals": "dodecane"}, ValueError, ["goals, starts", "bench"]),
-        ({"bench": "rxn", "agent": "rxn_0"}, ValueError, ["agent, policies", "bench alone"]),
-        ({"policies": "scripted"}, TypeError, ["dict of policies by agent", "'scripted'", "background="]),
-        ({"policies": None}, ValueError, ["missing for rxn_0, ext_0, dit_0", "none"]),
-        ({"policies": {"rxn_0": anything}}, ValueError, ["missing for ext_0, dit_0", "given rxn_0"]),
-        (
-            {"policies": {"rxn_0": anything, "ext_0": "scripted", "dit_0": anything}},
-            TypeError,
-            ["ext_0", "predict", "'scripted'"],
-        ),
-        ({"policies": {"rxn_0": anything, "ext_0": None, "dit_0": anything}}, TypeError, ["ext_0", "None"]),
-        ({"rewards": "selfish"}, ValueError, ["'selfish'", "individual, cooperative, mixed"]),
-        ({"render_mode": "hologram"}, ValueError, ["'hologram'"]),
-        ({"scenario": "atlantis"}, ValueError, ["atlantis"]),
+        ({"agent": "rxn_1"}, ValueError, "'rxn_1'.*manager_0, rxn_0, ext_0, dit_0|manager_0.*'rxn_1'"),
+        ({"starts": "paper", "goals": "dodecane"}, ValueError, "goals, starts.*bench"),
+        ({"bench": "rxn", "agent": "rxn_0"}, ValueError, "agent, policies.*bench alone"),
+        ({"policies": "scripted"}, TypeError, "dict of policies by agent.*'scripted'.*background="),
+        ({"policies": {"rxn_0": anything}}, ValueError, "missing for ext_0, dit_0.*given rxn_0"),
+        ({"policies": dict.fromkeys(BENCHES, "scripted")}, TypeError, "rxn_0.*predict.*'scripted'"),
+        ({"render_mode": "hologram"}, ValueError, "'hologram'"),
+        ({"scenario": "atlantis"}, ValueError, "atlantis"),
     ],
 )
-def test_bad_arguments(arguments: dict[str, Any], error: type[Exception], parts: list[str]) -> None:
-    given: dict[str, Any] = {"policies": dict.fromkeys(("rxn_0", "ext_0", "dit_0"), anything), **arguments}
-    with pytest.raises(error) as caught:
-        RoleEnv(**given)
-    for part in parts:
-        assert part in str(caught.value)
+def test_bad_arguments(arguments: dict[str, Any], error: type[Exception], words: str) -> None:
+    with pytest.raises(error, match=words):
+        RoleEnv(**{"policies": dict.fromkeys(BENCHES, anything), **arguments})
 
 
 def test_an_agent_that_never_has_a_turn_is_named() -> None:

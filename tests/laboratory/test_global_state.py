@@ -7,42 +7,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED
+from helpers import FEATURED, laboratory, manager, random_legal
 
 from chemlab.config.loading import load_scenario
 from chemlab.laboratory import raw_env
 from chemlab.roles.bench import channel_slices
 
-ELSEWHERE = {
-    "stream",
-    "rewards",
-    "cost",
-    "scores",
-    "safety_totals",
-    "illegal",
-    "begun",
-    "recalled",
-    "measured",
-    "variant",
-    "ready",
-    "drift_stream",
-}
+ELSEWHERE = {"stream", "drift_stream", "rewards", "cost", "scores", "safety_totals", "illegal", "begun", "recalled"}
+ELSEWHERE |= {"measured", "variant", "ready"}
 """Random streams, what the last turn led to, and totals for people: nothing else depends on them; the tick
 when a fitter will have gone, of which the state says how many are left."""
-PASSING = {
-    "ended",
-    "illegal",
-    "events",
-    "stream",
-    "noise_stream",
-    "places",
-    "changed",
-    "layers",
-    "profile",
-    "image",
-    "elapsed",
-    "told",
-}
+PASSING = {"ended", "illegal", "events", "stream", "noise_stream", "places", "changed", "layers", "profile", "image"}
+PASSING |= {"elapsed", "told"}
 """The same of experiments; pictures of vessels are worked out anew from them, and what a world tells a bench is the
 world's."""
 
@@ -56,19 +32,16 @@ def parts(env: Any) -> dict[str, npt.NDArray[np.float32]]:
 
 def played(name: str, seed: int, turns: int) -> raw_env:
     """A laboratory after some random turns, with a bench at work."""
-    env, rng = raw_env(name), np.random.default_rng(seed)
-    env.reset(seed=seed)
-    labs = env.laboratories
-    agent = labs.bench_agents[0]
-    goal = labs.scenario.goals[labs.state.goal[0, 0]]
-    env.step(labs.actions.encode("start", agent, 0, goal, *list(env.scenario.grades)[:1]))
-    env.step(labs.actions.encode("wait"))
+    env, rng = laboratory(name, seed), np.random.default_rng(seed)
+    scenario, labs = env.scenario, env.laboratories
+    goal = scenario.goals[labs.state.goal[0, 0]]
+    manager(env, "start", labs.bench_agents[0], 0, goal, *list(scenario.grades)[:1])
+    manager(env, "wait")
     for _ in range(turns):
         if env.agent_selection == "manager_0":
             break
         mask = env.infos[env.agent_selection].get("action_mask")
-        space = env.action_space(env.agent_selection)
-        env.step(rng.random(space.shape) if mask is None else int(rng.choice(np.flatnonzero(mask)[:-1])))
+        env.step(random_legal(env.action_space(env.agent_selection), None if mask is None else mask[:-1], rng))
     return env
 
 

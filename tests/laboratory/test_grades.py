@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 from helpers import laboratory, manager, mapping
@@ -45,15 +44,11 @@ def test_a_grade_limits_the_ticks_of_an_experiment() -> None:
     env = laboratory(graded())
     assert run(env, "quick") == 4
     assert run(env, "asked") == 20
-
-
-def test_a_start_without_a_grade_is_of_the_last() -> None:
-    """Of one that has none in the table."""
-    actions = Laboratories(load_scenario(graded())).actions
-    start = ("start", "rxn_0", 2, "2-chlorohexane")
-    assert actions.encode(*start) == actions.encode(*start, "asked")
+    # A start without a grade is of the last.
+    encode, start = env.laboratories.actions.encode, ("start", "rxn_0", 2, "2-chlorohexane")
+    assert encode(*start) == encode(*start, "asked")
     with pytest.raises(ValueError, match="takes 4 arguments"):
-        actions.encode(*start[:3])
+        encode(*start[:3])
 
 
 def test_the_bench_sees_what_is_asked_and_told_and_nobody_else_is_told() -> None:
@@ -126,7 +121,6 @@ def test_single_benches_meet_the_same_grades_and_are_told_the_same() -> None:
             turns += 1
         assert turns == round(20 * float(own[slices["grade"]][2]))
     assert sorted(grades) == pytest.approx([0.2, 1.0])
-    assert isinstance(env.observation_space, gymnasium.spaces.Box)
 
 
 def test_nobody_is_told_who_is_not_there() -> None:

@@ -49,22 +49,10 @@ class Interrupter:
         return self
 
 
-def lines_of(call: Callable[[], Any]) -> int:
-    """How many lines of chemlab's a call runs."""
-    counter = Interrupter(10**9)
+def traced(call: Callable[[], Any], interrupter: Interrupter) -> bool:
+    """Whether a call was interrupted."""
     before = sys.gettrace()
-    sys.settrace(counter)
-    try:
-        call()
-    finally:
-        sys.settrace(before)
-    return 10**9 - counter.left
-
-
-def interrupted(call: Callable[[], Any], line: int) -> bool:
-    """Whether a call was interrupted at that line."""
-    before = sys.gettrace()
-    sys.settrace(Interrupter(line))
+    sys.settrace(interrupter)
     try:
         call()
     except KeyboardInterrupt:
@@ -74,9 +62,22 @@ def interrupted(call: Callable[[], Any], line: int) -> bool:
     return False
 
 
+def lines_of(call: Callable[[], Any]) -> int:
+    """How many lines of chemlab's a call runs."""
+    counter = Interrupter(10**9)
+    traced(call, counter)
+    return 10**9 - counter.left
+
+
+def interrupted(call: Callable[[], Any], line: int) -> bool:
+    """Whether a call was interrupted at that line."""
+    return traced(call, Interrupter(line))
+
+
 class Played(NamedTuple):
     """An environment that plays a script: by its turns, whatever its interface is."""
 
+    env: Any
     reset: Callable[[], Any]
     """begins the episode of :data:`SEED` and returns what is shown"""
     step: Callable[[int], Any]
@@ -98,12 +99,14 @@ def script(labs: Laboratories, number: int, k: int) -> Any:
     return bench.end_action if k >= 5 else (3 * k + number) % bench.end_action
 
 
-def aec() -> Played:
-    env = raw_env(WURTZ)
-    labs = env.laboratories
+def aec(env: Any = None) -> Played:
+    """Here and below: a new environment, or the one that is given."""
+    env = env or raw_env(WURTZ)
+    raw = env.unwrapped
+    labs = raw.laboratories
 
     def shown() -> Any:
-        return (env.agent_selection, env.rewards, env._cumulative_rewards, env.terminations, env.infos)
+        return (env.agent_selection, env.rewards, raw._cumulative_rewards, env.terminations, env.infos)
 
     def reset() -> Any:
         env.reset(seed=SEED)
@@ -113,43 +116,43 @@ def aec() -> Played:
         env.step(script(labs, labs.turn(), k))
         return shown()
 
-    return Played(reset, step, lambda: [*labs.arrays(), np.frombuffer(repr(shown()).encode(), np.uint8)])
+    return Played(env, reset, step, lambda: [*labs.arrays(), np.frombuffer(repr(shown()).encode(), np.uint8)])
 
 
-def parallel() -> Played:
-    env = parallel_env(WURTZ)
+def parallel(env: Any = None) -> Played:
+    env = env or parallel_env(WURTZ)
     labs = env.laboratories
 
     def step(k: int) -> Any:
         turns = np.flatnonzero(labs.turns(labs.members)[:, 0])
         return env.step({labs.agents[n]: script(labs, int(n), k) for n in turns})
 
-    return Played(lambda: env.reset(seed=SEED), step, labs.arrays)
+    return Played(env, lambda: env.reset(seed=SEED), step, labs.arrays)
 
 
-def batched() -> Played:
-    env = BatchedLaboratory(2, WURTZ, idle_observations=True)
+def batched(env: Any = None) -> Played:
+    env = env or BatchedLaboratory(2, WURTZ, idle_observations=True)
     labs = env.laboratories
 
     def step(k: int) -> Any:
         turns = np.flatnonzero(labs.turns(labs.members)[:, 0])
         return env.step({labs.agents[n]: np.array([script(labs, int(n), k)] * 2) for n in turns})
 
-    return Played(lambda: env.reset(seed=SEED), step, lambda: [*labs.arrays(), env._turns, env._last_turn])
+    return Played(env, lambda: env.reset(seed=SEED), step, lambda: [*labs.arrays(), env._turns, env._last_turn])
 
 
 def for_one(env: Any, act: Callable[[int], Any]) -> Played:
     """An environment for one agent, which plays ``act(k)``."""
-    return Played(lambda: env.reset(seed=SEED), lambda k: env.step(act(k)), lambda: env.get_state()[:-2])
+    return Played(env, lambda: env.reset(seed=SEED), lambda k: env.step(act(k)), lambda: env.get_state()[:-2])
 
 
-def focal() -> Played:
-    env = role_env(WURTZ)
+def focal(env: Any = None) -> Played:
+    env = env or role_env(WURTZ)
     return for_one(env, lambda k: script(env.laboratories, 0, k))
 
 
-def focal_vector() -> Played:
-    env = role_vector_env(2, WURTZ, autoreset_mode=AutoresetMode.SAME_STEP)
+def focal_vector(env: Any = None) -> Played:
+    env = env or role_vector_env(2, WURTZ, autoreset_mode=AutoresetMode.SAME_STEP)
     submit = env.laboratories.actions.encode("submit", 0)
     return for_one(env, lambda k: np.array([script(env.laboratories, 0, k), submit]))
 
@@ -158,21 +161,21 @@ def _bench_action(count: int, k: int) -> int:
     return count - 1 if k == 3 else (5 * k + 2) % (count - 1)
 
 
-def bench() -> Played:
-    return for_one(RoleEnv(WURTZ, bench="ext"), lambda k: 1 + 2 * k)
+def bench(env: Any = None) -> Played:
+    return for_one(env or RoleEnv(WURTZ, bench="ext"), lambda k: 1 + 2 * k)
 
 
-def bench_vector() -> Played:
-    env = RoleVectorEnv(3, WURTZ, bench="ext", threads=2, autoreset_mode=AutoresetMode.NEXT_STEP)
+def bench_vector(env: Any = None) -> Played:
+    env = env or RoleVectorEnv(3, WURTZ, bench="ext", threads=2, autoreset_mode=AutoresetMode.NEXT_STEP)
     count = env.action_count
     return for_one(env, lambda k: np.array([_bench_action(count, k), 3, count - 1]))
 
 
-def sb3() -> Played:
+def sb3(env: Any = None) -> Played:
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.sb3 import ChemlabVecEnv
 
-    env = ChemlabVecEnv(2, scenario=WURTZ, bench="ext")
+    env = env or ChemlabVecEnv(2, scenario=WURTZ, bench="ext")
     count = env.batch.action_count
 
     def reset() -> Any:
@@ -185,7 +188,7 @@ def sb3() -> Played:
             info.get("episode", {}).pop("t", None)
         return found
 
-    return Played(reset, step, lambda: [*env.batch.get_state()[:-2], env._returns, env._lengths])
+    return Played(env, reset, step, lambda: [*env.batch.get_state()[:-2], env._returns, env._lengths])
 
 
 ENVIRONMENTS = {f.__name__: f for f in (aec, parallel, batched, focal, focal_vector, bench, bench_vector, sb3)}

@@ -7,31 +7,25 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from helpers import allowed, laboratory, manager, mapping
 
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario, plain_scenario
 from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.engine import Laboratories
+from chemlab.physics.chemistry import AMOUNTS
 from chemlab.roles.bench import channel_slices
-from tests.helpers import laboratory, manager, mapping
+from chemlab.roles.manager_actions import SUBMIT
 
 HIDDEN = ("campaign", "crude", "failing", "refine", "relay", "runaway", "rush", "selectivity", "unlabelled")
 """The shipped scenarios with hidden parameters."""
 
 
-def legal(env: Any, *action: str | int) -> bool:
-    """Whether the manager may do something."""
-    labs = env.laboratories
-    mask = labs.mask(labs.manager.index, labs.members)
-    assert mask is not None
-    return bool(mask[0, labs.actions.encode(*action)])
-
-
-def start(env: Any, slot: int = 0, bench: int = 0) -> str:
-    """Start the first bench on a slot, and return its agent."""
-    spec, agent = env.laboratories.scenario, env.laboratories.bench_agents[bench]
-    manager(env, "start", agent, slot, spec.goals[0], *list(spec.grades)[:1])
+def start(env: Any) -> str:
+    """Start the first bench on the first slot, and return its agent."""
+    spec, agent = env.laboratories.scenario, env.laboratories.bench_agents[0]
+    manager(env, "start", agent, 0, spec.goals[0], *list(spec.grades)[:1])
     return str(agent)
 
 
@@ -40,7 +34,7 @@ def test_a_bench_sees_nothing_before_its_first_turn_and_a_recall_takes_a_tick(na
     env = laboratory(name)
     agent = start(env)
     assert not env.observe(agent).any()
-    assert not legal(env, "recall", agent)
+    assert not allowed(env, "recall", agent)
     manager(env, "wait")
     assert env.agent_selection == agent
     assert env.observe(agent).any()
@@ -50,24 +44,24 @@ def test_the_paper_scenarios_show_and_recall_at_once_as_before() -> None:
     env = laboratory("wurtz_dodecane")
     agent = start(env)
     assert env.observe(agent).any()
-    assert legal(env, "recall", agent)
+    assert allowed(env, "recall", agent)
 
 
 @pytest.mark.parametrize("name", HIDDEN)
 def test_a_vessel_that_was_at_no_bench_cannot_be_submitted(name: str) -> None:
-    env = laboratory(name)
-    labs = env.laboratories
-    kinds = labs.rules.arrays.table[:, 0]
-    mask = labs.mask(labs.manager.index, labs.members)
-    assert mask is not None
-    assert not mask[0, kinds == 3].any()
+    labs = laboratory(name).laboratories
+    submitting = labs.actions.table[:, 0] == SUBMIT
+
+    def submitted() -> npt.NDArray[Any]:
+        """What may be submitted."""
+        return np.asarray(labs.mask(0, labs.members))[0] * submitting
+
+    assert not submitted().any()
     labs.state.last_bench[0, 0] = 1
     labs.state.terms[0, :, 0] = 0.0  # every order has arrived
-    order = [0] if labs.scenario.orders > 1 else []
-    assert legal(env, "submit", 0, *order)
-    labs.shelf.vessels[0, 0, 6:] = 0.0  # every vessel is empty
-    labs.shelf.amounts[0, 0] = 0.0
-    assert not legal(env, "submit", 0, *order)
+    assert submitted().sum() == labs.scenario.orders
+    labs.shelf.vessels[0, 0, AMOUNTS:] = 0.0  # the vessel is empty
+    assert not submitted().any()
 
 
 @pytest.mark.parametrize("name", ["campaign", "rush"])
@@ -171,6 +165,12 @@ def test_what_a_bench_observes_is_noisy_once_an_experiment_and_once_a_step() -> 
     assert looks[0][0][202] != looks[0][1][202], "pressure"
     assert looks[0][0].min() >= 0.0
     assert looks[0][0].max() <= 1.0
+    env = laboratory("crude")
+    agent = start(env)
+    manager(env, "wait")
+    pixels = env.observe(agent)[:300] * 10.0
+    assert pixels.any()
+    assert pixels == pytest.approx(np.round(pixels), abs=1e-5), "a resolution rounds"
     values = mapping("campaign")
     values["benches"]["rxn"]["noise"] = {"spectrum": 0.1, "smell": 0.1}
     with pytest.raises(DataError, match=r"benches\.rxn\.noise: unknown channel 'smell'; choose from spectrum"):
@@ -198,15 +198,6 @@ def test_half_of_a_bench_s_noise_stays_for_an_experiment(bench: str) -> None:
     assert np.corrcoef(off[1, :, at], off[4, :, at])[0, 1] == pytest.approx(0.5, abs=0.15)
 
 
-def test_a_resolution_rounds_what_a_bench_observes() -> None:
-    env = laboratory("crude")
-    agent = start(env)
-    manager(env, "wait")
-    pixels = env.observe(agent)[:300] * 10.0
-    assert pixels.any()
-    assert pixels == pytest.approx(np.round(pixels), abs=1e-5)
-
-
 @pytest.mark.parametrize("name", HIDDEN)
 def test_levels_reveal_and_grow(name: str) -> None:
     top, easy, free = load_scenario(name), load_scenario(f"{name}@1"), load_scenario(f"{name}@2")
@@ -229,9 +220,7 @@ def test_levels_reveal_and_grow(name: str) -> None:
     [
         ("rush@4", r"rush\.toml: level 4: not declared under levels; choose from 1, 2, 3"),
         ("wurtz_dodecane@1", r"level 1: not declared under levels; it has none"),
-        ("unheard@1", r"unknown name 'unheard@1'"),
         ({**mapping("campaign"), "levels": 3}, r"levels: must be tables \[levels\.1\] and \[levels\.2\], given 3"),
-        ({**mapping("campaign"), "levels": {"1": "abc"}}, r"levels\.1: must be a table, given 'abc'"),
         ({**mapping("campaign"), "levels": {"2": {"remove": "costs"}}}, r"levels\.2: remove: must be a list of keys"),
         ({**mapping("campaign"), "levels": {"3": {}}}, r"levels: must be tables \[levels\.1\] and \[levels\.2\]"),
         ({**mapping("campaign"), "name": "campaign@1"}, r"name: 'campaign@1' must not have a level"),

@@ -5,17 +5,16 @@ Contents are put into vessels by hand, so that readings, purities and costs have
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED, allowed, laboratory, litres, manager, mapping
+from helpers import FEATURED, allowed, laboratory, litres, manager, mapping, refused
 
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.text import named_costs, named_events
 from chemlab.physics.shelf import Shelf
+from chemlab.physics.spectra import spectrum
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_state import COST_ITEMS
@@ -63,23 +62,17 @@ def test_every_action_has_one_number_and_one_meaning(name: str) -> None:
     assert set(decoded) == expected
 
 
-@pytest.mark.parametrize(
-    ("action", "part"),
-    [
+def test_an_action_that_does_not_exist_is_refused() -> None:
+    actions = ManagerActions.of(load_scenario(WURTZ))
+    for action, part in (
         (("ponder",), "'ponder'"),
         (("start", "rxn_0", 0), "takes 3"),
         (("start", "rxn_9", 0, "dodecane"), "'rxn_9'"),
         (("start", "rxn_0", 8, "dodecane"), "8"),
         (("start", "rxn_0", 0, "gold"), "'gold'"),
-        (("measure", 0, "nose"), "'nose'"),
         (("discard", -1), "-1"),
-        (("wait", 3), "takes 0"),
-    ],
-)
-def test_an_action_that_does_not_exist_is_refused(action: tuple[Any, ...], part: str) -> None:
-    with pytest.raises(ValueError, match="manager action") as caught:
-        ManagerActions.of(load_scenario(WURTZ)).encode(*action)
-    assert part in str(caught.value)
+    ):
+        refused(str(action), f"manager action.*{part}", actions.encode, *action)
 
 
 # -- starting and returning -----------------------------------------------------------------------------------------
@@ -106,15 +99,11 @@ def test_starting_reserves_slots_and_is_masked_without_them() -> None:
     manager(env, "recall", "ext_0")
     assert occupied(env) == [0, 1]
     assert all(allowed(env, *start) for start in starts.values())
-
-
-def test_the_slot_a_vessel_left_is_kept_for_it() -> None:
-    values = mapping(WURTZ)
+    # The slot that a vessel left is kept for it: of three, two are not left for the beakers of an extraction.
     values["shelf"]["slots"] = 3
     env = laboratory(values)
     manager(env, "start", "rxn_0", 0, "dodecane")
-    # One free slot and one that is kept: not enough for the two beakers of an extraction.
-    assert not allowed(env, "start", "ext_0", 1, "dodecane")
+    assert not allowed(env, *starts["ext_0"])
 
 
 def test_vessels_come_back_main_to_its_origin_others_to_reserved_slots() -> None:
@@ -133,14 +122,9 @@ def test_vessels_come_back_main_to_its_origin_others_to_reserved_slots() -> None
     assert shelf.vessel(0, 2).amounts(1e-9) == pytest.approx({"diethyl_ether": 1.6, "dodecane": 0.4}, rel=1e-12)
     # Slots keep their vessel's history: none, ext as main vessel, ext as B2.
     keys = ["none", *env.scenario.benches]
-    history = {
-        s: (keys[int(seen(env, f"slot_{s}_last_bench").argmax())], seen(env, f"slot_{s}_last_position"))
-        for s in (0, 1, 2)
-    }
-    assert [history[s][0] for s in (0, 1, 2)] == ["none", "ext", "ext"]
-    assert history[0][1].tolist() == [0, 0, 0]
-    assert history[1][1].tolist() == [1, 0, 0]
-    assert history[2][1].tolist() == [0, 0, 1]
+    assert [keys[int(seen(env, f"slot_{s}_last_bench").argmax())] for s in (0, 1, 2)] == ["none", "ext", "ext"]
+    positions = [seen(env, f"slot_{s}_last_position").tolist() for s in (0, 1, 2)]
+    assert positions == [[0, 0, 0], [1, 0, 0], [0, 0, 1]]
 
 
 def test_a_vessel_on_the_shelf_rests() -> None:
@@ -183,8 +167,11 @@ def test_recalling_frees_the_bench_and_keeps_the_turn() -> None:
 
 
 def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
+    """And its accident, where accidents have a price."""
     values = mapping(WURTZ)
     values["benches"]["ext"]["auxiliary_capacity_l"] = 0.2
+    values["safety"]["reward_price"] = 0.125
+    values["safety"]["weights"]["spill_l"] = 2.0
     env = laboratory(values)
     env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "dodecane": 1.0})
     manager(env, "start", "ext_0", 0, "dodecane")
@@ -193,10 +180,11 @@ def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
     env.step(np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]))
     do(env, "pour EV -> B2, 1 fraction")  # 0.64 L into 0.2 L
     filled = litres(env.scenario, {"diethyl_ether": 4.0, "dodecane": 1.0})
-    assert named_events(env.scenario, env.infos["ext_0"]) == pytest.approx({"spill_l": filled - 0.2}, rel=1e-9)
-    assert env.infos["ext_0"]["cost"] == pytest.approx(
-        values["safety"]["weights"]["spill_l"] * (filled - 0.2), rel=1e-9
-    )
+    spilled = filled - 0.2
+    assert named_events(env.scenario, env.infos["ext_0"]) == pytest.approx({"spill_l": spilled}, rel=1e-9)
+    assert env.infos["ext_0"]["cost"] == pytest.approx(2.0 * spilled, rel=1e-9)
+    assert env.rewards["ext_0"] == pytest.approx(-0.125 * 2.0 * spilled, rel=1e-9)
+    assert env.laboratories.costs()["safety"] == pytest.approx(0.125 * 2.0 * spilled, rel=1e-9)
     while env.agent_selection != "manager_0":
         env.step(np.array([0.5, 0.5, 0.0, 0.0, 0.0, 0.0]) if env.agent_selection == "rxn_0" else 39)
     manager(env, "recall", "ext_0")
@@ -205,22 +193,6 @@ def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
     assert env.infos["ext_0"]["score"] == env.rewards["ext_0"]
     assert not env.laboratories.busy.any()
     assert env.agent_selection == "manager_0"
-
-
-def test_a_spill_can_be_priced_into_the_rewards() -> None:
-    values = mapping(WURTZ)
-    values["benches"]["ext"]["auxiliary_capacity_l"] = 0.2
-    values["safety"]["reward_price"] = 0.125
-    values["safety"]["weights"]["spill_l"] = 2.0
-    env = laboratory(values)
-    env.laboratories.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0})
-    manager(env, "start", "ext_0", 0, "dodecane")
-    manager(env, "wait")
-    do(env, "pour EV -> B2, 1 fraction")
-    spilled = litres(env.scenario, {"diethyl_ether": 4.0}) - 0.2
-    assert env.infos["ext_0"]["cost"] == pytest.approx(2.0 * spilled, rel=1e-9)
-    assert env.rewards["ext_0"] == pytest.approx(-0.125 * 2.0 * spilled, rel=1e-9)
-    assert env.laboratories.costs()["safety"] == pytest.approx(0.125 * 2.0 * spilled, rel=1e-9)
 
 
 # -- measuring ------------------------------------------------------------------------------------------------------
@@ -249,14 +221,10 @@ def test_what_the_instruments_read() -> None:
     assert (np.diff(nearest) >= 0).all()
     volume = litres(scenario, contents)
     assert (nearest < 2).sum() == pytest.approx(100.0 * volume / 1.2, abs=1.0)
-    # UV-Vis: concentrations times the Gaussian peaks, clipped.
-    wavelengths, light = np.linspace(200.0, 800.0, 200), np.zeros(200)
-    for name, mol in contents.items():
-        for peak in scenario.materials[name].absorption:
-            light += (
-                mol / volume * peak.height_l_mol * np.exp(-(((wavelengths - peak.center_nm) / peak.width_nm) ** 2) / 2)
-            )
-    np.testing.assert_allclose(seen(env, "slot_0_uv_vis"), np.clip(light, 0.0, 1.0), rtol=1e-5, atol=1e-6)
+    # UV-Vis: the spectrum of what is in there (its closed form: tests/physics/test_spectra.py).
+    light = np.zeros(200)
+    spectrum(labs.shelf.rows[0], labs.shelf.chem(), light)
+    np.testing.assert_allclose(seen(env, "slot_0_uv_vis"), light, rtol=1e-5, atol=1e-6)
     assert light.max() > 0.05
 
 
@@ -269,8 +237,6 @@ def test_a_sample_goes_to_waste() -> None:
     total = labs.shelf.total()
     manager(env, "measure", 0, "gas_chromatograph")
     assert labs.shelf.vessel(0, 0).amounts(1e-9) == pytest.approx({"diethyl_ether": 3.0, "dodecane": 0.75}, rel=1e-12)
-    waste = {n: float(x) for n, x in zip(env.scenario.materials, labs.shelf.waste[0], strict=True) if x > 0.0}
-    assert waste == pytest.approx({"diethyl_ether": 1.0, "dodecane": 0.25}, rel=1e-12)
     np.testing.assert_allclose(labs.shelf.total(), total, rtol=1e-12)
     # A balance takes none.
     manager(env, "measure", 0, "balance")
@@ -301,7 +267,6 @@ def test_stock_is_finite_and_shared() -> None:
     values["benches"]["rxn"]["count"] = 2
     env = laboratory(values)
     labs, index = env.laboratories, env.laboratories.shelf.layout.index
-    total = labs.shelf.total()[0]
     manager(env, "start", "rxn_0", 0, "dodecane")
     manager(env, "start", "rxn_1", 1, "dodecane")
     manager(env, "wait")
@@ -322,25 +287,21 @@ def test_stock_is_finite_and_shared() -> None:
     contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.experiments[1].places[0, 0]], strict=True))
     assert contents["2-chlorohexane"] == pytest.approx(0.75, rel=1e-12)
     assert contents["1-chlorohexane"] == contents["Na"] == contents["dodecane"] == 0.0
-    atoms = np.array([m.composition.get("Cl", 0.0) for m in env.scenario.materials.values()])
-    assert labs.shelf.total()[0] @ atoms == pytest.approx(total @ atoms, rel=1e-12)
 
 
 def test_an_empty_bottle_is_masked() -> None:
     values = mapping(WURTZ)
-    water = {"water": 1.0 / litres(load_scenario(WURTZ), {"water": 1.0}) * 0.5}  # half a litre
-    values["stock"].update(water)
+    values["stock"]["water"] = 0.5 / litres(load_scenario(WURTZ), {"water": 1.0})  # half a litre
     env = laboratory(values)
     labs = env.laboratories
-    labs.shelf.fill(0, 0, 1.2, {"diethyl_ether": 1.0})
     manager(env, "start", "ext_0", 0, "dodecane")
     manager(env, "wait")
     adding = labs.benches[1].action_meanings.index("add water to EV, 0.4 L")
     do(env, "add water to EV, 0.4 L")
     assert env.infos["ext_0"]["action_mask"][adding] == 1
     do(env, "add water to EV, 0.4 L")  # 0.1 L is what is left
-    contents = dict(zip(env.scenario.materials, labs.shelf.amounts[0, labs.experiments[1].places[0, 0]], strict=True))
-    assert contents["water"] == pytest.approx(water["water"], rel=1e-9)
+    contents = labs.shelf.amounts[0, labs.experiments[1].places[0, 0]]
+    assert contents[labs.shelf.layout.index("water")] == pytest.approx(values["stock"]["water"], rel=1e-9)
     assert env.infos["ext_0"]["action_mask"][adding] == 0
 
 
@@ -349,16 +310,10 @@ def test_discarding_fills_the_waste_and_frees_the_slot() -> None:
     labs = env.laboratories
     contents = {"diethyl_ether": 4.0, "dodecane": 0.5}
     labs.shelf.fill(0, 1, 1.2, contents)
-    manager(env, "measure", 1, "balance")
     manager(env, "discard", 1)
     assert occupied(env) == [0]
     waste = {n: float(x) for n, x in zip(env.scenario.materials, labs.shelf.waste[0], strict=True) if x > 0.0}
     assert waste == pytest.approx(contents, rel=1e-12)
-    price = env.scenario.costs.waste_per_l
-    assert labs.costs()["waste"] == pytest.approx(price * litres(env.scenario, contents), rel=1e-9)
-    # What was known of the vessel is forgotten with it.
-    assert seen(env, "slot_1_balance")[0] == 0.0
-    assert seen(env, "slot_1_balance_age")[0] == 1.0
     # Without the last vessel there would be nothing left to do.
     assert not allowed(env, "discard", 0)
 
@@ -398,21 +353,14 @@ def test_costs_are_itemized_and_add_up() -> None:
     assert env.rewards["manager_0"] == pytest.approx(1.0 * 0.25 / 0.5 - sum(expected.values()), rel=1e-9)
 
 
-def test_a_submission_of_nothing_is_worth_nothing() -> None:
-    env = laboratory(WURTZ)
-    env.laboratories.shelf.fill(0, 0, 1.2, {})
-    manager(env, "submit", 0)
-    assert env.rewards["manager_0"] == 0.0
-    assert env.infos["manager_0"]["purity"] == [0.0]
-
-
-def test_dissolved_salt_counts_as_salt() -> None:
-    env = raw_env("salt_from_oil")
-    env.reset(seed=0)
-    env.laboratories.shelf.fill(0, 0, 1.2, {"water": 6.0, "Na+": 2.0, "Cl-": 2.0})
-    manager(env, "submit", 0)
-    # Two pairs of ions are 2 mol of salt in 8 mol, of at most 1.
-    assert env.rewards["manager_0"] == pytest.approx(2.0 * (2.0 / 8.0) / 1.0, rel=1e-12)
+def test_dissolved_salt_counts_as_salt_and_nothing_as_nothing() -> None:
+    for contents, purity, paid in (({"water": 6.0, "Na+": 2.0, "Cl-": 2.0}, 2.0 / 8.0, 2.0 * (2.0 / 8.0)), ({}, 0, 0)):
+        env = laboratory("salt_from_oil")
+        env.laboratories.shelf.fill(0, 0, 1.2, contents)
+        manager(env, "submit", 0)
+        # Two pairs of ions are 2 mol of salt in 8 mol, of at most 1.
+        assert env.rewards["manager_0"] == pytest.approx(paid, rel=1e-12)
+        assert env.infos["manager_0"]["purity"] == pytest.approx([purity], rel=1e-12)
 
 
 # -- what the manager may not see -----------------------------------------------------------------------------------

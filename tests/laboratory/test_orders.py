@@ -5,14 +5,13 @@ Contents are put into vessels by hand, so that what a submission is worth has a 
 
 from __future__ import annotations
 
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
-from helpers import allowed, choose, laboratory, manager, mapping, slow_but
+from helpers import allowed, choose, laboratory, manager, mapping
 
-import chemlab.scenarios
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
@@ -79,9 +78,9 @@ def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
     assert info["submitted_mol"] == pytest.approx([0.5, 0.25])
     assert info["purity"] == pytest.approx([0.5 / 3.5, 0.2])
     outcome = labs.outcome()
-    assert outcome["orders"] == [
-        {"goal": first, "submitted_mol": pytest.approx(0.5), "purity": pytest.approx(0.5 / 3.5)},
-        {"goal": second, "submitted_mol": pytest.approx(0.25), "purity": pytest.approx(0.2)},
+    assert [tuple(order.values()) for order in outcome["orders"]] == [
+        (first, pytest.approx(0.5), pytest.approx(0.5 / 3.5)),
+        (second, pytest.approx(0.25), pytest.approx(0.2)),
     ]
     assert outcome["submitted_mol"] == pytest.approx(0.75)
     assert outcome["purity"] == pytest.approx((0.5 * 0.5 / 3.5 + 0.25 * 0.2) / 0.75)
@@ -89,7 +88,6 @@ def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
 
 def test_a_filled_order_is_closed() -> None:
     env = laboratory(LINES)
-    manager(env, "measure", 0, "balance")
     assert all(allowed(env, "submit", 0, order) for order in (0, 1))
     assert sum(shown(env, 0)) == sum(shown(env, 1)) == 1.0
     for order, goal in enumerate(goals(env)):
@@ -99,11 +97,8 @@ def test_a_filled_order_is_closed() -> None:
     assert sum(shown(env, 1)) == 1.0
     assert not any(allowed(env, "submit", slot, 0) for slot in range(env.scenario.shelf.slots))
     assert allowed(env, "submit", 1, 1)
-    # The slot is free and forgotten.
-    seen, at = env.observe("manager_0"), channel_slices(env.laboratories.channels)
-    assert seen[at["slot_0_occupied"]] == 0.0
-    assert seen[at["slot_0_balance"]] == 0.0
-    assert seen[at["slot_0_balance_age"]] == 1.0
+    # The slot is free; what it shows then: test_observability.py.
+    assert env.observe("manager_0")[channel_slices(env.laboratories.channels)["slot_0_occupied"]] == 0.0
     # Submitting for it again is a lost turn.
     before = env.laboratories.state.submitted.copy()
     env.step(env.laboratories.actions.encode("submit", 1, 0))
@@ -131,27 +126,18 @@ def test_without_a_vessel_left_there_is_nothing_to_wait_for() -> None:
     assert all(busy.terminations.values())
 
 
-@pytest.mark.parametrize("orders", slow_but([1, 2, 3], 2))
-def test_random_play_with_orders(orders: int) -> None:
-    """Rewards add up to the score, atoms to what there was, and the episode ends when the design says."""
-    values = mapping(LINES)
-    values["orders"] = orders
-    rng = np.random.default_rng(orders)
+def test_random_play_with_orders() -> None:
+    """Atoms are what there was, and the episode ends when the design says."""
+    rng = np.random.default_rng(2)
     filled = []
     for seed in range(10):
-        env = laboratory(values, seed)
-        labs, begun, paid = env.laboratories, atoms(env), 0.0
+        env = laboratory(LINES, seed)
+        labs, begun = env.laboratories, atoms(env)
         while labs.state.status[0] == 0:
             number = env.possible_agents.index(env.agent_selection)
             open_before = int((~labs.state.filled[0]).sum())
-            mask = env.infos[env.agent_selection].get("action_mask")
-            if mask is None:
-                action: Any = rng.random(env.action_space(env.agent_selection).shape)  # type: ignore[arg-type]
-            else:
-                legal = np.flatnonzero(mask) if rng.random() < 0.9 else np.arange(len(mask))
-                action = int(rng.choice(legal))
+            action = choose(labs, number, 0, rng, bold=0.1, submit=0.02)
             env.step(action)
-            paid += env.rewards["manager_0"]
             submitted = number == 0 and labs.actions.table[action, 0] == SUBMIT
             submitted = submitted and not env.infos["manager_0"]["illegal_action"]
             assert open_before - (~labs.state.filled[0]).sum() == submitted
@@ -161,25 +147,27 @@ def test_random_play_with_orders(orders: int) -> None:
                 nothing = not labs.busy.any() and standing == (labs.state.status[0] == 1)
                 assert bool(labs.state.status[0] == 1) is bool(labs.state.filled[0].all() or nothing)
             np.testing.assert_allclose(atoms(env), begun, rtol=1e-9, atol=1e-9)
-        assert paid == pytest.approx(labs.result(labs.members)[0], rel=1e-9, abs=1e-12)
         assert (labs.state.submitted[0][~labs.state.filled[0]] == 0.0).all()
         filled.append(int(labs.state.filled[0].sum()))
-    assert max(filled) == orders
+    assert max(filled) == 2
 
 
 # -- goals ----------------------------------------------------------------------------------------------------------
 
 
 def test_goals_of_orders_are_drawn_apart() -> None:
-    """Uniformly and independently, and asked-for goals are all orders'."""
+    """Uniformly and independently, in the first episodes of seeds and in the next; asked-for goals are all orders'."""
     env = laboratory(LINES)
     labs, choices = env.laboratories, env.scenario.lab_goals
-    counts = np.zeros((len(choices), len(choices)))
-    for _ in range(3600):
-        labs.reset(labs.members)
-        counts[tuple(choices.index(goal) for goal in goals(env))] += 1
-    expected = counts.sum() / counts.size
-    assert ((counts - expected) ** 2 / expected).sum() < 80.0  # 35 degrees of freedom: beyond 80 once in 40,000
+    counts = np.zeros((2, len(choices), len(choices)))
+    for seed in range(3600):
+        labs.seed(0, seed)
+        for episode in range(2):
+            labs.reset(labs.members)
+            counts[(episode, *(choices.index(goal) for goal in goals(env)))] += 1
+    expected = 3600 / len(choices) ** 2
+    # 35 degrees of freedom: beyond 80 once in 40,000
+    assert (((counts - expected) ** 2 / expected).sum(axis=(1, 2)) < 80.0).all()
     env.reset(seed=0, options={"goal": choices[3]})
     assert goals(env) == [choices[3]] * 2
 
@@ -189,49 +177,34 @@ def test_goals_of_orders_are_drawn_apart() -> None:
 
 @pytest.mark.slow
 def test_the_scripted_manager_keeps_both_lines_busy() -> None:
+    """Both reactions, both extractions, both distillations at the same time, in every episode."""
     env = raw_env(LINES)
     labs = env.laboratories
     policies = make_policies("scripted", labs)
     kinds = [bench.key for bench in labs.benches]
-    together = dict.fromkeys(kinds, 0)
+    for seed in range(6):
+        together = set()
 
-    for seed in range(20):
-        both = dict.fromkeys(kinds, 0)
+        def watch(turn: Any, together: set[str] = together) -> None:
+            together |= {key for key in kinds if labs.busy[[kind == key for kind in kinds], 0].all()}
 
-        def watch(turn: Any, both: dict[str, int] = both) -> None:
-            for key in set(kinds):
-                experiments = [b for b, kind in enumerate(kinds) if kind == key]
-                both[key] += bool(labs.busy[experiments, 0].all())
-
-        result = play_episode(env, policies, seed, watch=watch)
-        assert result.status == "submitted"
-        outcome = labs.outcome()
+        assert play_episode(env, policies, seed, watch=watch).status == "submitted"
+        assert together == set(kinds), f"seed {seed}"
         assert labs.state.filled[0].all(), f"seed {seed}"
-        for order in outcome["orders"]:
+        for order in labs.outcome()["orders"]:
             # Its own product, and not the other line's, or what was distilled off.
             assert order["submitted_mol"] > 0.15, f"seed {seed}"
             assert order["purity"] > 0.9, f"seed {seed}"
-        assert sum(count > 0 for count in both.values()) >= 1, f"seed {seed}"
-        together = {key: together[key] + (both[key] > 0) for key in together}
-    # Both reactions, both extractions, both distillations at the same time, in every episode.
-    assert together == dict.fromkeys(kinds, 20)
 
 
 # -- who is paid what -------------------------------------------------------------------------------------------------
 
-NUMBERS = RewardSpec(bench_local=0.25, bench_team=-0.5, manager_local=2.0, manager_team=0.125)
-MIXES: list[Any] = ["individual", "cooperative", "mixed", NUMBERS]
 
-
-def mix_of(rewards: Any) -> RewardSpec:
-    """The numbers of a mix."""
-    return REWARD_MIXES[rewards] if isinstance(rewards, str) else rewards
-
-
-@pytest.mark.parametrize(("name", "rewards"), list(zip([LINES, "wurtz_safe"] * 2, MIXES, strict=True)), ids=str)
-def test_returns_are_the_mix(name: str, rewards: Any) -> None:
+@pytest.mark.parametrize("name", [LINES, "wurtz_safe"])
+def test_returns_are_the_mix(name: str) -> None:
     """Of the scores and the result that are reported."""
-    mix, env, rng = mix_of(rewards), parallel_env(name, rewards=rewards), np.random.default_rng(4)
+    mix = RewardSpec(bench_local=0.25, bench_team=-0.5, manager_local=2.0, manager_team=0.125)
+    env, rng = parallel_env(name, rewards=mix), np.random.default_rng(4)
     scenario, labs, agents = env.scenario, env.laboratories, env.possible_agents
     for seed in range(3):
         _, infos = env.reset(seed=seed)
@@ -254,39 +227,27 @@ def test_returns_are_the_mix(name: str, rewards: Any) -> None:
             assert total == pytest.approx(expected, rel=1e-9, abs=1e-12), agent
 
 
-def test_mixes_by_name_number_and_file(tmp_path: Path) -> None:
+def test_mixes_by_name_number_and_file() -> None:
     """The same numbers, however they are given."""
     assert set(REWARD_MIXES) == {"individual", "cooperative", "mixed"}
+    plain = load_scenario(LINES)
     for name, mix in REWARD_MIXES.items():
-        values = mapping(LINES)
-        values["rewards"] = name
-        assert load_scenario(values).rewards == mix
-        text = Path(chemlab.scenarios.__path__[0], f"{LINES}.toml").read_text(encoding="utf-8")
-        file = tmp_path / f"{name}.toml"
-        file.write_text(f'rewards = "{name}"\n{text}', encoding="utf-8")
-        assert load_scenario(file).rewards == mix
-        assert raw_env(LINES, rewards=name).scenario.rewards == mix
-        assert raw_env(LINES, rewards=mix).scenario.rewards == mix
-        assert raw_env(LINES, rewards=mix.model_dump()).scenario.rewards == mix  # type: ignore[arg-type]
+        assert load_scenario(mapping(LINES) | {"rewards": name}).rewards == mix
+        for given in (name, mix, mix.model_dump()):
+            assert raw_env(LINES, rewards=given).scenario.rewards == mix  # type: ignore[arg-type]
         # Everything else is the scenario's.
-        changed = load_scenario(LINES).configured(rewards=name)
-        assert changed.materials == load_scenario(LINES).materials
-        assert changed.model_dump(exclude={"rewards"}) == load_scenario(LINES).model_dump(exclude={"rewards"})
+        changed = plain.configured(rewards=name)
+        assert changed.materials == plain.materials
+        assert changed.model_dump(exclude={"rewards"}) == plain.model_dump(exclude={"rewards"})
     # One result for everybody means the same return for everybody.
-    assert mix_of("cooperative") == RewardSpec(bench_local=0.0, bench_team=1.0, manager_local=0.0, manager_team=1.0)
+    numbers = {"bench_local": 0.0, "bench_team": 1.0, "manager_local": 0.0, "manager_team": 1.0}
+    assert REWARD_MIXES["cooperative"].model_dump() == numbers
     assert all(load_scenario(name).rewards == REWARD_MIXES["individual"] for name in scenario_names())
 
 
-@pytest.mark.parametrize("rewards", ["selfish", "Cooperative", "", 3, ["mixed"], {"bench": 1.0}, {"bench_local": "x"}])
+@pytest.mark.parametrize("rewards", ["selfish", ["mixed"], {"bench": 1.0}, {"bench_local": "x"}])
 def test_unknown_mixes_are_refused(rewards: Any) -> None:
-    makers: list[Any] = [
-        lambda: raw_env(LINES, rewards=rewards),
-        lambda: parallel_env(LINES, rewards=rewards),
-        lambda: BatchedLaboratory(2, LINES, rewards=rewards),
-        lambda: role_env(LINES, rewards=rewards),
-        lambda: role_vector_env(2, LINES, rewards=rewards),
-    ]
     given = f"{rewards!r}.*individual, cooperative, mixed" if isinstance(rewards, str) else "reward"
-    for make in makers:
+    for make in (raw_env, parallel_env, partial(BatchedLaboratory, 2), role_env, partial(role_vector_env, 2)):
         with pytest.raises(ValueError, match=given):
-            make()
+            make(LINES, rewards=rewards)

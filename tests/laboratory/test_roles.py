@@ -2,47 +2,34 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers import record_episode
 
 from chemlab.config.scenario import Scenario
-from chemlab.envs.aec import raw_env
 from chemlab.envs.batch import BatchedLaboratory
 from chemlab.lab.engine import Laboratories
 
 
-def played(name: str, seed: int) -> list[tuple[Any, ...]]:
-    """Everything that random agents meet in an episode, by name."""
-    env, rng, found = raw_env(name), np.random.default_rng(seed), []
-    env.reset(seed=seed)
-    for agent in env.agent_iter():
-        observation, reward, over, _, info = env.last()
-        known = {key: np.asarray(value).tolist() for key, value in info.items()}
-        rewards = {} if over else env.rewards  # once it is over, PettingZoo drops agents one by one
-        found.append((agent, observation.tolist(), reward, over, known, sorted(rewards.items())))
-        if over:
-            env.step(None)
-            continue
-        mask, space = info.get("action_mask"), env.action_space(agent)
-        legal = () if mask is None else np.flatnonzero(mask)
-        env.step(rng.random(space.shape) if mask is None else int(rng.choice(legal)))
-    return found
+def played(folder: Path, name: str) -> list[dict[str, Any]]:
+    """What agents see, do, earn and cost in a recorded episode, by name."""
+    lines = record_episode(folder / "episode.jsonl", name).read_text("utf-8").splitlines()
+    return [{key: told for key, told in json.loads(line).items() if key != "hidden"} for line in lines[1:]]
 
 
 @pytest.mark.parametrize("name", ["wurtz_dodecane", "failing"])
-def test_an_episode_does_not_depend_on_the_order_of_the_agents(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = played(name, 5)
-    assert len({turn[0] for turn in usual}) > 2
-    agents = Scenario.agents
+def test_an_episode_does_not_depend_on_the_order_of_the_agents(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    usual, agents = played(tmp_path, name), Scenario.agents
+    assert len({agent for turn in usual for agent in turn.get("play", ())}) > 2
     monkeypatch.setattr(Scenario, "agents", lambda self: agents(self)[::-1])
     assert Laboratories(name).agents[-1] == "manager_0"
-    other = played(name, 5)
-    running = [turn for turn in usual if not turn[3]]
-    assert other[: len(running)] == running
-    # Where the episode is over, agents are taken in the order of PettingZoo's list.
-    assert sorted(other[len(running) :], key=str) == sorted(usual[len(running) :], key=str)
+    assert played(tmp_path, name) == usual
 
 
 def test_a_batch_pays_each_role_by_name(monkeypatch: pytest.MonkeyPatch) -> None:

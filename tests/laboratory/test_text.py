@@ -13,14 +13,7 @@ from hypothesis import strategies as st
 
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import (
-    RoleText,
-    Shades,
-    curve_words,
-    describe_laboratory,
-    measured_words,
-    reading_words,
-)
+from chemlab.lab.text import RoleText, Shades, curve_words, describe_laboratory, measured_words, reading_words
 from chemlab.roles.bench import Channel, channel_slices
 
 LEVELS = (0.0, 0.2, 0.45, 0.7, 1.0)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import molar_volume
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
@@ -73,8 +74,6 @@ def scenario(draws: dict[str, Any] | None = None, **more: Any) -> Scenario:
         {
             "base": "wurtz_dodecane",
             "name": "alike",
-            "title": "alike",
-            "summary": "alike",
             "shelf": {"slots": 8, "vessel": [vessel] * 3, "gauge": 0.05},
             "benches": {"rxn": {"start": vessel}},
             "world": {"draws": DRAWS if draws is None else draws},
@@ -86,12 +85,6 @@ def scenario(draws: dict[str, Any] | None = None, **more: Any) -> Scenario:
 def worlds(env: Any, member: int = 0) -> tuple[int, dict[str, Any]]:
     owner = getattr(env, "laboratories", None) or getattr(env, "batch", None) or env
     return owner.worlds.number(member), owner.worlds.values(member)
-
-
-def everything(labs: Any, member: int) -> list[np.ndarray[Any, Any]]:
-    """What a laboratory holds when an episode has begun, and by which numbers it behaves."""
-    known = labs.shelf.known(member)
-    return [labs.shelf.vessels[member].copy(), known.pre_exponential.copy(), known.activation_energy.copy()]
 
 
 # -- the same world everywhere ----------------------------------------------------------------------------------------
@@ -111,28 +104,14 @@ def test_a_world_disturbs_no_other_stream() -> None:
     assert results[0] == results[1]
 
 
-def test_episodes_go_on_to_other_worlds_and_seeds_begin_again() -> None:
-    env = raw_env(scenario())
-    seen = []
-    for _ in range(2):
-        env.reset(seed=4)
-        first = worlds(env)
-        env.reset()
-        seen.append((first, worlds(env)))
-    assert seen[0] == seen[1]
-    assert seen[0][0] != seen[0][1]
-
-
 def test_splits_have_worlds_of_their_own() -> None:
-    numbers, titres = set(), {}
-    for split in ("train", "validation", "test", "private:7175657474616c007175657474616c00"):
-        labs = Laboratories(scenario(), 200, split=split)
+    """What they draw: tests/test_world.py."""
+    titres = {}
+    for split in ("train", "test"):
+        labs = Laboratories(scenario(), 100, split=split)
         labs.begin()
-        numbers |= {labs.worlds.number(member) for member in range(200)}
-        titres[split] = min(min(labs.worlds.values(member)["titre"].values()) for member in range(200))
-    assert len(numbers) == 4 * 200
-    assert titres["train"] > 0.5 < titres["validation"]
-    assert titres["test"] < 0.5 > titres["private:7175657474616c007175657474616c00"]
+        titres[split] = min(min(labs.worlds.values(member)["titre"].values()) for member in range(100))
+    assert titres["test"] < 0.5 < titres["train"]
     with pytest.raises(ValueError, match="split: must be train"):
         Laboratories(scenario(), split="dev")
 
@@ -145,7 +124,7 @@ def test_what_is_drawn_is_in_vessels_and_parameters() -> None:
     spec = scenario()
     labs = Laboratories(spec, 5)
     labs.begin()
-    litres = {name: m.molar_mass_g_mol / m.density_kg_l / 1000.0 for name, m in spec.materials.items()}
+    litres = {name: molar_volume(spec, name) for name in spec.materials}
     for member in range(5):
         values, known = labs.worlds.values(member), labs.shelf.known(member)
         for slot, name in enumerate(SLOTS):
@@ -170,7 +149,7 @@ def test_a_bottle_gives_what_is_in_it(bench: str) -> None:
     """Litre for litre, fed by the reaction bench and added by an operation; in all there is what there was."""
     wash = {"wash": DRAWS["reagent"] | {"material": "water", "inert": "diethyl_ether"}}
     spec = scenario(DRAWS | wash)
-    litres = {name: m.molar_mass_g_mol / m.density_kg_l / 1000.0 for name, m in spec.materials.items()}
+    litres = {name: molar_volume(spec, name) for name in spec.materials}
     env = RoleVectorEnv(6, spec, bench=bench)
     env.reset(seed=0)
     batch = env.batch
@@ -203,18 +182,10 @@ def test_a_bottle_gives_what_is_in_it(bench: str) -> None:
 def test_vessels_begin_at_rest_in_their_own_world() -> None:
     """Polarity says how a solute divides between two solvents."""
     contents = {"diethyl_ether": 2.0, "water": 10.0, "dodecane": 0.5}
-    draws = {
-        "polarity": {
-            "what": "polarity",
-            "of": ["dodecane"],
-            "distribution": {"kind": "uniform", "low": 1.0, "high": 60.0},
-        }
-    }
-    spec = scenario(draws, shelf={"slots": 8, "vessel": [{"capacity_l": 1.2, "contents": contents}]})
-    labs = Laboratories(spec, 2)
-    labs.seed(0, 0)
-    labs.seed(1, 1)
-    labs.reset(labs.members)
+    distribution = {"kind": "uniform", "low": 1.0, "high": 60.0}
+    draws = {"polarity": {"what": "polarity", "of": ["dodecane"], "distribution": distribution}}
+    labs = Laboratories(scenario(draws, shelf={"slots": 8, "vessel": [{"capacity_l": 1.2, "contents": contents}]}), 2)
+    labs.begin()
     one, other = labs.shelf.dissolved[:, 0]
     assert abs(one - other).max() > 0.01
     assert one.sum() == pytest.approx(other.sum(), rel=1e-12)
@@ -225,11 +196,11 @@ def test_a_world_can_be_asked_for() -> None:
     env, batch = raw_env(spec), BatchedLaboratory(3, spec)
     env.reset(seed=1, options={"world": 7})
     number, values = worlds(env)
-    env.reset(seed=2, options={"world": 7})
-    assert worlds(env) == (number, values)
-    env.reset(seed=2, options={"world": values})
-    assert worlds(env)[1] == values
-    assert everything(env.laboratories, 0)[0].tobytes() == begun(spec, 7).tobytes()
+    vessels = env.laboratories.shelf.vessels[0].copy()
+    for world in (7, values):
+        env.reset(seed=2, options={"world": world})
+        assert worlds(env)[1] == values
+        np.testing.assert_array_equal(env.laboratories.shelf.vessels[0], vessels)
     # A part of a world: the rest is drawn as without.
     env.reset(seed=2)
     other = worlds(env)[1]
@@ -237,14 +208,6 @@ def test_a_world_can_be_asked_for() -> None:
     assert worlds(env)[1] == {**other, "rate": {COUPLING: 2.0}}
     batch.reset(seed=0, options={"world": 7})
     assert [worlds(batch, member) for member in range(3)] == [(number, values)] * 3
-
-
-def begun(spec: Scenario, world: int) -> Any:
-    """The vessels of a laboratory that begins in a world."""
-    labs = Laboratories(spec, 1)
-    labs.seed(0, 5)
-    labs.reset(labs.members, world=world)
-    return labs.shelf.vessels[0].copy()
 
 
 # -- what agents see --------------------------------------------------------------------------------------------------
@@ -283,11 +246,11 @@ def test_two_worlds_look_equal_until_something_physical_differs() -> None:
 def estimated(distribution: dict[str, Any]) -> Scenario:
     """The coupling with real physics, and salt of which the formation enthalpy is not known well."""
     draw = {"what": "formation", "of": ["NaCl"], "change": "offset", "distribution": distribution}
-    head = {"base": "wurtz_real", "name": "warm", "title": "warm", "summary": "warm"}
-    return load_scenario({**head, "world": {"draws": {"heat": draw}}})
+    return load_scenario({"base": "wurtz_real", "name": "warm", "world": {"draws": {"heat": draw}}})
 
 
 def test_a_formation_enthalpy_may_be_drawn_though_it_is_below_0() -> None:
+    """With bounds."""
     labs = Laboratories(estimated({"kind": "uniform", "low": -5000.0, "high": 5000.0}), 3)
     labs.begin()
     formation = labs.shelf.chemistry.parameters["formation"]
@@ -296,8 +259,5 @@ def test_a_formation_enthalpy_may_be_drawn_though_it_is_below_0() -> None:
     drawn = [labs.worlds.values(member)["heat"]["NaCl"] for member in range(3)]
     assert formation[1:, salt] == pytest.approx(formation[0, salt] + np.array(drawn), rel=1e-12)
     assert len(set(drawn)) == 3
-
-
-def test_what_may_be_of_either_sign_needs_bounds() -> None:
     with pytest.raises(DataError, match=r"world\.draws\.heat: formation is unbounded; give low and high"):
         Laboratories(estimated({"kind": "normal", "mean": 0.0, "sd": 1000.0}))

@@ -54,11 +54,9 @@ def test_heating_does_not_depend_on_its_division(contents: dict[str, float], jou
 
 def test_a_jacket_melts_crystals_at_their_melting_point() -> None:
     """Without a reaction there is a closed form: warming, melting at one temperature, warming."""
-    assert NAPHTHALENE.real is not None
     heat, melting, transfer, jacket = NAPHTHALENE.heat_capacity_j_mol_k, NAPHTHALENE.melting_point_k, 5.0, 400.0
-    assert melting is not None
     warming = heat / transfer * np.log((jacket - 298.15) / (jacket - melting))
-    molten = warming + (NAPHTHALENE.real.fusion_enthalpy_j_mol or 0.0) / transfer / (jacket - melting)
+    molten = warming + NAPHTHALENE.real.fusion_enthalpy_j_mol / transfer / (jacket - melting)
     for seconds in (0.5 * warming, 0.5 * (warming + molten), 1.5 * molten):
         for calls in (1, 7):
             flask = Flask({"naphthalene": 1.0})
@@ -174,9 +172,7 @@ def test_a_reaction_file_may_name_materials_of_the_catalogue(tmp_path: Path) -> 
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda flask: flask.drain(None, 0.5), "receiver: must be a Flask, given None"),
         (lambda flask: flask.pour("cup", 0.5), "receiver: must be a Flask, given 'cup'"),
-        (lambda flask: flask.another(capacity_l=0), "capacity_l: .* given 0"),
         (lambda flask: flask.heat(1.0, stages=1.9), "stages: must be a whole number, given 1.9"),
         (lambda flask: flask.another({"K2CO3": 1.0, "water": 1.0}), ".K2CO3. is a salt that is not in the catalogue"),
     ],
@@ -193,10 +189,7 @@ def test_the_end_of_an_instrument_s_range_is_said() -> None:
 
 @pytest.mark.parametrize(
     "contents",
-    [
-        {"toluene": 5.0, "water": 5.0, "benzoic_acid": 1.5},
-        {"diethyl_ether": 3.0, "water": 10.0, "salicylic_acid": 1.5},
-    ],
+    [{"toluene": 5.0, "water": 5.0, "benzoic_acid": 1.5}, {"diethyl_ether": 3.0, "water": 10.0, "salicylic_acid": 1.5}],
 )
 def test_an_acid_dissolves_in_oil_and_water_alike_in_one_call_and_in_many(contents: dict[str, float]) -> None:
     left = []

@@ -5,8 +5,6 @@ Random agents play every shipped scenario for tens of thousands of turns; a stat
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -131,10 +129,12 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
         check_seen(laboratories, members)
 
     turns, rounds, experiments = 0, 0, np.zeros(len(laboratories.experiments))
+    events = np.zeros(laboratories.safety_totals.shape[1])
     while turns < TURNS:
         turns += random_turns(laboratories, rng, policy, 0.1)
         rounds += 1
         experiments += laboratories.busy.any(axis=1)
+        events += laboratories.safety_totals.sum(axis=0)
         over = np.flatnonzero(laboratories.state.status != RUNNING)
         if rounds % 12 == 0:
             check(laboratories.members)
@@ -145,6 +145,8 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
             start[over] = laboratories.total()[over] @ atoms_in
     check_pressures(laboratories)
     assert (experiments > 0).all()  # every bench was used
+    # It is not tame: spills, relief, boiling dry, dry heating and metal in water all happen.
+    assert (events > 0.0).all() or scenario != "wurtz_two_lines", events
     assert laboratories.state.ticks.max() > 0
 
 
@@ -153,25 +155,17 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
 
 def extreme(name: str) -> Scenario:
     """A shipped scenario with apparatus as extreme as files may have it, in thin air, and instruments all of noise."""
-    values = mapping(name)
-    values["ambient_pressure_kpa"] = 60.0
-    for bench in values["benches"].values():
+    values, benches = mapping(name), {}
+    for key, bench in values["benches"].items():
         if bench["kind"] == "reaction":
-            bench["temperature_k"] = {"low": COLDEST_K, "high": HOTTEST_K, "step": 3000.0}
+            benches[key] = {"temperature_k": {"low": COLDEST_K, "high": HOTTEST_K, "step": 3000.0}}
         else:
-            bench |= {"hottest_k": HOTTEST_K, "coolest_k": COLDEST_K}
+            benches[key] = {"hottest_k": HOTTEST_K, "coolest_k": COLDEST_K, "process": bench["process"]}
             for process in bench["process"]:
                 amounts = {"heat": [1e4, 1e-3, -1e-3, -1e4], "pour": [1.0, 1.0 - 1e-12, 1e-9], "dry": [1e-3, 1e6]}
                 process["magnitudes"] = amounts.get(process["kind"], process["magnitudes"])
-    for instrument in values.get("instruments", {}).values():
-        instrument["noise"] = 1.0
-    # Files that a scenario names stand beside its own.
-    folder = Path(load_scenario(name).origin).parent
-    for key in ("material_files", "pair_files"):
-        values[key] = [str(folder / file) for file in values.get(key, [])]
-    if str(values["reactions"]).endswith(".toml"):
-        values["reactions"] = str(folder / values["reactions"])
-    return load_scenario(values)
+    noisy = {"instruments": {instrument: {"noise": 1.0} for instrument in values.get("instruments", {})}}
+    return load_scenario({"base": name, "name": "extreme", "ambient_pressure_kpa": 60.0, "benches": benches, **noisy})
 
 
 def spoil(shelf: Shelf, rng: np.random.Generator) -> None:
@@ -220,30 +214,12 @@ def test_extremes_leave_nothing_out_of_bounds(scenario: str) -> None:
         check_pressures(laboratories)
         for state in whole.see(laboratories.members):
             assert whole.space.contains(state)
-        for agent in range(len(laboratories.agents)):
-            for seen in laboratories.observe(agent, laboratories.members):
-                assert laboratories.observation_space(agent).contains(seen)
         over = np.flatnonzero(laboratories.state.status != RUNNING)
         if len(over):
             laboratories.reset(over)
         if rounds % 4 == 0:
             spoil(shelf, rng)
         start = laboratories.total() @ atoms_in
-
-
-def test_random_agents_meet_every_safety_event() -> None:
-    """The random play above is not tame: spills, relief, boiling dry, dry heating and metal in water all happen."""
-    laboratories = Laboratories("wurtz_dodecane", 40)
-    laboratories.begin()
-    rng, policy = np.random.default_rng(5), RandomPolicy(0, 6)
-    seen = np.zeros(laboratories.safety_totals.shape[1])
-    for _ in range(TURNS // 40):
-        random_turns(laboratories, rng, policy, 0.1)
-        seen = np.maximum(seen, laboratories.safety_totals.max(axis=0))
-        over = np.flatnonzero(laboratories.state.status != RUNNING)
-        if len(over):
-            laboratories.reset(over)
-    assert (seen > 0.0).all(), seen
 
 
 @pytest.mark.parametrize("bench", ["ext", "dit"])

@@ -107,17 +107,6 @@ def test_very_long_tick_ends_at_equilibrium(tolerance: tuple[float, float], allo
 # -- Arrhenius ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("energy", [6_000.0, 40_000.0])
-def test_rates_follow_arrhenius(energy: float) -> None:
-    """Hotter is faster, by exp(-Ea/R (1/T2 - 1/T1)); k is read off first-order decays at two temperatures."""
-    cold, hot = 280.0, 350.0
-    scheme = Scheme.of([({0: 1}, {1: 1}, 0.5 * np.exp(energy / (GAS_CONSTANT * ROOM)), energy)], 2)
-    constants = [-np.log(run(scheme, [1.0, 0.0], 0.4, 0.2, TIGHT, t)[0]) / 0.2 for t in (cold, ROOM, hot)]
-    assert constants[1] == pytest.approx(0.5, rel=1e-6)  # the pre-exponential was chosen for this
-    assert constants[2] > constants[1] > constants[0]
-    assert constants[2] / constants[0] == pytest.approx(np.exp(-energy / GAS_CONSTANT * (1 / hot - 1 / cold)), rel=1e-6)
-
-
 def test_nothing_reacts_without_liquid_time_or_reactant() -> None:
     """No volume, no time, or a missing reactant: the amounts stay as they were, bit for bit."""
     scheme = Scheme.of([({0: 1, 1: 1}, {2: 1}, 5.0, 0.0)], 3)

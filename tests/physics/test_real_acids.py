@@ -64,11 +64,7 @@ class Solutions:
         known = [ACIDS[acid] if isinstance(acid, str) else acid for acid in acids]
         charge, formation = [0, 1, -1], [-285_830.0, 0.0, -230_015.0]
         width = max((len(acid.pk) + 1 for acid in known), default=0)
-        members, pk, heat = (
-            np.full((len(known), width), -1),
-            np.zeros((len(known), width)),
-            np.zeros((len(known), width)),
-        )
+        members, (pk, heat) = np.full((len(known), width), -1), np.zeros((2, len(known), width))
         self.first: list[int] = []
         """of each acid, the material that its most acidic species is"""
         for a, acid in enumerate(known):
@@ -164,13 +160,10 @@ def test_standard_buffers_have_their_ph(name: str) -> None:
 
 
 # Mean activity coefficients at 0.1 mol/kg and 25 °C: Robinson and Stokes, Electrolyte Solutions, 2nd ed. 1959.
-@pytest.mark.parametrize(("ion", "counter", "gamma"), [(PROTON, -1, 0.796), (HYDROXIDE, 1, 0.766)], ids=["HCl", "NaOH"])
-def test_strong_acid_and_base(ion: int, counter: int, gamma: float) -> None:
-    found, log = Solutions([], counter).ph({ion: 0.1, 3: 0.1}), math.log10(0.1 * gamma)
-    assert found == pytest.approx(-log if ion == PROTON else WATER_PK + log, abs=0.02)
-
-
-def test_pure_water() -> None:
+def test_strong_acid_strong_base_and_water() -> None:
+    for ion, counter, gamma in ((PROTON, -1, 0.796), (HYDROXIDE, 1, 0.766)):
+        found, log = Solutions([], counter).ph({ion: 0.1, 3: 0.1}), math.log10(0.1 * gamma)
+        assert found == pytest.approx(-log if ion == PROTON else WATER_PK + log, abs=0.02)
     for temperature in (ROOM, 330.0):
         expected = 0.5 * (WATER_PK - WATER_HEAT / (math.log(10.0) * GAS_CONSTANT) * (1.0 / ROOM - 1.0 / temperature))
         assert Solutions().ph({}, temperature) == pytest.approx(expected, abs=1e-3)
@@ -222,19 +215,6 @@ def test_activities_obey_the_law_of_mass_action() -> None:
         assert -read(row, solutions.table.handle) == pytest.approx(math.log10(mol[PROTON]) + log_gamma, abs=1e-3)
         expected = 10.0 ** (-4.756 - 2.0 * log_gamma)
         assert mol[PROTON] * mol[4] / mol[3] == pytest.approx(expected, rel=2e-3)
-
-
-# -- heat ------------------------------------------------------------------------------------------------------------
-
-
-def test_neutralization_sets_its_heat_free() -> None:
-    """1 mol of H+ and OH- each in a kilogram of water: 55.8 kJ warm it by 12.8 K."""
-    solutions = Solutions([], 1)
-    row = solutions.row({PROTON: 1.0, HYDROXIDE: 1.0})
-    capacity = (KILOGRAM + 1.0) * 75.3
-    solutions.settle(row)
-    assert row[TEMPERATURE] == pytest.approx(ROOM + WATER_HEAT / capacity, abs=1e-3)
-    assert solutions.amounts(row)[WATER] == pytest.approx(KILOGRAM + 1.0, rel=1e-8)
 
 
 # -- what is conserved, refused, left alone --------------------------------------------------------------------------

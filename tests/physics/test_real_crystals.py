@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -76,17 +77,21 @@ def litres(name: str, mol: float) -> float:
 # -- saturation -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kelvin", [278.15, 298.15, 323.15, 353.15])
-@pytest.mark.parametrize("solute", ["benzoic_acid", "salicylic_acid", "acetanilide"])
-def test_what_stays_dissolved_is_the_solubility(solute: str, kelvin: float) -> None:
+@pytest.mark.parametrize(
+    ("solute", "solvent", "kelvin"),
+    [
+        *itertools.product(("benzoic_acid", "salicylic_acid", "acetanilide"), ("water",), (278.15, 298.15, 353.15)),
+        *itertools.product(("benzoic_acid",), ("ethanol", "toluene"), (278.15, 298.15)),
+    ],
+)
+def test_what_stays_dissolved_is_the_solubility(solute: str, solvent: str, kelvin: float) -> None:
     """From above and from below: the heat of fusion and NRTL in NumPy say the same."""
-    glass = insulated(solute, "water")
-    water = 20.0
-    held = solubility(glass.scenario, solute, "water", kelvin) * litres("water", water)
-    glass.fill(0, {solute: 3.0 * held, "water": water}, kelvin=kelvin)
+    glass = insulated(solute, solvent)
+    held = solubility(glass.scenario, solute, solvent, kelvin) * litres(solvent, 20.0)
+    glass.fill(0, {solute: 3.0 * held, solvent: 20.0}, capacity_l=50.0, kelvin=kelvin)
     elapse(glass, 0, 1000.0, kelvin)
     assert 3.0 * held - crystals(glass, 0, solute) == pytest.approx(held, rel=1e-5)
-    glass.fill(0, {solute: 3.0 * held, "water": water}, kelvin=kelvin + 10.0)
+    glass.fill(0, {solute: 3.0 * held, solvent: 20.0}, capacity_l=50.0, kelvin=kelvin + 10.0)
     elapse(glass, 0, 1000.0, kelvin + 10.0)
     warm = crystals(glass, 0, solute)
     elapse(glass, 0, 1000.0, kelvin)
@@ -219,18 +224,6 @@ def test_a_wash_thins_the_liquor_in_the_cake() -> None:
 # -- drying -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "kelvin"), [("water", 298.15), ("water", 330.0), ("ethanol", 310.0)])
-def test_air_leaves_saturated(name: str, kelvin: float) -> None:
-    glass, air = insulated(name), 50.0
-    glass.fill(0, {name: 3.0}, kelvin=kelvin)
-    laws.dry(glass.rows[0], air, glass.chem, glass.waste)
-    gone = 3.0 - glass.mol(0, name)
-    # The vapour pressure's table has straight lines between its points.
-    assert gone == pytest.approx(pascal(MATERIALS, name, kelvin) * 1e-3 * air / (GAS_CONSTANT * kelvin), rel=2e-3)
-    assert glass.waste[glass.names.index(name)] == pytest.approx(gone, rel=1e-12)
-    assert glass.rows[0, TEMPERATURE] == kelvin
-
-
 def test_a_mixture_dries_as_integrated_by_scipy() -> None:
     """dn/dV = x gamma p / RT of ethanol and water, one liquid."""
     names, kelvin, start, air = ("ethanol", "water"), 300.0, np.array([1.0, 2.0]), 400.0
@@ -249,7 +242,10 @@ def test_a_mixture_dries_as_integrated_by_scipy() -> None:
     glass.fill(0, dict(zip(names, start.tolist(), strict=True)), kelvin=kelvin)
     laws.dry(glass.rows[0], air, glass.chem, glass.waste)
     assert 0.1 < expected[0] < 0.8
-    assert [glass.mol(0, name) for name in names] == pytest.approx(expected, rel=3e-3)
+    left = np.array([glass.mol(0, name) for name in names])
+    assert left == pytest.approx(expected, rel=3e-3)  # the vapour pressure's table has straight lines
+    assert [glass.waste[glass.names.index(name)] for name in names] == pytest.approx(start - left, rel=1e-12)
+    assert glass.rows[0, TEMPERATURE] == kelvin
 
 
 @pytest.mark.parametrize("kelvin", [365.0, 370.0])
@@ -265,9 +261,8 @@ def test_what_flies_first_is_gone_before_the_rest(kelvin: float) -> None:
     laws.dry(shelf.rows[0], 400.0, shelf.chem(), shelf.waste[0])
     assert np.isfinite(shelf.rows).all()
     amounts = dict(zip(names, shelf.amounts[0, 0] + shelf.waste[0], strict=True))
-    assert {name: amounts[name] for name in ("water", "benzoic_acid", "naphthalene")} == pytest.approx(
-        {name: contents[name] for name in ("water", "benzoic_acid", "naphthalene")}, rel=1e-12
-    )
+    for name in ("water", "benzoic_acid", "naphthalene"):
+        assert amounts[name] == pytest.approx(contents[name], rel=1e-12)
     assert shelf.amounts[0, 0, names.index("naphthalene")] < 1e-12
 
 
@@ -388,21 +383,3 @@ def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> Non
         now = glass.shelf.amounts[0].sum(axis=0) + glass.waste
         np.testing.assert_allclose(atoms @ now, atoms @ (total + added), rtol=1e-9, atol=1e-12)
     assert boiled < 50
-
-
-def test_growing_crystals_keep_the_heat_in_an_insulated_vessel() -> None:
-    glass = insulated("benzoic_acid", "water")
-    glass.fill(0, {"benzoic_acid": 0.3, "water": 55.0}, kelvin=365.0)
-    elapse(glass, 0, 1000.0, 365.0)
-    glass.rows[0, TEMPERATURE] = 298.15
-    there = crystals(glass, 0, "benzoic_acid")
-    content, kelvin = float(enthalpy(glass.rows[0], glass.chem)), 298.15
-    laws.elapse(glass.rows[0], 1e-3, glass.chem, glass.waste, glass.events, glass.work)
-    grown = crystals(glass, 0, "benzoic_acid") - there
-    assert grown > 0.0
-    real = MATERIALS["benzoic_acid"].real
-    assert real is not None
-    capacity = 0.3 * MATERIALS["benzoic_acid"].heat_capacity_j_mol_k + 55.0 * MATERIALS["water"].heat_capacity_j_mol_k
-    rise = grown * float(real.fusion_enthalpy_j_mol or 0.0) / capacity
-    assert glass.rows[0, TEMPERATURE] - kelvin == pytest.approx(rise, rel=1e-3)
-    assert float(enthalpy(glass.rows[0], glass.chem)) == pytest.approx(content, rel=1e-9)

@@ -98,14 +98,12 @@ def test_an_equilibrium_is_that_of_its_volume() -> None:
         assert a + b / 2.0 == pytest.approx(1.0, rel=1e-13)
 
 
-@pytest.mark.parametrize("temperature", [273.15, 350.0])
-def test_an_equilibrium_follows_van_t_hoff(temperature: float) -> None:
-    table = network(
-        [{"reactants": {0: 1}, "products": {1: 1}, "k": 1e9, "energy": 40e3, "equilibrium": 4.0}], 2, [0.0, -30e3]
-    )
-    a, b = run(table, [1.0, 0.0], 1e6, jacket=temperature).amounts
-    expected = 4.0 * np.exp(30e3 / GAS_CONSTANT * (1.0 / temperature - 1.0 / ROOM))
-    assert b / a == pytest.approx(expected, rel=1e-5)
+def test_an_equilibrium_follows_van_t_hoff() -> None:
+    step = {"reactants": {0: 1}, "products": {1: 1}, "k": 1e9, "energy": 40e3, "equilibrium": 4.0}
+    for temperature in (273.15, 350.0):
+        a, b = run(network([step], 2, [0.0, -30e3]), [1.0, 0.0], 1e6, jacket=temperature).amounts
+        expected = 4.0 * np.exp(30e3 / GAS_CONSTANT * (1.0 / temperature - 1.0 / ROOM))
+        assert b / a == pytest.approx(expected, rel=1e-5)
 
 
 def test_what_is_absent_holds_a_reverse_reaction_too() -> None:
@@ -122,12 +120,9 @@ def test_a_catalyst_multiplies_and_is_not_used_up() -> None:
     assert done[0] == pytest.approx(0.7 * np.exp(-2.0 * 0.3**1.5 * 0.8), rel=1e-6)
     assert done[2] == 0.3
     assert run(network([step], 3), [0.7, 0.3, 0.0], 0.8).amounts.tolist() == [0.7, 0.3, 0.0]
-
-
-def test_a_catalyst_does_not_move_an_equilibrium() -> None:
-    step = {"reactants": {0: 1}, "products": {1: 1}, "k": 50.0, "catalysts": {2: 1.0}, "equilibrium": 3.0}
+    step |= {"k": 50.0, "equilibrium": 3.0}  # which it does not move
     for catalyst in (0.01, 1.0):
-        a, b, _ = run(network([step], 3), [1.0, 0.2, catalyst], 1e3).amounts
+        a, b, _ = run(network([step], 3), [1.0, 0.2, catalyst], 1e4).amounts
         assert b / a == pytest.approx(3.0, rel=1e-6)
 
 
@@ -163,12 +158,8 @@ def test_a_surface_is_used_up_in_time(order: float, time: float) -> None:
 
 def test_the_adiabatic_rise_is_the_heat_over_the_heat_capacity_of_the_products() -> None:
     """A + B -> C, 80 kJ/mol: 0.4 mol of it in 5.6 mol of something else."""
-    step = {
-        "reactants": {0: 1, 1: 1},
-        "products": {2: 1},
-        "k": 1e3 * np.exp(20e3 / (GAS_CONSTANT * ROOM)),
-        "energy": 20e3,
-    }
+    k = 1e3 * np.exp(20e3 / (GAS_CONSTANT * ROOM))
+    step = {"reactants": {0: 1, 1: 1}, "products": {2: 1}, "k": k, "energy": 20e3}
     capacity = np.array([90.0, 70.0, 130.0, 180.0])
     table = network([step], 4, [-10e3, 0.0, -90e3, -5e3], heat_capacity=capacity)
     done = run(table, [0.4, 0.4, 0.0, 5.6], 1e4, transfer=0.0, tolerance=USUAL)
@@ -248,12 +239,8 @@ def problem(seed: int) -> Problem:
         products = {j: x * scale for j, x in products.items()}
         heat = sum(x * formation[j] for j, x in products.items()) - sum(x * formation[j] for j, x in reactants.items())
         energy = max(rng.uniform(0.0, 80e3), heat + 1e3)
-        step = {
-            "reactants": reactants,
-            "products": products,
-            "energy": energy,
-            "k": speed * np.exp(energy / (GAS_CONSTANT * ROOM)),
-        }
+        k = speed * np.exp(energy / (GAS_CONSTANT * ROOM))
+        step = {"reactants": reactants, "products": products, "energy": energy, "k": k}
         if rng.random() < 0.5:
             step["equilibrium"] = 10.0 ** rng.uniform(-2.0, 2.0)
         if rng.random() < 0.3:
@@ -394,20 +381,14 @@ def test_nothing_reacts_without_liquid_time_or_reactant() -> None:
 
 def test_crystals_do_not_react_and_layers_keep_their_shares() -> None:
     """A (0.5 of 2 mol dissolved, 4 to 1 in two layers) -> B, which is nowhere yet."""
-    table = network(
-        [{"reactants": {0: 1}, "products": {1: 1}, "k": 1.0}],
-        3,
-        dissolved=np.array([0, 1, 2]),
-        dissolved_at=np.arange(3),
-        solvents=np.arange(2),
-        molar_volume=np.array([0.2, 0.2, 0.2]),
-    )
+    own = {"dissolved": np.arange(3), "dissolved_at": np.arange(3), "solvents": np.arange(2)}
+    step = {"reactants": {0: 1}, "products": {1: 1}, "k": 1.0}
+    table = network([step], 3, molar_volume=np.full(3, 0.2), **own)
     row = filled(table, [2.0, 0.0, 3.0], ROOM, {0: [0.4, 0.1], 2: [1.0, 2.0]})
     react(row, table, 0.7, ROOM, math.inf, TIGHT)
     left = 0.5 * np.exp(-0.7)
     assert row[AMOUNTS : AMOUNTS + 3] == pytest.approx([1.5 + left, 0.5 - left, 3.0], rel=1e-6)
     assert row[AMOUNTS + 3 : AMOUNTS + 5] == pytest.approx([0.8 * left, 0.2 * left], rel=1e-6)
     share = (0.8 * left + 1.0) / (left + 3.0)
-    assert row[AMOUNTS + 5 : AMOUNTS + 7] == pytest.approx(
-        [(0.5 - left) * share, (0.5 - left) * (1.0 - share)], rel=1e-6
-    )
+    made = 0.5 - left
+    assert row[AMOUNTS + 5 : AMOUNTS + 7] == pytest.approx([made * share, made * (1.0 - share)], rel=1e-6)

@@ -28,10 +28,6 @@ def open_air(glass: Glassware, position: int) -> float:
     return ATMOSPHERE * headspace / (R * row[TEMPERATURE]) * glass.scenario.materials["air"].heat_capacity_j_mol_k
 
 
-def cp(glass: Glassware, name: str) -> float:
-    return glass.scenario.materials[name].heat_capacity_j_mol_k
-
-
 # -- boiling by hand ----------------------------------------------------------------------------------------------
 
 
@@ -47,7 +43,7 @@ def test_one_call_crosses_three_boiling_points() -> None:
     """Ether goes, then water, then half of the dodecane, then the heat is used up: each leg reckoned by hand."""
     glass = still({"dodecane": 0.4, "diethyl_ether": 1.0, "water": 2.0, "NaCl": 0.3})
     order = [glass.scenario.materials[name] for name in ("diethyl_ether", "water", "dodecane")]
-    amounts, stays = [1.0, 2.0, 0.4], 0.3 * cp(glass, "NaCl") + open_air(glass, 0)
+    amounts, stays = [1.0, 2.0, 0.4], 0.3 * glass.scenario.materials["NaCl"].heat_capacity_j_mol_k + open_air(glass, 0)
     joules, temperature = 0.0, ROOM
     for i, (material, mol) in enumerate(zip(order, amounts, strict=True)):
         left = sum(n * m.heat_capacity_j_mol_k for n, m in zip(amounts[i:], order[i:], strict=True))
@@ -172,7 +168,12 @@ def test_heating_an_empty_vessel_is_an_event_and_nothing_else() -> None:
 
 
 def test_boiling_dry_is_an_event() -> None:
-    """When the last liquid goes, that is one event; heating what is left dry is another kind."""
+    """When the last liquid goes, that is one event; heating what is left dry is another kind. Liquid that is left, or
+    reaching the mantle's temperature, is none."""
+    wet = still({"diethyl_ether": 0.5, "dodecane": 1.0})
+    wet.heat(0, 1, 1e6, hottest_k=450.0)
+    assert (wet.amount(0, "diethyl_ether"), wet.amount(0, "dodecane")) == (0.0, 1.0)
+    assert (wet.events == 0.0).all()
     glass = still({"diethyl_ether": 0.5, "NaCl": 1.0})
     glass.heat(0, 1, 50_000.0, hottest_k=450.0)
     assert glass.amount(0, "diethyl_ether") == 0.0
@@ -189,22 +190,10 @@ def test_a_full_vessel_boils_dry_exactly() -> None:
     glass = still({"water": 10.0})
     row, material = glass.rows[0], glass.scenario.materials["water"]
     row[CAPACITY] = glass.volume(0)
-    glass.heat(
-        0,
-        1,
-        cp(glass, "water") * 10.0 * (material.boiling_point_k - ROOM) + 10.0 * material.vaporization_enthalpy_j_mol,
-    )
+    warming = material.heat_capacity_j_mol_k * (material.boiling_point_k - ROOM)
+    glass.heat(0, 1, 10.0 * (warming + material.vaporization_enthalpy_j_mol))
     assert glass.amount(0, "water") == 0.0
     assert np.isfinite(row).all()
-
-
-def test_liquid_that_is_left_is_no_event() -> None:
-    """Boiling one liquid away from another that stays is no event, nor is reaching the mantle's temperature."""
-    glass = still({"diethyl_ether": 0.5, "dodecane": 1.0})
-    glass.heat(0, 1, 1e6, hottest_k=450.0)
-    assert glass.amount(0, "diethyl_ether") == 0.0
-    assert glass.amount(0, "dodecane") == 1.0
-    assert (glass.events == 0.0).all()
 
 
 def test_nothing_gets_hotter_than_the_mantle() -> None:

@@ -84,7 +84,13 @@ def test_two_pours_into_an_empty_vessel_are_one(first: dict[str, float], f: floa
 
 
 def test_moving_nothing_changes_nothing() -> None:
-    """A zero fraction, no pixels, or an empty source: no bit of either vessel, the waste or the events changes."""
+    """A zero fraction, no pixels, or an empty source: no bit of either vessel, the waste or the events changes. Exactly
+    as much as a vessel holds is no spill."""
+    brim = glass_with({"water": 1.0}, {})
+    brim.rows[1, CAPACITY] = brim.volume(0)
+    brim.pour(0, 1, 1.0)
+    assert not brim.events.any()
+    assert not brim.waste.any()
     for second in ({}, {"water": 2.0, "dodecane": 0.1}, {"hexane": 1.0}):
         for first, fraction, pixels in (({"hexane": 2.0, "NaCl": 0.3}, 0.0, 0.0), ({}, 1.0, 40.0)):
             glass = glass_with(first, second)
@@ -115,15 +121,6 @@ def test_what_does_not_fit_spills_proportionally(
     np.testing.assert_allclose(glass.waste, (1.0 - kept) * together[:m], rtol=1e-10, atol=1e-14)
     assert glass.events[SPILL] == pytest.approx(litres - capacity, rel=1e-9, abs=1e-12)
     assert (glass.rows[0, AMOUNTS:] == 0.0).all()
-
-
-def test_a_brim_full_vessel_does_not_spill() -> None:
-    """Exactly as much as the vessel holds: no event, no waste."""
-    glass = glass_with({"water": 1.0}, {})
-    glass.rows[1, CAPACITY] = glass.volume(0)
-    glass.pour(0, 1, 1.0)
-    assert (glass.events == 0.0).all()
-    assert (glass.waste == 0.0).all()
 
 
 # -- adding -------------------------------------------------------------------------------------------------------
