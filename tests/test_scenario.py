@@ -687,16 +687,6 @@ def test_a_record_s_scenario_is_checked_as_a_file_is(key: str, value: Any, messa
 # -- in a notebook and in a hint ---------------------------------------------------------------------------------------
 
 
-def test_a_scenario_says_what_it_is_in_a_line() -> None:
-    scenario = load_scenario("wurtz_dodecane")
-    assert repr(scenario) == (
-        "Scenario('wurtz_dodecane', title='Dodecane by the Wurtz reaction', "
-        "agents=['manager_0', 'rxn_0', 'ext_0', 'dit_0'], goals=['dodecane'], "
-        f"origin={scenario.origin!r})"
-    )
-    assert len(str(scenario)) < 300
-
-
 def test_a_hint_can_be_typed(tmp_path: Path) -> None:
     assert load_scenario("wurtz_safe").argument == "wurtz_safe"
     folder = tmp_path / "my labs"
