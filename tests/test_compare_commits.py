@@ -6,8 +6,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 SCRIPT = Path(__file__).parent.parent / "studies" / "speed" / "compare_commits.py"
 
 
@@ -24,29 +22,23 @@ def compared(tmp_path: Path, before: str, after: str, *words: str) -> subprocess
     return subprocess.run([*command, "--rows", "CartPole", *words], capture_output=True, text=True)
 
 
-@pytest.mark.parametrize(("least", "code"), [("0.6", 0), ("0.7", 0), ("0.71", 1)])
-def test_a_rate_below_the_least_ratio_fails(least: str, code: int, tmp_path: Path) -> None:
-    found = compared(
-        tmp_path,
-        "def single(name, seconds):\n    return 100.0",
-        "def single(name, seconds):\n    return 70.0",
-        "--least",
-        least,
-    )
-    assert "0.70  [0.70, 0.70]" in found.stdout
-    assert found.returncode == code
-    assert ("CartPole" in found.stderr) == bool(code)
+RATES = "RATES = iter([1.0, {first}, *[{rest}] * 10])\ndef single(name, seconds):\n    return next(RATES)"
 
 
-def test_a_row_that_is_slow_once_is_measured_again(tmp_path: Path) -> None:
-    """The first call warms up; three of the first five pairs are slow, and none of the next five."""
-    rates = "RATES = iter([1.0, {first}, *[100.0] * 10])\ndef single(name, seconds):\n    return next(RATES)"
-    slow = rates.format(first="50.0, 50.0, 50.0, 100.0, 100.0")
-    quick = rates.format(first="100.0, 100.0, 100.0, 100.0, 100.0")
-    assert compared(tmp_path / "slow", quick, slow, "--least", "0.9").returncode == 0
-    slow = rates.format(first=", ".join(["50.0"] * 9))
-    found = compared(tmp_path / "slower", quick, slow, "--least", "0.9")
-    assert (found.returncode, "0.50" in found.stdout) == (1, True)
+def test_a_row_that_is_too_slow_twice_fails(tmp_path: Path) -> None:
+    """The first call warms up; where three of the first five pairs are slow, five more are measured."""
+    before = RATES.format(first="100.0", rest="100.0")
+    for case, (first, rest, least, code) in enumerate(
+        (
+            ("50.0, 50.0, 50.0, 100.0, 100.0", "100.0", "0.9", 0),
+            ("70.0", "70.0", "0.7", 0),
+            ("70.0", "70.0", "0.71", 1),
+        )
+    ):
+        found = compared(tmp_path / str(case), before, RATES.format(first=first, rest=rest), "--least", least)
+        assert found.returncode == code, found.stderr
+        assert ("0.70  [0.70, 0.70]" in found.stdout) == (case > 0)
+        assert ("CartPole" in found.stderr) == bool(code)
 
 
 def test_what_the_older_commit_cannot_measure_is_left_out(tmp_path: Path) -> None:

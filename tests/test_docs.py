@@ -249,14 +249,15 @@ def test_the_checks_of_pages_see_what_is_wrong() -> None:
         parse(["fly", "fictitious"], "here")
     with pytest.raises(Exception, match="--altitude"):
         parse(["run", "fictitious", "--altitude", "3"], "here")
-    assert makes(Block(DOCS, 1, "bash", "chemlab train manager --out runs/trial --quiet\n")) == ["runs/trial"]
-    for command, expected in (
-        ("chemlab evaluate fictitious --policy scripted,manager=runs/trial", True),
-        ("chemlab plot runs runs", True),
-        ("chemlab export runs/trial/best.zip", True),
-        ("chemlab run fictitious --policy runs/trials", False),
+    trial = "runs/trial"
+    assert makes(Block(DOCS, 1, "bash", f"chemlab train manager --out {trial} --quiet\n")) == [trial]
+    for words in (
+        f"evaluate fictitious --policy scripted,manager={trial}",
+        "plot runs runs",
+        f"export {trial}/best.zip",
     ):
-        assert uses(Block(DOCS, 9, "bash", command + "\n"), "runs/trial") is expected
+        assert uses(Block(DOCS, 9, "bash", f"chemlab {words}\n"), trial)
+    assert not uses(Block(DOCS, 9, "bash", "chemlab run fictitious --policy runs/trials\n"), trial)
 
 
 PROSE = [*PAGES, *sorted(ROOT.glob("*.md"))]
@@ -273,18 +274,19 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", PROSE, ids=lambda page: str(page.relative_to(ROOT)))
-def test_links_lead_somewhere(page: Path) -> None:
+def test_links_lead_somewhere() -> None:
     """Every relative link works in a checkout; pages that Sphinx makes are named by roles, which Sphinx checks."""
-    for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", prose(page)):
-        if "://" in target:
-            continue
-        file = page.parent / target if target else page
-        assert file.exists(), f"{target} does not exist"
-        made = f"{target}: not in a checkout; write {{doc}}`words <{target.removesuffix('.md')}>`"
-        assert "generated" not in file.parts, made
-        if anchor:
-            assert anchor in anchors(file), f"{target}#{anchor}: no such heading; there are {sorted(anchors(file))}"
+    for page in PROSE:
+        for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", prose(page)):
+            if "://" in target:
+                continue
+            file = page.parent / target if target else page
+            assert file.exists(), f"{page}: {target} does not exist"
+            made = f"{page}: {target} is not in a checkout; write {{doc}}`words <{target.removesuffix('.md')}>`"
+            assert "generated" not in file.parts, made
+            assert not anchor or anchor in anchors(file), (
+                f"{page}: {target}#{anchor}: there are {sorted(anchors(file))}"
+            )
 
 
 def test_the_map_names_every_module_of_the_physics() -> None:
@@ -294,12 +296,13 @@ def test_the_map_names_every_module_of_the_physics() -> None:
         assert module.stem in stems | {"__init__", "constants", "events"}, f"{module.name} is not on the map"
 
 
-def test_pictures_are_small() -> None:
-    """What everybody downloads with the repository."""
+def test_pictures_are_small_and_the_citation_names_this_version() -> None:
+    """Pictures are what everybody downloads with the repository."""
     assert (DOCS / "images" / "episode.webp").stat().st_size < 400_000
     gallery = {path.stem: path.stat().st_size for path in (DOCS / "_static" / "scenarios").glob("*")}
     assert set(gallery) <= {*scenario_names(), *campaign_names(), *synthesis_names()}
     assert sum(gallery.values()) < 5_000_000
+    assert f"{{{__version__}}}" in (DOCS / "about.md").read_text(encoding="utf-8")
 
 
 WIDE = {
@@ -345,22 +348,12 @@ def test_the_table_of_times_is_that_of_the_stored_runs() -> None:
         assert (watch.reached() or (None,))[0] == run["seconds"]
 
 
-def test_the_citation_names_this_version() -> None:
-    assert f"{{{__version__}}}" in (DOCS / "about.md").read_text(encoding="utf-8")
-
-
-@pytest.mark.parametrize("page", [ROOT / "README.md", *PAGES], ids=lambda page: str(page.relative_to(ROOT)))
-def test_pages_are_in_plain_words(page: Path) -> None:
-    """No page has a word that ``studies/tools/words.py`` refuses."""
-    assert script("studies/tools/words.py").findings(page) == []
-
-
-def test_code_is_in_plain_words() -> None:
-    """No docstring has a refused word or begins with a question word."""
+def test_pages_and_code_are_in_plain_words() -> None:
+    """None has a word that ``studies/tools/words.py`` refuses; no docstring begins with a question word."""
     words = script("studies/tools/words.py")
     checked = words.code()
     assert len(checked) > 80
-    assert [line for path in checked for line in words.findings(path)] == []
+    assert [line for path in (ROOT / "README.md", *PAGES, *checked) for line in words.findings(path)] == []
 
 
 def test_notebooks_run_what_their_pages_run(monkeypatch: pytest.MonkeyPatch) -> None:

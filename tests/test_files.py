@@ -52,17 +52,11 @@ except OSError as error:
 """
 
 
-def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
+def test_a_file_is_replaced_whole_or_not_at_all(tmp_path: Path) -> None:
     path = tmp_path / "new" / "a.txt"
-    for text in ("one", "zwei, größer", ""):
+    for text in ("one", "zwei, größer", "", "kept"):
         write_text(path, text)
         assert path.read_bytes() == text.encode()
-    assert [file.name for file in path.parent.iterdir()] == ["a.txt"]
-
-
-def test_a_failed_write_changes_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    write_text(path, "kept")
     with pytest.raises(UnicodeEncodeError):
         write_text(path, "\ud800")
     with pytest.raises(FileNotFoundError), draft_of(path) as draft:
@@ -72,7 +66,9 @@ def test_a_failed_write_changes_nothing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="mark: begin"):
         replace_between(path, "mark", ["x"])
     assert path.read_text() == "kept"
-    assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
+    assert [file.name for file in path.parent.iterdir()] == ["a.txt"]
+    path.write_text("a = 1", encoding="utf-8-sig")  # a mark at the beginning of a text is none of it
+    assert read_toml(path.rename(path.with_suffix(".toml"))) == {"a": 1}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -115,20 +111,21 @@ def test_a_disk_without_room(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_something_else_is_in_the_way(tmp_path: Path) -> None:
-    folder = tmp_path / "folder"
+def test_errors_name_the_file_that_something_is_in_the_way_of(tmp_path: Path) -> None:
+    folder, file = tmp_path / "folder", tmp_path / "file"
     (folder / "inside").mkdir(parents=True)
-    with pytest.raises(OSError, match=r"folder'$"):
-        write_text(folder, "x")
-    file = tmp_path / "file"
     file.write_text("")
-    with pytest.raises(OSError, match="file"):
-        write_text(file / "below", "x")
-    with pytest.raises(OSError, match="name too long"):
-        write_text(tmp_path / ("a" * 300), "x")
+    for path, match in ((folder, r"folder'$"), (file / "below", "file"), (tmp_path / ("a" * 300), "name too long")):
+        with pytest.raises(OSError, match=match):
+            write_text(path, "x")
     assert sorted(item.name for item in tmp_path.iterdir()) == ["file", "folder"]
     # A name as long as the system allows leaves no room for a longer one beside it.
     write_text(tmp_path / ("a" * 255), "x")
+    with pytest.raises(OSError, match=r"No space.*file"), naming(file):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+    with pytest.raises(OSError, match=r"b\.txt") as caught, naming(file):
+        (tmp_path / "none" / "b.txt").read_text()
+    assert str(file) not in str(caught.value)
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes and devices of POSIX")
@@ -158,12 +155,6 @@ def test_only_regular_files_of_bounded_size_are_read(tmp_path: Path, in_time: No
         assert Path("/proc/self/maps").stat().st_size == 0
         with pytest.raises(OSError, match="is larger than 10 bytes"):
             read_bytes(Path("/proc/self/maps"), 10)
-
-
-def test_a_mark_at_the_beginning_of_a_text_is_none_of_it(tmp_path: Path) -> None:
-    path = tmp_path / "marked.toml"
-    path.write_text("a = 1", encoding="utf-8-sig")
-    assert read_toml(path) == {"a": 1}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
@@ -207,12 +198,3 @@ def test_a_lock_is_held_by_one(tmp_path: Path) -> None:
         assert not locked(other.fileno())
     with path.open("ab") as other:
         assert locked(other.fileno())
-
-
-def test_errors_of_the_system_name_a_file(tmp_path: Path) -> None:
-    path = tmp_path / "a.txt"
-    with pytest.raises(OSError, match=r"No space.*a\.txt"), naming(path):
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-    with pytest.raises(OSError, match=r"b\.txt") as caught, naming(path):
-        (tmp_path / "none" / "b.txt").read_text()
-    assert "a.txt" not in str(caught.value)

@@ -7,6 +7,7 @@ Expected values come from the packages when the test runs: each value must be th
 from __future__ import annotations
 
 import functools
+import inspect
 import itertools
 import math
 import re
@@ -33,9 +34,8 @@ MASS, DENSITY, HEAT = "molar_mass_g_mol", "density_kg_l", "heat_capacity_j_mol_k
 MELT, BOIL, VAPOR = "melting_point_k", "boiling_point_k", "vaporization_enthalpy_j_mol"
 PROPERTIES = (MASS, DENSITY, HEAT, MELT, BOIL, VAPOR)
 NUMERIC = (*PROPERTIES, "polarity")
-CRITICAL, FUSION, FORMATION = REAL_PROPERTIES = (
-    "critical_temperature_k", "fusion_enthalpy_j_mol", "formation_enthalpy_j_mol"
-)  # fmt: skip
+CRITICAL, FUSION, FORMATION = "critical_temperature_k", "fusion_enthalpy_j_mol", "formation_enthalpy_j_mol"
+REAL_PROPERTIES = (CRITICAL, FUSION, FORMATION)
 
 
 def _load(files: tuple[str, ...]) -> list[tuple[str, str, Material]]:
@@ -54,14 +54,8 @@ ALL = MATERIALS | NEW
 REAL = [key for file, key, _ in ROWS if file != "fictitious"]
 FICTITIOUS = [key for file, key, _ in ROWS if file == "fictitious"]
 CHLOROHEXANES = ["1-chlorohexane", "2-chlorohexane", "3-chlorohexane"]
-PRODUCTS = [
-    "dodecane",
-    "5-methylundecane",
-    "4-ethyldecane",
-    "5,6-dimethyldecane",
-    "4-ethyl-5-methylnonane",
-    "4,5-diethyloctane",
-]
+PRODUCTS = ["dodecane", "5-methylundecane", "4-ethyldecane", "5,6-dimethyldecane"]
+PRODUCTS += ["4-ethyl-5-methylnonane", "4,5-diethyloctane"]
 GASES = {"air", "H2"}
 SOLVENTS = ["diethyl_ether", "ethyl_acetate", "hexane", "water"]
 
@@ -69,83 +63,42 @@ SOLVENTS = ["diethyl_ether", "ethyl_acetate", "hexane", "water"]
 # -- Looking values up in the packages -------------------------------------------------------------------------------
 
 
-def _chemicals() -> Any:
-    return pytest.importorskip("chemicals")
-
-
-def _thermo() -> Any:
-    return pytest.importorskip("thermo")
+chemicals = pytest.importorskip("chemicals")
+thermo = pytest.importorskip("thermo")
 
 
 @functools.cache
-def _correlation(kind: str, cas: str, boiling: float | None = None) -> Any:
-    """Return thermo's object for a temperature-dependent property, with the constants its methods need."""
-    chemicals, thermo = _chemicals(), _thermo()
-    constants = {
-        "MW": chemicals.MW(cas),
-        "Tb": boiling or chemicals.Tb(cas),
-        "Tc": chemicals.Tc(cas),
-        "Pc": chemicals.Pc(cas),
-        "Vc": chemicals.Vc(cas),
-        "omega": chemicals.omega(cas),
-    }
-    wanted = {
-        "HeatCapacityGas": ("MW",),
-        "HeatCapacityLiquid": ("MW",),
-        "HeatCapacitySolid": ("MW",),
-        "VolumeGas": ("MW", "Tc", "Pc", "omega"),
-        "VolumeLiquid": ("MW", "Tb", "Tc", "Pc", "Vc", "omega"),
-        "VolumeSolid": ("MW", "Tb"),
-        "EnthalpyVaporization": ("Tb", "Tc", "Pc", "omega"),
-        "VaporPressure": ("Tb", "Tc", "Pc", "omega"),
-    }[kind]
-    keywords = {name: constants[name] for name in wanted if constants[name] is not None}
+def _correlation(kind: str, cas: str, boiling: float | None) -> Any:
+    """thermo's object for a temperature-dependent property, with the constants its methods need."""
+    wanted = {"MW": chemicals.MW(cas), "Tb": boiling or chemicals.Tb(cas)}
+    wanted |= {name: getattr(chemicals, name)(cas) for name in ("Tc", "Pc", "Vc", "omega")}
+    known = inspect.signature(getattr(thermo, kind).__init__).parameters
+    keywords = {name: value for name, value in wanted.items() if name in known and value is not None}
     return getattr(thermo, kind)(CASRN=cas, **keywords)
 
 
 def _at(kind: str, cas: str, temperature: float, key: str, boiling: float | None = None) -> float:
-    """Return a temperature-dependent property by the named method, refusing methods without data."""
+    """A temperature-dependent property by the named method, refusing methods without data."""
     correlation = _correlation(kind, cas, boiling)
     assert key in correlation.all_methods, f"{kind} of {cas} has no {key}"
-    value = correlation.calculate(temperature, key)
-    assert isinstance(value, float)
+    value = float(correlation.calculate(temperature, key))
     assert math.isfinite(value)
     return value
 
 
-def _molar_mass(cas: str) -> float:
-    return float(_chemicals().MW(cas))
-
-
-def _litres(cas: str, key: str, phase: str = "Liquid") -> float:
-    """Return the molar volume in litres at room temperature."""
-    return _at(f"Volume{phase}", cas, ROOM_K, key) * 1000.0
-
-
 def database(material: Material, field: str, key: str) -> float:
-    """Return what the compilation or method `key` of the packages says about one property."""
+    """What the compilation or method `key` of the packages says about one property."""
     cas, phase = material["cas"], {"solid": "Solid", "gas": "Gas"}.get(material["role"], "Liquid")
-    if field == HEAT and material.get(MELT, 0.0) > 300.0:
-        phase = "Solid"
-    if field == CRITICAL:
-        value = _chemicals().Tc(cas, method=key)
-    elif field == FUSION:
-        value = _chemicals().Hfus(cas, method=key)
-    elif field == FORMATION:
-        value = getattr(_chemicals(), f"Hf{material['real']['formation_state']}")(cas, method=key)
-    elif field == MELT:
-        value = _chemicals().Tm(cas, method=key)
-    elif field == BOIL:
-        value = _chemicals().Tb(cas, method=key)
-    elif field == HEAT:
-        value = _at(f"HeatCapacity{phase}", cas, ROOM_K, key)
-    elif field == DENSITY:
-        value = _molar_mass(cas) / 1000.0 / _litres(cas, key, phase)
-    elif field == VAPOR:
+    if field == HEAT:
+        return _at(f"HeatCapacity{'Solid' if material.get(MELT, 0.0) > 300.0 else phase}", cas, ROOM_K, key)
+    if field == DENSITY:
+        return float(chemicals.MW(cas)) / 1e6 / _at(f"Volume{phase}", cas, ROOM_K, key)
+    if field == VAPOR:
         # The boiling point is an input of the estimation methods, so theirs must be that of the file.
-        value = _at("EnthalpyVaporization", cas, material[BOIL], key, boiling=material[BOIL])
-    else:
-        raise AssertionError(f"no lookup for {field}")
+        return _at("EnthalpyVaporization", cas, material[BOIL], key, boiling=material[BOIL])
+    lists = {CRITICAL: "Tc", FUSION: "Hfus", MELT: "Tm", BOIL: "Tb"}
+    listed = f"Hf{material['real']['formation_state']}" if field == FORMATION else lists[field]
+    value = getattr(chemicals, listed)(cas, method=key)
     assert value is not None, f"{key} does not list {field} of {cas}"
     return float(value)
 
@@ -176,41 +129,32 @@ def test_values_are_those_their_sources_list() -> None:
 # -- Form of the files -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("key", REAL)
-def test_uncited_values_say_what_they_are(key: str) -> None:
+def test_uncited_values_say_what_they_are() -> None:
     # A number that no compilation key backs must name a work, or admit being an estimate or a design value.
-    for field in NUMERIC:
+    for key, field in itertools.product(REAL, NUMERIC):
         text = MATERIALS[key]["source"][field]
         named_work = re.search(r"\(\d{4}\)|CRC Handbook|IAPWS", text)
         admitted = text.startswith(("estimate: ", "design value", "unused by the model"))
         derived = "atomic weights" in text or text.startswith("ideal gas law")
-        assert cited_key(MATERIALS[key], field) or named_work or admitted or derived, f"{field}: {text}"
+        assert cited_key(MATERIALS[key], field) or named_work or admitted or derived, f"{key} {field}: {text}"
 
 
 # -- Composition and molar mass --------------------------------------------------------------------------------------
 
 
-def parse_formula(formula: str) -> tuple[dict[str, int], int]:
-    """Return element counts and charge of a formula such as C12H26 or OH-."""
-    match = re.fullmatch(r"((?:[A-Z][a-z]?\d*)+)([+-]?)", formula)
-    assert match, formula
-    counts: Counter[str] = Counter()
-    for element, number in re.findall(r"([A-Z][a-z]?)(\d*)", match.group(1)):
-        counts[element] += int(number or 1)
-    return dict(counts), {"": 0, "+": 1, "-": -1}[match.group(2)]
-
-
-@pytest.mark.parametrize("key", [key for key in REAL if key != "air"])
-def test_composition_matches_formula(key: str) -> None:
-    material = MATERIALS[key]
-    assert parse_formula(material["formula"]) == (material["composition"], material.get("charge", 0))
-
-
 @pytest.mark.parametrize("key", [key for key in ALL if key not in FICTITIOUS])
-def test_molar_mass_matches_composition(key: str) -> None:
-    table = _chemicals().periodic_table
-    expected = sum(table[element].MW * count for element, count in ALL[key]["composition"].items())
-    assert ALL[key][MASS] == pytest.approx(expected, rel=1e-6)
+def test_formula_and_molar_mass_match_the_composition(key: str) -> None:
+    table, material = chemicals.periodic_table, ALL[key]
+    expected = sum(table[element].MW * count for element, count in material["composition"].items())
+    assert material[MASS] == pytest.approx(expected, rel=1e-6)
+    if key in REAL and key != "air":
+        match = re.fullmatch(r"((?:[A-Z][a-z]?\d*)+)([+-]?)", material["formula"])
+        assert match, material["formula"]
+        counts: Counter[str] = Counter()
+        for element, count in re.findall(r"([A-Z][a-z]?)(\d*)", match[1]):
+            counts[element] += int(count or 1)
+        charge = {"": 0, "+": 1, "-": -1}[match[2]]
+        assert (dict(counts), charge) == (material["composition"], material.get("charge", 0))
 
 
 @pytest.mark.parametrize("key", [key for key in (*REAL, *NEW) if key != "air"])
@@ -219,14 +163,14 @@ def test_cas_number_belongs_to_the_substance(key: str) -> None:
     if material.get("cas") is None:
         assert key == "acetylsalicylate" or "pyrrolidin" in key
         return
-    found = _chemicals().search_chemical(material["cas"])
+    found = chemicals.search_chemical(material["cas"])
     if found.charge != material.get("charge", 0):
         assert key == "salicylate"  # the package files it with its acid
         return
     assert material[MASS] == pytest.approx(found.MW, rel=1e-3)
     if key in REAL:
         assert found.smiles == material["smiles"]
-        by_name = _chemicals().search_chemical(material["name"].removesuffix(" metal"))
+        by_name = chemicals.search_chemical(material["name"].removesuffix(" metal"))
         assert by_name.CASs == material["cas"]
 
 
@@ -237,22 +181,18 @@ def test_cas_number_belongs_to_the_substance(key: str) -> None:
 E_T_30 = {"diethyl_ether": 34.5, "water": 63.1, "hexane": 31.0, "ethyl_acetate": 38.1, "dodecane": 31.1}
 
 
-@pytest.mark.parametrize("key", list(E_T_30))
-def test_polarity_is_the_normalized_reichardt_scale(key: str) -> None:
-    assert MATERIALS[key]["polarity"] == pytest.approx((E_T_30[key] - 30.7) / (63.1 - 30.7), abs=6e-4)
+def test_polarity_is_the_normalized_reichardt_scale() -> None:
+    found = {key: MATERIALS[key]["polarity"] for key in E_T_30}
+    assert found == pytest.approx({key: (value - 30.7) / (63.1 - 30.7) for key, value in E_T_30.items()}, abs=6e-4)
 
 
-def test_shades_are_distinct() -> None:
-    shade = {key: material["shade"] for key, material in MATERIALS.items()}
-    for one, other in itertools.combinations(MATERIALS, 2):
-        if not {one, other} <= GASES:
-            assert abs(shade[one] - shade[other]) >= 0.02, (one, other)
-
-
-def test_colors_are_distinct() -> None:
+def test_shades_and_colors_are_distinct() -> None:
     def rgb(key: str) -> np.ndarray:
         return np.array([int(ALL[key]["color"][i : i + 2], 16) for i in (1, 3, 5)], dtype=float)
 
+    for one, other in itertools.combinations(MATERIALS, 2):
+        if not {one, other} <= GASES:
+            assert abs(MATERIALS[one]["shade"] - MATERIALS[other]["shade"]) >= 0.02, (one, other)
     fictitious = [*FICTITIOUS, *SOLVENTS, "air"]
     for group, apart in ((REAL, 20.0), (fictitious, 20.0), ([*REAL, *NEW], 10.0)):
         for one, other in itertools.combinations(group, 2):
@@ -262,6 +202,7 @@ def test_colors_are_distinct() -> None:
 # -- Spectra ---------------------------------------------------------------------------------------------------------
 
 WAVELENGTHS = np.linspace(200.0, 800.0, 200)
+PYRROLIDINYLS = ["ortho_pyrrolidinyl", "para_pyrrolidinyl", "bis_pyrrolidinyl"]
 WURTZ_BASIS = [*CHLOROHEXANES, "Na", *PRODUCTS, "NaCl", "Na+", "Cl-", "diethyl_ether"]
 BASES = {
     "wurtz": WURTZ_BASIS,
@@ -273,14 +214,7 @@ BASES = {
     "aspirin": ["salicylic_acid", "acetic_anhydride", "acetylsalicylic_acid", "acetic_acid", "water", "ethanol"],
     "acid-base": ["benzoic_acid", "naphthalene", "benzoate", "Na+", "OH-", "H+", "Cl-", "water", "diethyl_ether"],
     "recrystallization": ["acetanilide", "benzoic_acid", "naphthalene", "ethanol", "water", "hexane"],
-    "substitution": [
-        "2,4-difluoronitrobenzene",
-        "pyrrolidine",
-        "ethanol",
-        "ortho_pyrrolidinyl",
-        "para_pyrrolidinyl",
-        "bis_pyrrolidinyl",
-    ],
+    "substitution": ["2,4-difluoronitrobenzene", "pyrrolidine", "ethanol", *PYRROLIDINYLS],
     "wurtz with olefins": ["1-chlorohexane", "dodecane", "hexane", "1-hexene", "trans-2-hexene", "NaCl", "Na"],
 }
 

@@ -3,26 +3,24 @@ measured azeotropes."""
 
 from __future__ import annotations
 
-import csv
-import functools
 import itertools
 import math
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from helpers import script
 from refusals import changed, refused
-from scipy.optimize import brentq
 
 from chemlab.config.datafile import DataError
 from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import Pair, load_pairs, log_activity_coefficients, pair_table, shipped_pairs
 
 ROOT = Path(__file__).parent.parent
-GAS_CONSTANT = 8.314462618
 MOLECULES = sorted(
     name for name, material in shipped_materials().items() if material.role in ("solvent", "solute") and material.real
 )
@@ -91,6 +89,11 @@ def test_a_table_has_every_parameter_at_its_place(file: Path) -> None:
     tau = table.tau(360.0)
     assert tau[2, 0] == pytest.approx(3.0 + 30.0 / 360.0 + 0.5 * math.log(1.2))
     assert (tau[2, 0], tau[0, 2]) == pytest.approx(load_pairs([file])[frozenset("bc")].tau(360.0))
+    other = file.with_name("mine.toml")
+    rows = FILE.splitlines()
+    other.write_text("\n".join([rows[1], rows[2].replace("alpha = 0.3", "alpha = 0.25"), *rows[5:]]))
+    pairs = load_pairs([file, other])  # where the later one replaces what the earlier one says
+    assert (len(pairs), pairs[frozenset("ab")].alpha, pairs[frozenset("bc")].alpha) == (3, 0.25, 0.2)
 
 
 def test_a_missing_pair_is_named_with_what_makes_it(file: Path) -> None:
@@ -98,14 +101,6 @@ def test_a_missing_pair_is_named_with_what_makes_it(file: Path) -> None:
     refused(lambda: pair_table(["a", "b", "d"], load_pairs([file])), *parts)
     with pytest.raises(DataError, match="'d' with 'e', 'd' with 'f', 'd' with 'g' and 3 more"):
         pair_table(["d", "e", "f", "g"], {})
-
-
-def test_a_later_file_replaces_what_an_earlier_one_says(file: Path, tmp_path: Path) -> None:
-    other = tmp_path / "mine.toml"
-    rows = FILE.splitlines()
-    other.write_text("\n".join([rows[1], rows[2].replace("alpha = 0.3", "alpha = 0.25"), *rows[5:]]))
-    pairs = load_pairs([file, other])
-    assert (len(pairs), pairs[frozenset("ab")].alpha, pairs[frozenset("bc")].alpha) == (3, 0.25, 0.2)
 
 
 @pytest.mark.parametrize(
@@ -140,21 +135,6 @@ def log_gamma(pair: Pair, temperature: float, x: float) -> np.ndarray:
     return log_activity_coefficients(np.array([x, 1.0 - x]), np.array([[0.0, one], [other, 0.0]]), np.array(pair.alpha))
 
 
-GROUPS: dict[str, dict[int, int]] = {
-    # Numbers in both forms: CH3 1, CH2 2, CH2=CH 5, ACH 9, ACCH3 11, OH(P) 14, H2O 16, CH3COO 21, CH2O 25,
-    # COOH 42, CH2Cl 44, CHCl 45.
-    "diethyl_ether": {1: 2, 2: 1, 25: 1},
-    "water": {16: 1},
-    "hexane": {1: 2, 2: 4},
-    "1-hexene": {1: 1, 2: 3, 5: 1},
-    "dodecane": {1: 2, 2: 10},
-    "ethyl_acetate": {1: 1, 2: 1, 21: 1},
-    "1-chlorohexane": {1: 1, 2: 4, 44: 1},
-    "2-chlorohexane": {1: 2, 2: 3, 45: 1},
-    "ethanol": {1: 1, 2: 1, 14: 1},
-    "toluene": {9: 5, 11: 1},
-    "acetic_acid": {1: 1, 42: 1},
-}
 MISCIBLE = [
     ("diethyl_ether", "dodecane"),
     ("diethyl_ether", "1-chlorohexane"),
@@ -177,29 +157,12 @@ APART = [
 ]
 
 
-@functools.cache
-def loaded_thermo() -> Any:
-    """thermo with the tables of UNIFAC, which it reads anew whenever it is asked."""
-    thermo = pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
-    thermo.unifac.load_unifac_ip()
-    return thermo
-
-
-def unifac(one: str, other: str, temperature: float, x: float) -> np.ndarray:
-    """ln gamma by the form that the pair names as its source."""
-    thermo = loaded_thermo()
-    source = shipped_pairs()[frozenset((one, other))].source
-    assert source in ("UNIFAC (Dortmund)", "UNIFAC")
-    dortmund = source == "UNIFAC (Dortmund)"
-    model = thermo.unifac.UNIFAC.from_subgroups(
-        T=temperature,
-        xs=[x, 1.0 - x],
-        chemgroups=[GROUPS[one], GROUPS[other]],
-        version=int(dortmund),
-        interaction_data=thermo.unifac.DOUFIP2016 if dortmund else thermo.unifac.UFIP,
-        subgroups=thermo.unifac.DOUFSG if dortmund else thermo.unifac.UFSG,
-    )
-    return np.log(model.gammas())
+@pytest.fixture
+def study(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], Any]:
+    """A script of ``studies/physics/``, of which ``mixtures`` knows UNIFAC and uses nothing of chemlab's."""
+    pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
+    monkeypatch.syspath_prepend(str(ROOT / "studies" / "physics"))
+    return lambda name: script(f"studies/physics/{name}.py")
 
 
 def oriented(one: str, other: str, temperature: float, x: float) -> np.ndarray:
@@ -208,25 +171,20 @@ def oriented(one: str, other: str, temperature: float, x: float) -> np.ndarray:
     return log_gamma(pair, temperature, x) if pair.of[0] == one else log_gamma(pair, temperature, 1.0 - x)[::-1]
 
 
-@pytest.mark.parametrize(("one", "other"), MISCIBLE)
-def test_what_mixes_has_the_activity_coefficients_of_unifac(one: str, other: str) -> None:
-    for temperature, x in itertools.product(
-        (275.0, 310.0, 360.0, 410.0, 475.0), (1e-10, 0.05, 0.3, 0.6, 0.9, 1 - 1e-10)
-    ):
-        np.testing.assert_allclose(
-            oriented(one, other, temperature, x),
-            unifac(one, other, temperature, x),
-            atol=0.05,
-            err_msg=f"{temperature}",
-        )
-
-
-@pytest.mark.parametrize(("one", "other"), APART)
-def test_what_stays_apart_has_the_infinite_dilution_of_unifac(one: str, other: str) -> None:
-    for temperature, x in itertools.product((275.0, 310.0, 360.0, 410.0, 475.0), (1e-10, 1.0 - 1e-10)):
-        dilute = 0 if x < 0.5 else 1
-        difference = (oriented(one, other, temperature, x) - unifac(one, other, temperature, x))[dilute]
-        assert abs(difference) < 0.2, (temperature, x)
+def test_activity_coefficients_are_those_of_unifac(study: Callable[[str], Any]) -> None:
+    """By the form that a pair names as its source; of what stays apart, those at infinite dilution."""
+    unifac = study("mixtures").activity_coefficients
+    inside, ends = (0.05, 0.3, 0.6, 0.9), (1e-10, 1.0 - 1e-10)
+    for one, other in MISCIBLE + APART:
+        source = shipped_pairs()[frozenset((one, other))].source
+        assert source in ("UNIFAC (Dortmund)", "UNIFAC")
+        for kelvin, x in itertools.product((275.0, 310.0, 360.0, 410.0, 475.0), (*ends, *inside)):
+            expected = np.log(unifac((one, other), kelvin, [x, 1.0 - x], dortmund=source != "UNIFAC"))
+            off = np.abs(oriented(one, other, kelvin, x) - expected)
+            if (one, other) in MISCIBLE:
+                assert off.max() < 0.05, (one, other, kelvin, x)
+            elif x in ends:
+                assert off[0 if x < 0.5 else 1] < 0.2, (one, other, kelvin, x)
 
 
 # Hydrogen bonds at high dilution, and how they change over 200 K, are beyond NRTL's reach.
@@ -251,34 +209,26 @@ def test_stated_errors_are_small() -> None:
     assert all(pair.error < (0.2 if "water" in pair.of else 0.05) for pair in plain)
 
 
-def solubility(solute: str, solvent: str, temperature: float) -> float:
-    """Mole fraction of a solid in its saturated solution: x gamma = exp(-H / R (1 / T - 1 / Tm))."""
-    material: Any = shipped_materials()[solute]
-    ideal = -material.real.fusion_enthalpy_j_mol / GAS_CONSTANT * (1.0 / temperature - 1.0 / material.melting_point_k)
-    return math.exp(
-        brentq(
-            lambda log_x: log_x + float(oriented(solute, solvent, temperature, math.exp(log_x))[0]) - ideal,
-            -20.0,
-            -1e-3,
-        )
-    )
+def test_solids_dissolve_as_measured(study: Callable[[str], Any]) -> None:
+    solubility = study("solubility")
+    assert len({row[:2] for row in solubility.MEASURED}) >= 15
+    for solute, solvent, kelvin, measured, _ in solubility.MEASURED:
+        x = solubility.solve(solute, kelvin, lambda x, t=(solute, solvent, kelvin): float(oriented(*t, x)[0]))
+        assert abs(math.log10(x / measured)) <= 0.12, (solute, solvent, kelvin)
 
 
-@pytest.mark.parametrize(
-    ("solute", "temperature", "grams_per_litre"),
-    [
-        # Aspirin: AAPS PharmSciTech 23 (2022), doi 10.1208/s12249-021-02192-7; the others as handbooks have them.
-        ("benzoic_acid", 298.15, 3.4),
-        ("salicylic_acid", 298.15, 2.4),
-        ("acetylsalicylic_acid", 310.15, 5.55),
-        ("acetanilide", 298.15, 5.4),
-        ("naphthalene", 298.15, 0.0317),
-    ],
-)
-def test_solids_dissolve_in_water_as_measured(solute: str, temperature: float, grams_per_litre: float) -> None:
-    x = solubility(solute, "water", temperature)
-    litre = x * shipped_materials()[solute].molar_mass_g_mol / (18.01528e-3 / 0.997)
-    assert litre == pytest.approx(grams_per_litre, rel=0.15)
+def test_what_shares_out_between_a_solvent_and_water_is_as_measured(study: Callable[[str], Any]) -> None:
+    phases, measured = study("mixtures").liquid_phases, study("layers").MEASURED
+    for name, (in_water, of_water, _) in measured.items():
+        poor, rich = phases(lambda x, name=name: np.exp(oriented(name, "water", 298.15, x)))
+        if name in ("diethyl_ether", "ethyl_acetate"):
+            assert (poor, 1.0 - rich) == (pytest.approx(in_water, rel=0.06), pytest.approx(of_water, rel=0.06))
+        else:
+            assert poor < 2e-4
+    distribution = study("distribution")
+    for (solute, solvent), (log_k, _) in distribution.MEASURED.items():
+        found = distribution.log_k(solute, solvent, distribution.saturated(solvent), distribution.shipped_coefficients)
+        assert found == pytest.approx(log_k, abs=0.2), (solute, solvent)
 
 
 # The tool -----------------------------------------------------------------------------------------------------------
@@ -297,51 +247,3 @@ def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:
     for temperature, x in itertools.product((280.0, 400.0), (1e-9, 0.5)):
         mine = log_gamma(pair, temperature, x) if pair.of == shipped.of else log_gamma(pair, temperature, 1.0 - x)[::-1]
         np.testing.assert_allclose(mine, log_gamma(shipped, temperature, x), atol=0.02)
-
-
-# The committed results of studies/physics/ ---------------------------------------------------------------------------
-
-
-def rows(name: str) -> list[dict[str, str]]:
-    with (ROOT / "studies" / "physics" / f"{name}.csv").open(encoding="utf-8") as handle:
-        return list(csv.DictReader(handle))
-
-
-def test_distribution_coefficients_are_those_of_unifac_or_measured() -> None:
-    # Pairs with a measured solubility are not UNIFAC's any more; there what was measured counts.
-    judged = rows("distribution")
-    measured = [row for row in judged if row["source"]]
-    assert len(measured) >= 6
-    for row in measured:
-        assert abs(float(row["shipped"]) - float(row["measured"])) <= 0.2, row
-    near = [
-        row
-        for row in judged
-        if not row["source"]
-        and min(abs(float(row["shipped"]) - float(row[key])) for key in ("unifac_dortmund", "unifac")) <= 0.2
-    ]
-    assert len(near) + len(measured) >= 40
-
-
-def test_solids_dissolve_as_measured() -> None:
-    judged = rows("solubility")
-    assert len({(row["solute"], row["solvent"]) for row in judged}) >= 15
-    for row in judged:
-        assert abs(math.log10(float(row["shipped"]) / float(row["measured"]))) <= 0.12, row
-
-
-def test_what_shares_out_between_ether_and_water_is_as_measured() -> None:
-    judged = {row["organic"]: row for row in rows("layers")}
-    for name in ("diethyl_ether", "ethyl_acetate"):
-        for column in ("in_water", "of_water"):
-            row = judged[name]
-            assert float(row[f"shipped_{column}"]) == pytest.approx(float(row[f"measured_{column}"]), rel=0.06)
-    for name in ("hexane", "toluene", "1-chlorohexane", "dodecane"):
-        assert float(judged[name]["shipped_in_water"]) < 2e-4
-
-
-def test_activity_coefficients_of_ions_are_needed_for_the_standard_buffers() -> None:
-    judged = rows("acids")
-    assert len(judged) == 10
-    assert all(abs(float(row["davies"]) - float(row["assigned"])) < 0.02 for row in judged)
-    assert sum(abs(float(row["ideal"]) - float(row["assigned"])) > 0.05 for row in judged) >= 8

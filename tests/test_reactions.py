@@ -52,20 +52,20 @@ def load(folder: Path, text: str) -> ReactionFamily:
 
 
 def test_a_family_arrives_as_written(tmp_path: Path) -> None:
+    """Orders default to the law of mass action."""
     family = load(tmp_path, FAMILY)
     assert family.name == "mine"
     (step,) = family.reaction
     assert step.reactants == {"1-chlorohexane": 2.0, "Na": 2.0}
     assert step.orders == {"1-chlorohexane": 1.0, "Na": 0.5}
     assert (step.pre_exponential, step.activation_energy_j_mol) == (10.0, 6000.0)
-    assert family.materials() == {
-        "1-chlorohexane", "Na", "dodecane", "NaCl", "Na+", "Cl-", "water", "OH-", "H2",
-    }  # fmt: skip
+    assert family.materials() == {"1-chlorohexane", "Na", "dodecane", "NaCl", "Na+", "Cl-", "water", "OH-", "H2"}
+    plain = load(tmp_path, changed(FAMILY, 'orders = { "1-chlorohexane" = 1, Na = 0.5 }\n', ""))
+    assert plain.reaction[0].orders == {"1-chlorohexane": 2.0, "Na": 2.0}
 
 
-def test_orders_default_to_the_law_of_mass_action(tmp_path: Path) -> None:
-    family = load(tmp_path, changed(FAMILY, 'orders = { "1-chlorohexane" = 1, Na = 0.5 }\n', ""))
-    assert family.reaction[0].orders == {"1-chlorohexane": 2.0, "Na": 2.0}
+VIOLENT = 'reactants = { Na = 2, water = 2 }\nproducts = { "Na+" = 2, "OH-" = 2, H2 = 1 }'
+IONS = 'cation = "Na+"\nanion = "Cl-"'
 
 
 @pytest.mark.parametrize(
@@ -74,43 +74,32 @@ def test_orders_default_to_the_law_of_mass_action(tmp_path: Path) -> None:
         ("dodecane = 1", "dodecan = 1", ["unknown material 'dodecan'", "dodecane"]),
         ('anion = "Cl-"', 'anion = "Br-"', ["unknown material 'Br-'"]),
         ("dodecane = 1", "dodecane = 2", ["reaction.0", "not balanced", "C 12 on the left, 24 on the right"]),
-        ("NaCl = 2 }", "NaCl = 1 }", ["reaction.0", "not balanced", "Cl 2 on the left, 1 on the right"]),
         ('"OH-" = 2, H2 = 1', '"OH-" = 2', ["violent.0", "not balanced", "H 4 on the left, 2 on the right"]),
         ('anion = "Cl-"', 'anion = "OH-"', ["salt.0", "not balanced", "Cl 1 on the left, 0 on the right"]),
         # Atoms balance, the charge does not.
-        (
-            'reactants = { Na = 2, water = 2 }\nproducts = { "Na+" = 2, "OH-" = 2, H2 = 1 }',
-            'reactants = { Na = 2, water = 2 }\nproducts = { "Na" = 2, "OH-" = 2, H2 = 1 }',
-            ["violent.0", "not balanced", "charge 0 on the left, -2 on the right"],
-        ),
+        (VIOLENT, VIOLENT.replace("+", ""), ["violent.0", "not balanced", "charge 0 on the left, -2 on the right"]),
         ("orders = { ", "orders = { water = 1, ", ["reaction.0", "orders.water", "not a reactant"]),
         ("Na = 0.5", "Na = 0.0", ["reaction.0.orders.Na", "or equal to 0.01", "0.0"]),
-        ("Na = 0.5", "Na = -1.0", ["reaction.0.orders.Na", "or equal to 0.01", "-1.0"]),
+        ("Na = 0.5", "Na = 3e8", ["reaction.0.orders.Na", "less than or equal to 20", "300000000.0"]),
+        ('"1-chlorohexane" = 1, Na = 0.5', '"1-chlorohexane" = 11, Na = 10', ["orders: add up to 21; at most 20"]),
         ('"1-chlorohexane" = 1, ', "", ["reaction.0", "orders must name every reactant"]),
         ('"1-chlorohexane" = 2, Na = 2', '"1-chlorohexane" = -2, Na = 2', ["reaction.0.reactants", "equal to 0.001"]),
         ("dodecane = 1, NaCl = 2", "", ["reaction.0.products", "at least 1 item"]),
+        ("dodecane = 1", "dodecane = 1e3", ["reaction.0.products.dodecane", "less than or equal to 100", "1000.0"]),
+        # A number that is none would pass every comparison of the balance.
+        ("dodecane = 1", "dodecane = nan", ["reaction.0"]),
         ("pre_exponential = 10.0", "pre_exponential = -10.0", ["reaction.0.pre_exponential", "than 0", "-10.0"]),
+        ("pre_exponential = 10.0", "pre_exponential = 1e300", ["reaction.0.pre_exponential", "1e+30", "1e+300"]),
+        ("pre_exponential = 10.0", "pre_exponential = 10.0\ncatalyst = 1", ["reaction.0.catalyst", "unknown key"]),
         ("= 6000.0", "= -6000.0", ["reaction.0.activation_energy_j_mol", "greater than or equal to 0", "-6000.0"]),
         ("= 6000.0", "= 6e9", ["reaction.0.activation_energy_j_mol", "less than or equal to 500000"]),
         ('source = "made up too"', 'source = ""', ["violent.0.source", "at least 1 character"]),
         ('source = "made up too"\n', "", ["violent.0.source", "required"]),
         ('name = "mine"', 'name = "mine"\nspeed = "fast"', ["speed", "unknown key", "'fast'"]),
-        ("pre_exponential = 10.0", "pre_exponential = 10.0\ncatalyst = 1", ["reaction.0.catalyst", "unknown key"]),
-        ("Na = 0.5", "Na = 3e8", ["reaction.0.orders.Na", "less than or equal to 20", "300000000.0"]),
-        ('"1-chlorohexane" = 1, Na = 0.5', '"1-chlorohexane" = 11, Na = 10', ["orders: add up to 21; at most 20"]),
-        ("dodecane = 1", "dodecane = 1e3", ["reaction.0.products.dodecane", "less than or equal to 100", "1000.0"]),
-        ("pre_exponential = 10.0", "pre_exponential = 1e300", ["reaction.0.pre_exponential", "1e+30", "1e+300"]),
-        ('solid = "NaCl"', 'solid = "water"', ["salt.0", "not balanced"]),
-        (
-            'solid = "NaCl"\ncation = "Na+"\nanion = "Cl-"',
-            'solid = "NaCl"\ncation = "Cl-"\nanion = "Na+"',
-            ["salt.0", "a solid, a positive and a negative ion", "'Cl-' (charge -1)", "'Na+' (charge 1)"],
-        ),
         ('name = "mine"', f'name = "{"m" * 201}"', ["name", "at most 200"]),
-        # A number that is none would pass every comparison of the balance.
-        ("dodecane = 1", "dodecane = nan", ["reaction.0"]),
+        (IONS, 'cation = "Cl-"\nanion = "Na+"', ["salt.0", "a solid, a positive and a negative ion", "(charge -1)"]),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_family_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
     refused(lambda: load(tmp_path, changed(FAMILY, old, new)), tmp_path / "mine.toml", *parts)
 
@@ -231,10 +220,9 @@ def test_a_real_family_arrives_as_written_and_is_dumped_whole(tmp_path: Path) ->
         ('"H2X", "HX-", "X--"', '"H2X", "HX-"', ["acid.0: pka: 2 species have 1 steps, given 2"]),
         ("pka = [2.0, 7.0]", "pka = [2.0, 70.0]", ["acid.0.pka.1", "less than or equal to 40"]),
         ("[-500.0, 1000.0]", "[-500.0]", ["acid.0: enthalpy_j_mol: 3 species have 2 steps, given 1"]),
-        ('"H2X", "HX-", "X--"', '"water", "OH-"', ["pka: 2 species have 1 steps"]),
-        ("pka = [2.0, 7.0]\nenthalpy_j_mol = [-500.0, 1000.0]", "pka = [2.0, 7.0]\nenthalpy = 1", ["acid.0.enthalpy"]),
+        ("enthalpy_j_mol = [-500.0, 1000.0]", "enthalpy = 1", ["acid.0.enthalpy"]),
     ],
-)  # fmt: skip
+)
 def test_a_wrong_real_family_is_named_with_file_and_key(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
     refused(lambda: load_real(tmp_path, changed(REAL, old, new)), tmp_path / "mine.toml", *parts)
 

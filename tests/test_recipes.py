@@ -32,6 +32,14 @@ NEEDS = {
 pytestmark = pytest.mark.skipif(not RECIPES, reason="not a checkout")
 
 
+def recipe(name: str, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A recipe as a module, if all that it needs is there."""
+    for package in NEEDS.get(name, LEARNING):
+        pytest.importorskip(package)
+    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
+    return script(f"recipes/{name}.py")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", RECIPES, ids=lambda path: path.stem)
 def test_recipes_run(path: Path, tmp_path: Path) -> None:
@@ -94,10 +102,7 @@ def test_kept_curves_are_of_the_printed_command() -> None:
 
 
 def test_a_multiplier_takes_cost_off_rewards_and_ascends(monkeypatch: pytest.MonkeyPatch) -> None:
-    for package in LEARNING:
-        pytest.importorskip(package)
-    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
-    constrained: Any = script("recipes/constrained.py")
+    constrained = recipe("constrained", monkeypatch)
     envs = [constrained.Priced(constrained.training_envs(constrained.TARGET, constrained.GOAL), m) for m in (0.0, 3.0)]
     for env in envs:
         env.seed(0)
@@ -120,10 +125,7 @@ def test_a_multiplier_takes_cost_off_rewards_and_ascends(monkeypatch: pytest.Mon
 
 
 def test_a_mixture_pays_at_the_end_where_all_of_it_is_near(monkeypatch: pytest.MonkeyPatch) -> None:
-    for package in LEARNING:
-        pytest.importorskip(package)
-    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
-    goals: Any = script("recipes/goals.py")
+    goals = recipe("goals", monkeypatch)
     env = goals.Mixtures(np.array([[0.0] * 5 + [1.0]]))
     env.reset(seed=0)
     rewards, over = [], False
@@ -131,21 +133,17 @@ def test_a_mixture_pays_at_the_end_where_all_of_it_is_near(monkeypatch: pytest.M
         seen, reward, over, _, _ = env.step(env.action_space.n - 1)  # hold: nothing is made
         rewards.append(reward)
     assert rewards == [0.0] * (len(rewards) - 1) + [1.0]
-    near = seen["achieved_goal"] + np.array([0.049, 0.0, 0.0, 0.0, 0.0, 0.0])
-    far = seen["achieved_goal"] + np.array([0.051, 0.0, 0.0, 0.0, 0.0, 0.0])
     achieved = np.stack([seen["achieved_goal"]] * 2)
-    assert env.compute_reward(achieved, np.stack([near, far]), None).tolist() == [1.0, 0.0]
+    desired = achieved + np.array([[0.049], [0.051]]) * np.eye(6)[0]
+    assert env.compute_reward(achieved, desired, None).tolist() == [1.0, 0.0]
 
 
 def test_demonstrated_turns_are_the_records_own(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Of each episode all turns but the end, with what a discount makes of the rewards that follow."""
-    for package in NEEDS["demonstrations"]:
-        pytest.importorskip(package)
     monkeypatch.setenv("MINARI_DATASETS_PATH", "")  # which the recipe sets
-    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
-    recipe: Any = script("recipes/demonstrations.py")
-    demonstrated = recipe.dataset(tmp_path, 2, 5)
-    seen, masks, actions, returns = recipe.examples(demonstrated, 0.9)
+    made = recipe("demonstrations", monkeypatch)
+    demonstrated = made.dataset(tmp_path, 2, 5)
+    seen, masks, actions, returns = made.examples(demonstrated, 0.9)
     assert len(seen) == len(masks) == len(actions) == len(returns) == demonstrated.total_steps
     assert masks[np.arange(len(actions)), actions].all()
     at = 0
@@ -163,10 +161,7 @@ def test_demonstrated_turns_are_the_records_own(monkeypatch: pytest.MonkeyPatch,
 @pytest.mark.parametrize("limit", [None, 7])
 def test_shaping_keeps_the_order_of_returns(limit: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
     """The sum telescopes: to -phi(s_0), and to gamma^T phi(s_T) - phi(s_0) where the episode is only truncated."""
-    for package in LEARNING:
-        pytest.importorskip(package)
-    monkeypatch.syspath_prepend(str(ROOT / "recipes"))
-    shaping: Any = script("recipes/shaping.py")
+    shaping = recipe("shaping", monkeypatch)
     weights = np.sin(np.arange(RoleEnv("wurtz_dodecane", bench="ext").observation_space.shape[0], dtype=np.float64))
     gamma, members = 0.93, 4
     batches = [RoleVectorEnv(members, "wurtz_dodecane", bench="ext", autoreset_mode="SameStep") for _ in range(2)]

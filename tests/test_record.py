@@ -50,7 +50,7 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("policy", ["scripted", "random", "careless"])
-@pytest.mark.parametrize("name", ["failing", "wurtz_safe", "wurtz_two_lines", "aspirin"])
+@pytest.mark.parametrize("name", ["failing", "wurtz_two_lines", "aspirin"])
 def test_honest_records_are_right(name: str, policy: str, tmp_path: Path) -> None:
     path = record_episode(tmp_path / "a.jsonl", name, policy, 1)
     result, record = verify_record(path), read_record(path)
@@ -444,24 +444,16 @@ def test_another_platform_may_round_otherwise(honest: Path, tmp_path: Path, monk
     assert (result.status, bool(result.notes)) == ("ok", True)
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("seed", -1),
-        ("seed", "x"),
-        ("options", 3),
-        ("options", {"goal": "gold"}),
-        ("goals", []),
-        ("streams", {}),
-        ("hidden", None),
-        ("materials", 5),
-    ],
-)
-def test_a_header_that_makes_no_sense(key: str, value: Any, honest: Path, tmp_path: Path) -> None:
-    lines = load(honest)
-    lines[0][key] = value
-    result = verify_record(store(tmp_path / "a.jsonl", lines))
-    assert (result.status, result.where) == ("tampered", "header")
+NONSENSE = [("seed", -1), ("seed", "x"), ("options", 3), ("options", {"goal": "gold"})]
+NONSENSE += [("goals", []), ("streams", {}), ("hidden", None), ("materials", 5)]
+
+
+def test_a_header_that_makes_no_sense(honest: Path, tmp_path: Path) -> None:
+    for key, value in NONSENSE:
+        lines = load(honest)
+        lines[0][key] = value
+        result = verify_record(store(tmp_path / "a.jsonl", lines))
+        assert (result.status, result.where) == ("tampered", "header"), key
 
 
 # -- torn, unfinished, no records -----------------------------------------------------------------------------
@@ -685,12 +677,16 @@ def test_a_file_that_appears_while_recording_is_kept(tmp_path: Path) -> None:
     assert verify_record(recorder.part).status == "ok"
 
 
-@pytest.mark.parametrize(
-    "content", [b"", b"\n", b"{}\n", b"\x00\x01", b'{"format":3}\n', b'{"format":{}}\n', b"[" * 9999]
-)
-def test_what_is_no_record(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / "a").write_bytes(content)
-    assert verify_record(tmp_path / "a").status == "unchecked"
+def test_what_is_no_record(tmp_path: Path) -> None:
+    """Nor does a pipe that nobody writes to keep one waiting."""
+    path, pipe = tmp_path / "a", tmp_path / "pipe"
+    for content in (b"", b"\n", b"{}\n", b"\x00\x01", b'{"format":3}\n', b'{"format":{}}\n', b"[" * 9999):
+        path.write_bytes(content)
+        assert verify_record(path).status == "unchecked"
+    if hasattr(os, "mkfifo"):
+        os.mkfifo(pipe)
+        for path in (pipe, tmp_path, Path("/dev/zero"), tmp_path / ("a" * 300), Path("a\0b"), Path("")):
+            assert verify_record(path).status == "unchecked", path
 
 
 @pytest.mark.parametrize("laboratories", [1, 3])
@@ -729,28 +725,25 @@ def test_misuse_of_a_recorder(tmp_path: Path) -> None:
 # -- more than a record may be ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "key", ["file_bytes", "turns", "values", "materials", "reactions", "goals", "agents", "instruments"]
-)
-def test_what_is_too_large(key: str, honest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_too_large(honest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """At the limit a record is read, one beyond it is refused; a scenario's parts are counted, too."""
     content, spec = honest.read_bytes(), load_scenario("wurtz_dodecane")
-    size, message = {
-        "file_bytes": (len(content), "larger than"),
-        "turns": (len(read_record(honest).turns), "more than .* turns"),
-        "values": (sum(map(content.count, b",:[{")), "more than .* values"),
-        "materials": (len(spec.materials), ""),
-        "reactions": (len(spec.family.reaction) + len(spec.family.salt) + len(spec.family.violent), ""),
-        "goals": (len(spec.goals), ""),
-        "agents": (len(spec.bench_agents()), ""),
-        "instruments": (len(spec.instruments), ""),
-    }[key]
-    monkeypatch.setattr(format_module, "LIMITS", LIMITS._replace(**{key: size}))
-    assert verify_record(honest).status == "ok"
-    monkeypatch.setattr(format_module, "LIMITS", LIMITS._replace(**{key: size - 1}))
-    result = verify_record(honest)
-    assert result.status == "unchecked"
-    assert re.search(message or f"has {size} {key}; must be at most {size - 1}", result.message)
+    for key, size, message in (
+        ("file_bytes", len(content), "larger than"),
+        ("turns", len(read_record(honest).turns), "more than .* turns"),
+        ("values", sum(map(content.count, b",:[{")), "more than .* values"),
+        ("materials", len(spec.materials), ""),
+        ("reactions", len(spec.family.reaction) + len(spec.family.salt) + len(spec.family.violent), ""),
+        ("goals", len(spec.goals), ""),
+        ("agents", len(spec.bench_agents()), ""),
+        ("instruments", len(spec.instruments), ""),
+    ):
+        monkeypatch.setattr(format_module, "LIMITS", LIMITS._replace(**{key: size}))
+        assert verify_record(honest).status == "ok"
+        monkeypatch.setattr(format_module, "LIMITS", LIMITS._replace(**{key: size - 1}))
+        result = verify_record(honest)
+        assert result.status == "unchecked"
+        assert re.search(message or f"has {size} {key}; must be at most {size - 1}", result.message)
 
 
 def test_a_line_that_is_too_much(honest: Path, tmp_path: Path) -> None:
@@ -800,14 +793,6 @@ def test_reading_takes_little_memory(honest: Path, tmp_path: Path) -> None:
     assert kilobytes < 500_000
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes of POSIX")
-def test_what_is_no_file(tmp_path: Path) -> None:
-    """A pipe that nobody writes to is not waited for."""
-    os.mkfifo(tmp_path / "pipe")
-    for path in (tmp_path / "pipe", tmp_path, Path("/dev/zero"), tmp_path / ("a" * 300), Path("a\0b"), Path("")):
-        assert verify_record(path).status == "unchecked", path
-
-
 # -- things of one's own --------------------------------------------------------------------------------------
 
 
@@ -828,7 +813,7 @@ def test_a_bench_of_ones_own_is_imported_only_on_trust(tmp_path: Path, monkeypat
     assert (result.status, "no_such_module" in result.message) == ("unchecked", True)
 
 
-@pytest.mark.parametrize("key", ["bench", "process", "observe", "reward", "instrument", "manager"])
+@pytest.mark.parametrize("key", ["bench", "process", "observe", "reward", "model", "instrument", "manager"])
 def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, tmp_path: Path) -> None:
     """Whatever of a scenario may be named in a file: one beside the record is not run."""
     lines = load(honest)
@@ -842,7 +827,7 @@ def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, t
     elif key == "manager":
         spec["manager"] = {"reward": [name]}
     else:
-        spec["benches"]["rxn"][key] = [name]
+        spec["benches"]["rxn"][key] = name if key == "model" else [name]
     (tmp_path / "evil.py").write_text("from pathlib import Path\nPath(__file__).with_name('ran').touch()\nEvil = 1\n")
     path = store(tmp_path / "a.jsonl", lines)
     result = verify_record(path)
@@ -859,13 +844,10 @@ def nothing(amount_mol: Any, temperature_k: float, volume_l: float, dt: float) -
 
 
 def test_records_name_the_physics_models_of_their_scenario(tmp_path: Path) -> None:
-    model = {"benches": {"rxn": {"model": f"{__name__}:nothing"}}}
-    env = raw_env({"base": "wurtz_dodecane", "name": "idle", **model})
+    env = raw_env({"base": "wurtz_dodecane", "name": "idle", "benches": {"rxn": {"model": f"{__name__}:nothing"}}})
     path = tmp_path / "a.jsonl"
     play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=Recorder(path, env.laboratories))
-    result = verify_record(path)
-    assert result.status == "unchecked"
-    assert f"benches.rxn.model: needs the untrusted code '{__name__}:nothing'" in result.message
+    assert f"benches.rxn.model: needs the untrusted code '{__name__}:nothing'" in verify_record(path).message
     assert verify_record(path, env.scenario, trust=True).status == "ok"
     lines = load(path)
     del lines[0]["scenario"]["scenario"]["benches"]["rxn"]["model"]

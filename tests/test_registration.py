@@ -56,7 +56,6 @@ def test_public_names_are_imported_when_they_are_used() -> None:
     [
         "import chemlab, gymnasium, pettingzoo",
         "import gymnasium, pettingzoo, chemlab",
-        "import gymnasium, chemlab, pettingzoo",
         "import pettingzoo, chemlab; import gymnasium",
         "import chemlab; from gymnasium.envs.registration import registry; import gymnasium",
         "import chemlab, importlib, gymnasium; importlib.reload(chemlab)",

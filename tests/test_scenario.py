@@ -7,6 +7,7 @@ import json
 import math
 import re
 import shlex
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,25 @@ def top(line: str) -> tuple[str, str]:
     return 'summary = "One', f'{line}\nsummary = "One'
 
 
+def ext(kind: str, line: str = "") -> tuple[str, str]:
+    """Another kind of extraction bench, or a line more of it, as a replacement."""
+    return 'kind = "extraction"', f'kind = "{kind}"\n{line}'
+
+
+def drain(vessels: str) -> tuple[str, str]:
+    """Other vessels to drain, as a replacement."""
+    return 'vessel = "EV"\ntarget = "B1"', vessels
+
+
+MANY_BENCHES = "\n".join(f"[benches.{c}]\nkind = 'distillation'\ncount = 16" for c in "abcdefghijklm")
+COMPANION = 'companion = { material = "Na+", mol = 0.1, if_goal = "NaCl" }'
+SALT_DRAW = """[world.draws.salt]
+what = "amount"
+of = ["slot_0"]
+material = "Na+"
+distribution = { kind = "uniform", low = 0.5, high = 1.0 }"""
+
+
 def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
     assert Laboratories(written(tmp_path, BASE)).agents == ["manager_0", "rxn_0", "ext_0", "dit_0"]
 
@@ -134,16 +154,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         # Top level.
         (*top('colour = "red"'), ["colour", "unknown key", "'red'"]),
         ('title = "A tiny', 'titel = "A tiny', ["titel: unknown key, given 'A tiny laboratory'; did you mean title?"]),
-        (
-            "capacity_l = 1.0\ncontents",
-            "capacity = 1.0\ncontents",
-            ["capacity: unknown key, given 1.0; did you mean capacity_l?"],
-        ),
-        (
-            'goals = ["dodecane", "NaCl"]',
-            'goals = "dodecane"',
-            ["goals: must be a list, as in [1, 2], given 'dodecane'"],
-        ),
+        ('goals = ["dodecane", "NaCl"]', 'goals = "dodecane"', ["goals: must be a list, as in [1, 2]"]),
         ('name = "tiny"', 'name = "Tiny Lab"', ["name", "pattern", "'Tiny Lab'"]),
         ('title = "A tiny laboratory"\n', "", ["title", "required"]),
         ('goals = ["dodecane", "NaCl"]', "goals = []", ["goals", "at least 1"]),
@@ -152,12 +163,9 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         (*top("orders = 0"), ["orders", "greater than or equal to 1", "0"]),
         (*top("orders = 17"), ["orders", "less than or equal to 16"]),
         (*top("orders = 1.5"), ["orders", "1.5"]),
-        (*top("orders = [1, 2]"), ["orders"]),
         (*top('rewards = "selfish"'), ["rewards", "'selfish'", "individual, cooperative, mixed"]),
         (*top("rewards = { bench = 1.0 }"), ["rewards", "bench"]),
-        (*top("rewards = { bench_local = 'all' }"), ["rewards", "bench_local", "all"]),
         (*top("rewards = { bench_team = nan }"), ["rewards", "bench_team"]),
-        (*top("rewards = 1.0"), ["rewards"]),
         # Materials nobody knows.
         ("water = 10.0", "wotter = 10.0", ["stock", "unknown material 'wotter'", "water"]),
         ("{ diethyl_ether = 4.0 }", "{ ether = 4.0 }", ["shelf.vessel.0.contents", "did you mean 'diethyl_ether'"]),
@@ -173,6 +181,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("dodecane = 0.5", "dodecane = nan", ["theoretical_maximum_mol", "dodecane", "nan"]),
         # Amounts.
         ("capacity_l = 1.0\ncontents", "capacity_l = 0.01\ncontents", ["shelf.vessel.0", "do not fit", "0.01"]),
+        ("capacity_l = 1.0\ncontents", "capacity_l = 0.0\ncontents", ["vessel.0.capacity_l", "equal to 0.000001"]),
         ("scales = {", "fill = {", ["instruments.fill", "fill"]),
         ("water = 10.0", "water = -1.0", ["stock.water", "greater than or equal to 0", "-1.0"]),
         ("water = 10.0", 'water = "lots"', ["stock.water", "number", "'lots'"]),
@@ -181,38 +190,20 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("{ water = 0.001 }", "{ water = -0.001 }", ["costs.stock_per_mol.water", "-0.001"]),
         # Shelf.
         ("slots = 3", "slots = 0", ["shelf.slots", "greater than or equal to 1", "0"]),
-        (
-            "[benches.rxn]",
-            "[[shelf.vessel]]\ncapacity_l = 1.0\n" * 3 + "[benches.rxn]",
-            ["shelf", "4 vessels do not fit on 3 slots"],
-        ),
-        (
-            "capacity_l = 1.0\ncontents",
-            "capacity_l = 0.0\ncontents",
-            ["shelf.vessel.0.capacity_l", "equal to 0.000001"],
-        ),
+        ("[benches.rxn]", "[[shelf.vessel]]\ncapacity_l = 1.0\n" * 3 + "[benches.rxn]", ["4 vessels", "on 3 slots"]),
         # Benches.
-        ('kind = "extraction"', 'kind = "alchemy"', ["benches.ext.kind", "'alchemy'", "extraction"]),
-        ('kind = "extraction"', 'kind = "chemlab.roles:Nothing"', ["benches.ext.kind", "'chemlab.roles:Nothing'"]),
-        ('kind = "extraction"', 'kind = "math:pi"', ["benches.ext.kind", "'math:pi'"]),
-        ('kind = "extraction"', 'kind = ".bench:Bench"', ["benches.ext.kind", "'.bench:Bench'"]),
-        (
-            'kind = "extraction"',
-            'kind = "extraction"\nshape = "round"',
-            ["benches.ext", "shape", "unknown key", "'round'"],
-        ),
-        ('kind = "extraction"', 'kind = "extraction"\ncount = 0', ["benches.ext.count", "greater than or equal to 1"]),
+        (*ext("alchemy"), ["benches.ext.kind", "'alchemy'", "extraction"]),
+        (*ext("chemlab.roles:Nothing"), ["benches.ext.kind", "'chemlab.roles:Nothing'"]),
+        (*ext("math:pi"), ["benches.ext.kind", "'math:pi'"]),
+        (*ext(".bench:Bench"), ["benches.ext.kind", "'.bench:Bench'"]),
+        (*ext("extraction", 'shape = "round"'), ["benches.ext", "shape", "unknown key", "'round'"]),
+        (*ext("extraction", "count = 0"), ["benches.ext.count", "greater than or equal to 1"]),
         # Of a kind that chemlab has no data on.
         ('kind = "extraction"\nstep_limit = 5', 'kind = "my.own:Bench"', ["benches.ext.step_limit", "required"]),
         ("high = 350.0", "high = 250.0", ["benches.rxn", "temperature_k", "high = 250.0", "low = 275.0"]),
         ("hottest_k = 700.0", "hottest_k = 270.0", ["benches.dit", "270.0", "280.0"]),
         # Its agent would be manager_0, and there would be two of them.
-        (
-            "[instruments]",
-            '[benches.manager]\nkind = "distillation"\nstep_limit = 5\n[[benches.manager.process]]\nkind = "heat"\n'
-            'vessel = "DV"\ntarget = "B1"\nmagnitudes = [5]\n[instruments]',
-            ["benches", "manager"],
-        ),
+        ("[instruments]", '[benches.manager]\nkind = "extraction"\n[instruments]', ["benches", "manager"]),
         # A bench's own numbers.
         ("tick = 0.01", "tick = 1e7", ["benches.rxn: tick"]),
         ("tick = 0.01", "tick = 0.01\nrtol = 0.0", ["benches.rxn: rtol"]),
@@ -223,37 +214,17 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("kpa = 500.0", "kpa = 1e9", ["benches.rxn: rated_pressure_kpa"]),
         ("low = 275.0, high = 350.0", "low = 275.0, high = 1e5", ["benches.rxn: temperature_k"]),
         ("low = 275.0, high = 350.0", "low = 1.0, high = 350.0", ["benches.rxn: temperature_k"]),
-        ('kind = "extraction"', 'kind = "extraction"\nsettle_per_step = 1e3', ["benches.ext: settle_per_step"]),
+        (*ext("extraction", "settle_per_step = 1e3"), ["benches.ext: settle_per_step"]),
         ("[10, 20]", f"{[1.0] * 1001}", ["benches.ext: process"]),
         ("hottest_k = 700.0", "hottest_k = 1e4", ["benches.dit: hottest_k"]),
         ("coolest_k = 280.0", "coolest_k = 1.0", ["benches.dit: coolest_k: ", "or equal to 50, given 1.0"]),
         # Processes.
-        (
-            'vessel = "EV"\ntarget = "B1"',
-            'vessel = "EV"\ntarget = "B9"',
-            ["benches.ext.process.0", "'B9'", "EV, B1, B2"],
-        ),
-        (
-            'vessel = "EV"\ntarget = "B1"',
-            'vessel = "B7"\ntarget = "B1"',
-            ["benches.ext.process.0", "'B7'", "EV, B1, B2"],
-        ),
-        ('vessel = "EV"\ntarget = "B1"', 'vessel = "EV"', ["benches.ext.process.0", "target", "required by drain"]),
-        (
-            'vessel = "EV"\ntarget = "B1"',
-            'vessel = "EV"\ntarget = "EV"',
-            ["benches.ext.process.0", "must differ", "'EV'"],
-        ),
-        (
-            'vessel = "EV"\nmaterial = "water"',
-            'vessel = "EV"',
-            ["benches.ext.process.1", "material", "required by add"],
-        ),
-        (
-            'material = "water"',
-            'material = "water"\ntarget = "B1"',
-            ["benches.ext.process.1", "target", "not allowed for other processes"],
-        ),
+        (*drain('vessel = "EV"\ntarget = "B9"'), ["benches.ext.process.0", "'B9'", "EV, B1, B2"]),
+        (*drain('vessel = "B7"\ntarget = "B1"'), ["benches.ext.process.0", "'B7'", "EV, B1, B2"]),
+        (*drain('vessel = "EV"'), ["benches.ext.process.0", "target", "required by drain"]),
+        (*drain('vessel = "EV"\ntarget = "EV"'), ["benches.ext.process.0", "must differ", "'EV'"]),
+        ('material = "water"\n', "", ["benches.ext.process.1", "material", "required by add"]),
+        ('material = "water"', 'material = "water"\ntarget = "B1"', ["process.1", "target", "not allowed for other"]),
         ("magnitudes = [10, 20]", "magnitudes = [10, 0]", ["benches.ext.process.0", "magnitudes", "above 0", "0.0"]),
         ("magnitudes = [10, 20]", "magnitudes = [101]", ["benches.ext.process.0", "magnitudes", "at most 100", "101"]),
         ("magnitudes = [10, 20]", "magnitudes = []", ["benches.ext", "process.0.magnitudes", "at least 1"]),
@@ -273,11 +244,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("price = 0.01", "price = 1e7", ["instruments.scales.price", "less than or equal to 1000000"]),
         ("{ diethyl_ether = 3.0 }", "{ diethyl_ether = 3.0 }, goal_mol = 4.0", ["benches.rxn.start", "do not fit"]),
         ('goals = ["dodecane", "NaCl"]', f"goals = {[f'm{i}' for i in range(65)]}", ["goals", "at most 64 items"]),
-        (
-            "slots = 3",
-            "slots = 64\n" + "\n".join(f"[benches.{c}]\nkind = 'distillation'\ncount = 16" for c in "abcdefghijklm"),
-            ["benches x slots x goals", "at most 20000"],
-        ),
+        ("slots = 3", f"slots = 64\n{MANY_BENCHES}", ["benches x slots x goals", "at most 20000"]),
         ("water = 10.0", "water = 1" + "0" * 30, ["stock.water", "an integer", "9007199254740992"]),
         ("magnitudes = [10, 20]", "magnitudes = " + "[" * 20 + "]" * 20, ["magnitudes", "more than 12 levels"]),
         ("magnitudes = [10, 20]", "magnitudes = " + "[" * 5000, ["more than 12 levels"]),
@@ -293,29 +260,16 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("{ spill_l = 1.0 }", "{ spill_l = -1.0 }", ["safety", "weights.spill_l", "-1.0", "or equal to 0"]),
         # Ions without those that balance them.
         ("water = 10.0", 'water = 10.0\n"Na+" = 0.1', ["stock", "'Na+' is an ion", "NaCl"]),
-        (
-            "{ diethyl_ether = 4.0 }",
-            '{ water = 4.0, "Na+" = 0.5, "Cl-" = 0.25 }',
-            ["shelf.vessel.0.contents", "charge is +0.25 mol", "ions that balance it"],
-        ),
+        ("{ diethyl_ether = 4.0 }", '{ water = 4.0, "Na+" = 0.5, "Cl-" = 0.25 }', ["vessel.0", "charge is +0.25 mol"]),
         (
             "{ diethyl_ether = 3.0 }",
             '{ water = 4.0, "Cl-" = 0.25 }',
-            ["benches.rxn.start.contents", "charge is -0.25 mol"],
+            ["start.contents", "-0.25 mol", "ions that balance it"],
         ),
         ("Na = 2.0 }", 'Na = 2.0, "Cl-" = 1.0 }', ["benches.rxn.reagents", "'Cl-' is an ion", "NaCl"]),
         ('material = "water"', 'material = "Na+"', ["benches.ext.process.1.material", "'Na+' is an ion"]),
-        (
-            "{ diethyl_ether = 3.0 }",
-            '{ diethyl_ether = 3.0 }, companion = { material = "Na+", mol = 0.1, if_goal = "NaCl" }',
-            ["benches.rxn.start.companion", "'Na+' is an ion"],
-        ),
-        (
-            "[instruments]",
-            '[world.draws.salt]\nwhat = "amount"\nof = ["slot_0"]\nmaterial = "Na+"\n'
-            'distribution = { kind = "uniform", low = 0.5, high = 1.0 }\n[instruments]',
-            ["world.draws.salt", "'Na+' is an ion"],
-        ),
+        ("{ diethyl_ether = 3.0 }", f"{{ diethyl_ether = 3.0 }}, {COMPANION}", ["start.companion", "'Na+' is an ion"]),
+        ("[instruments]", f"{SALT_DRAW}\n[instruments]", ["world.draws.salt", "'Na+' is an ion"]),
         # Reactions.
         ('reactions = "wurtz"', 'reactions = "alchemy"', ["reactions", "'alchemy'", "wurtz"]),
     ],
@@ -327,35 +281,24 @@ def test_a_wrong_scenario_is_named_with_file_key_and_bound(
     refused(lambda: Laboratories(file), file, *parts)
 
 
-def test_a_missing_file_of_materials_or_reactions_is_named(tmp_path: Path) -> None:
-    file = tmp_path / "tiny.toml"
-    for old, new, missing in (
-        ('reactions = "wurtz"', 'reactions = "gone.toml"', "gone.toml"),
-        ('reactions = "wurtz"', 'material_files = ["lost.toml"]\nreactions = "wurtz"', "lost.toml"),
+def test_files_that_are_missing_or_of_another_kind_are_named(tmp_path: Path) -> None:
+    """And no material of one's own takes a shipped name."""
+    file, mine = tmp_path / "a.toml", 'reactions = "wurtz"\nmaterial_files = ["mine.toml"]'
+    for new, parts in (
+        ('reactions = "gone.toml"', ("no such file", tmp_path / "gone.toml")),
+        (mine, ("no such file", tmp_path / "mine.toml")),
+        (mine, ("already a bundled material", file, "material_files")),
     ):
-        file.write_text(changed(BASE, old, new))
-        refused(lambda: load_scenario(file), "no such file", tmp_path / missing)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("[lock]\nx = 'y'\n[tar]\nmolar_mass_g_mol = 9.0", "is a file of materials, not a scenario"),
-        ("name = 'tar'\n[[reaction]]", "is a file of reactions, not a scenario"),
-        ("pairs = []", "is a file of pairs, not a scenario"),
-    ],
-)
-def test_another_kind_of_file(tmp_path: Path, text: str, words: str) -> None:
-    file = written(tmp_path, text)
-    refused(lambda: load_scenario(file), file, words)
-
-
-def test_a_material_of_ones_own_may_not_take_a_shipped_name(tmp_path: Path) -> None:
-    file = tmp_path / "tiny.toml"
-    shipped = Path(chemlab.__file__).parent / "data" / "materials" / "gases.toml"
-    (tmp_path / "mine.toml").write_text(shipped.read_text())
-    file.write_text(changed(BASE, 'reactions = "wurtz"', 'reactions = "wurtz"\nmaterial_files = ["mine.toml"]'))
-    refused(lambda: load_scenario(file), "already a bundled material", file, "material_files")
+        written(tmp_path, changed(BASE, 'reactions = "wurtz"', new))
+        refused(lambda: load_scenario(file), *parts)
+        if tmp_path / "mine.toml" in parts:
+            shutil.copy(Path(chemlab.__file__).parent / "data" / "materials" / "gases.toml", tmp_path / "mine.toml")
+    for text, kind in (
+        ("[lock]\nx = 'y'\n[tar]\nmolar_mass_g_mol = 9.0", "materials"),
+        ("name = 'tar'\n[[reaction]]", "reactions"),
+        ("pairs = []", "pairs"),
+    ):
+        refused(lambda: load_scenario(written(tmp_path, text)), file, f"is a file of {kind}, not a scenario")  # noqa: B023
 
 
 # -- what ships -----------------------------------------------------------------------------------------------------
@@ -577,41 +520,21 @@ def test_files_and_parts_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
     assert second.benches[key].model == "../parts.py:Slow"
 
 
-@pytest.mark.parametrize(
-    ("base", "message"),
-    [
-        ("wurtz_dodecan", r"base: unknown 'wurtz_dodecan'; choose from .*wurtz_dodecane.*optimize_coupling"),
-        ("nowhere.toml", r"base: unknown 'nowhere.toml'"),
-        ("circle.toml", r"inherits from this scenario"),
-    ],
-)
-def test_a_base_that_is_none(base: str, message: str, tmp_path: Path) -> None:
-    (tmp_path / "circle.toml").write_text(f'base = "{base}"\n')
-    with pytest.raises(DataError, match=message):
-        load_scenario(tmp_path / "circle.toml")
-
-
 def derived(folder: Path, text: str, base: str = "wurtz_dodecane") -> Scenario:
     """A file with that base and that text, loaded."""
     (folder / "derived.toml").write_text(f'base = "{base}"\nname = "derived"\n{text}')
     return load_scenario(folder / "derived.toml")
 
 
-def test_a_file_can_take_keys_of_its_base_out(tmp_path: Path) -> None:
+def test_a_file_can_take_keys_of_its_base_out_and_give_them_anew(tmp_path: Path) -> None:
     base = load_scenario("wurtz_dodecane").model_dump()
     changed = derived(tmp_path, 'remove = ["benches.ext", "instruments", "costs.stock_per_mol.\'1-chlorohexane\'"]')
     del base["benches"]["ext"], base["costs"]["stock_per_mol"]["1-chlorohexane"]
     assert changed.model_dump() == {**base, "name": "derived", "instruments": {}}
     assert Laboratories(changed).agents == ["manager_0", "rxn_0", "dit_0"]
-
-
-def test_what_is_taken_out_can_be_given_anew(tmp_path: Path) -> None:
-    solvent = (
-        derived(tmp_path, 'remove = ["benches.rxn.start.contents"]\n[benches.rxn.start.contents]\nhexane = 2.0\n')
-        .benches["rxn"]
-        .start
-    )
-    assert solvent.contents == {"hexane": 2.0}
+    solvent = "[benches.rxn.start.contents]\nhexane = 2.0\n"
+    anew = derived(tmp_path, f'remove = ["benches.rxn.start.contents"]\n{solvent}')
+    assert anew.benches["rxn"].start.contents == {"hexane": 2.0}
 
 
 @pytest.mark.parametrize(
@@ -621,9 +544,7 @@ def test_what_is_taken_out_can_be_given_anew(tmp_path: Path) -> None:
         ('remove = ["name.first"]', ["remove", "'name.first'", "not a table"]),
         ('remove = ["instruments", "instruments.balance"]', ["remove", "'instruments.balance' is not in the base"]),
         ('remove = "instruments"', ["remove", "list of keys", "'instruments'"]),
-        ("remove = [3]", ["remove", "must be keys", "3"]),
         ('remove = ["a = 1\\nb"]', ["remove", "must be keys"]),
-        ('remove = ["a b"]', ["remove", "must be keys", "'a b'"]),
         ('remove = ["reactions"]', ["reactions", "required"]),
         ("[benches.ext]", ["benches.ext", "empty table", 'remove = ["benches.ext"]']),
         ("[costs]\nstock_per_mol = {}", ["costs.stock_per_mol", 'remove = ["costs.stock_per_mol"]']),
@@ -641,10 +562,18 @@ def test_the_advice_about_an_empty_table_works(tmp_path: Path) -> None:
     assert not derived(tmp_path, advice.group()).instruments
 
 
-def test_only_a_file_with_a_base_can_take_keys_out(tmp_path: Path) -> None:
-    (tmp_path / "tiny.toml").write_text('remove = ["instruments"]\n' + BASE)
-    with pytest.raises(DataError, match="remove: requires a base, and this scenario has none"):
-        load_scenario(tmp_path / "tiny.toml")
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('base = "wurtz_dodecan"', r"base: unknown 'wurtz_dodecan'; choose from .*wurtz_dodecane.*optimize_coupling"),
+        ('base = "nowhere.toml"', r"base: unknown 'nowhere.toml'"),
+        ('base = "a.toml"', r"inherits from this scenario"),
+        ('remove = ["instruments"]' + BASE, "remove: requires a base, and this scenario has none"),
+    ],
+)
+def test_a_base_that_is_none(text: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=message):
+        load_scenario(written(tmp_path, text))
 
 
 def test_bases_have_an_end(tmp_path: Path) -> None:
@@ -731,16 +660,11 @@ def test_what_the_shipped_scenarios_say_has_not_changed() -> None:
         ("reactions.reaction.0.orders.Na", 1e6, r"reaction.0.orders.Na: Input should be less than or equal to 20"),
         ("reactions.reaction.0.products.gold", 1.0, r"reactions: unknown material 'gold'"),
         ("reactions.salt.0.anion", "OH-", r"salt.0: not balanced"),
-        (
-            "scenario.shelf.vessel.0.capacity_l",
-            0.1,
-            r"shelf.vessel.0: contents of 0.4\d+ L do not fit in capacity_l = 0.1",
-        ),
+        ("scenario.shelf.vessel.0.capacity_l", 0.1, r"shelf.vessel.0: contents of 0.4\d+ L do not fit"),
         ("scenario.benches.ext.start.capacity_l", 0.1, r"benches.ext.start: contents of .* do not fit"),
         ("scenario.stock.H2", 1.0, r"stock: 'H2' is a gas"),
         ("scenario.stock.gold", 1.0, r"stock: unknown material 'gold'"),
         ("scenario.theoretical_maximum_mol", {}, r"theoretical_maximum_mol.dodecane: must be given"),
-        ("scenario.theoretical_maximum_mol.dodecane", 0.0, r"theoretical_maximum_mol.dodecane: .*0.000001"),
         ("scenario.shelf.vessel", [], r"shelf: vessel: must have at least one"),
         ("scenario.physics", "magic", r"physics: unknown backend"),
         ("scenario.title", "x" * 5000, r"scenario: title: a text must be 4000 characters at most"),
@@ -761,16 +685,6 @@ def test_a_record_s_scenario_is_checked_as_a_file_is(key: str, value: Any, messa
 
 
 # -- in a notebook and in a hint ---------------------------------------------------------------------------------------
-
-
-def test_a_scenario_says_what_it_is_in_a_line() -> None:
-    scenario = load_scenario("wurtz_dodecane")
-    assert repr(scenario) == (
-        "Scenario('wurtz_dodecane', title='Dodecane by the Wurtz reaction', "
-        "agents=['manager_0', 'rxn_0', 'ext_0', 'dit_0'], goals=['dodecane'], "
-        f"origin={scenario.origin!r})"
-    )
-    assert len(str(scenario)) < 300
 
 
 def test_a_hint_can_be_typed(tmp_path: Path) -> None:

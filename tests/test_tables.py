@@ -48,14 +48,10 @@ def pots() -> Table[Pots]:
     return Table(made.arrays._replace(scale=2.0))
 
 
-def test_a_table_begins_as_declared(pots: Table[Pots]) -> None:
+def test_kernels_write_to_the_tables_own_arrays_which_begin_as_declared(pots: Table[Pots]) -> None:
     assert pots.arrays.level.tolist() == [[0.5, 0.5]] * 3
     assert pots.age.tolist() == [-1, -1, -1]
     assert (pots.lid.shape, pots.lid.dtype) == ((4, 3), np.bool_)
-    assert pots.arrays.scale == 2.0
-
-
-def test_kernels_write_to_the_tables_own_arrays(pots: Table[Pots]) -> None:
     assert _stir(pots.handle, 0.25) == pytest.approx(6.0)
     assert (pots.arrays.level == 1.0).all()
     assert pots.age.tolist() == [0, 0, 0]
@@ -99,15 +95,13 @@ def test_snapshots_have_the_members_first_and_leave_out_what_is_not_kept(pots: T
     assert [9] in [array.tolist() for array in looked_up]
 
 
-def test_a_field_without_its_shape_is_refused() -> None:
+def test_what_kernels_cannot_take_is_refused() -> None:
     class Wrong(NamedTuple):
         level: FloatArray
 
     with pytest.raises(TypeError, match=r"Wrong\.level: must be Annotated"):
         Table.empty(Wrong)
 
-
-def test_arrays_that_kernels_cannot_take_are_refused() -> None:
     with pytest.raises(ValueError, match="contiguous"):
         addresses([np.zeros((4, 4))[:, ::2]])
     with pytest.raises(ValueError, match="4 axes"):

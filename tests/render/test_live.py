@@ -103,39 +103,6 @@ def test_an_episode_is_watched_to_its_end(tmp_path: Path, visitor: Any) -> None:
             page.get_by_text("seed 1").wait_for()
 
 
-PLAYED = (("start", "rxn_0"), ("wait", ""), ("start", "dit_0"), ("wait", ""), ("submit", ""))
-
-
-def _other_roles_wait(lab: Served) -> None:
-    """Wait until the manager has the turn, or the episode is over."""
-    until(lambda: lab.lives[0].turn in ("", "manager_0"))
-
-
-def test_an_episode_is_played_by_clicks(tmp_path: Path, visitor: Any) -> None:
-    with served(tmp_path, speed=60) as lab:
-        lab.order("/lab/0/seat/manager_0", do="take")
-        lab.order(do="new")
-        seat = visitor(f"{lab.url}/lab/0/seat/manager_0")
-        slot = "0"
-        for verb, bench in PLAYED:
-            seat.get_by_text("It is your turn.").wait_for()
-            form = seat.locator(f"form[data-verb={verb}]")
-            if verb == "start":
-                form.locator("select[name=bench]").select_option(bench)
-            if verb != "wait":
-                form.locator("select[name=slot]").select_option(slot)
-            turns = lab.lives[0].film.turns
-            form.get_by_role("button").click()
-            until(lambda turns=turns: lab.lives[0].film.turns > turns)
-            _other_roles_wait(lab)
-            slot = str(_fullest(lab)) if bench == "dit_0" else slot
-        seat.get_by_text("The episode is over.").first.wait_for()
-        until(lambda: lab.lives[0].verdict[0] != "")
-        assert lab.lives[0].verdict[0] == "ok"
-        assert read_record(lab.lives[0].room.record).end is not None
-        assert lab.lives[0].room.report()["seats"]["manager_0"]["wrong"] == 0
-
-
 def _fullest(lab: Served) -> int:
     """The slot with most of the product."""
     shelf = lab.lives[0].room.laboratories.shelf
@@ -168,20 +135,20 @@ def test_an_episode_is_played_by_keys(tmp_path: Path, visitor: Any) -> None:
             if verb != "wait":
                 field = "bench" if verb == "start" else "slot"
                 for _ in range(60):
-                    if seat.evaluate(f"document.activeElement === document.forms[{_form(seat, verb)}].{field}"):
+                    form = f"""document.querySelector("form[data-verb='{verb}']")"""
+                    if seat.evaluate(f"document.activeElement === {form}.{field}"):
                         break
                     seat.keyboard.press("Tab")
                 for _ in range(moves if isinstance(moves, int) else moves(lab)):
                     seat.keyboard.press("ArrowDown")
             press(verb)
             until(lambda turns=turns: lab.lives[0].film.turns > turns)
-            _other_roles_wait(lab)
+            until(lambda: lab.lives[0].turn in ("", "manager_0"))
         seat.get_by_text("The episode is over.").first.wait_for()
-
-
-def _form(seat: Any, verb: str) -> int:
-    found: int = seat.evaluate(f"[...document.forms].findIndex(form => form.dataset.verb === '{verb}')")
-    return found
+        until(lambda: lab.lives[0].verdict[0] != "")
+        assert lab.lives[0].verdict[0] == "ok"
+        assert read_record(lab.lives[0].room.record).end is not None
+        assert lab.lives[0].room.report()["seats"]["manager_0"]["wrong"] == 0
 
 
 @pytest.mark.parametrize("width", [1280, 390])
@@ -373,7 +340,10 @@ def test_a_verdict_is_of_the_episode_that_was_checked(tmp_path: Path, monkeypatc
     assert lab.verdict == ("", "")
 
 
-def test_a_policy_that_fails_pauses_the_laboratory(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_fails_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A policy that fails pauses its laboratory, and the server goes on."""
     with served(tmp_path, paused=True) as lab:
         broken, works = lab.lives[0], lab.lives[0].step
         broken.step = Mock(side_effect=KeyError("beaker"))
@@ -385,13 +355,9 @@ def test_a_policy_that_fails_pauses_the_laboratory(tmp_path: Path, capsys: pytes
         lab.order(do="step")
         until(lambda: broken.film.turns > 0)
         assert "beaker" not in show.status(broken)["words"]
-    assert "KeyError: 'beaker'" in capsys.readouterr().err
-
-
-def test_a_failure_of_the_server_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    with served(tmp_path, paused=True) as lab:
         monkeypatch.setattr(live.Live, "begin", Mock(side_effect=OSError("disk full")))
         assert lab.order(do="new") == (500, {"error": "the server failed; its terminal shows the error"})
+    assert "KeyError: 'beaker'" in capsys.readouterr().err
 
 
 def test_an_episode_too_long_for_a_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,15 +62,6 @@ def test_without_a_solvent_solutes_are_layers_and_ions_a_crust() -> None:
     assert crust == pytest.approx(litres("Na+", 0.5) + litres("Cl-", 0.5), rel=1e-6)
 
 
-def test_a_stirred_vessel_is_the_same_mixture_at_every_height() -> None:
-    vessel = slot_0(filled({"diethyl_ether": 3.0, "water": 10.0, "NaCl": 1.0}, clock=T_MIX))
-    volumes = np.array([litres("water", 10.0), litres("diethyl_ether", 3.0)])
-    assert vessel.settling == pytest.approx(0.0)
-    mixture = np.array(vessel.mixture)
-    assert mixture.shape == (MIXTURE_SLICES, 2)
-    np.testing.assert_allclose(mixture, np.tile(volumes / volumes.sum(), (MIXTURE_SLICES, 1)), atol=1e-6)
-
-
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.3, 0.5, 0.7, 0.9])
 def test_while_it_settles_every_liquid_keeps_its_volume_and_the_denser_one_sinks(share: float) -> None:
     clock = T_MIX + share * (CLOCK_SETTLED - T_MIX)
@@ -83,6 +74,8 @@ def test_while_it_settles_every_liquid_keeps_its_volume_and_the_denser_one_sinks
         np.testing.assert_allclose(mixture.sum(axis=1), 1.0, atol=1e-6)
         np.testing.assert_allclose(mixture.mean(axis=0), volumes / volumes.sum(), atol=1e-6)
         assert (np.diff(mixture[:, 0]) < 1e-6).all()
+        assert mixture.shape == (MIXTURE_SLICES, 2)
+        assert (np.ptp(mixture[:, 0]) < 1e-6) == (share == 0.0), "freshly stirred, it is the same at every height"
     else:
         assert share > 0.5
 
@@ -136,34 +129,24 @@ def test_what_an_agent_sees_is_its_observation() -> None:
 
 
 def test_readings_are_what_was_measured() -> None:
-    labs = filled({"diethyl_ether": 4.0})
-    labs.act(0, labs.members, np.array([labs.actions.encode("measure", 0, "balance")]))
-    labs.act(0, labs.members, np.array([labs.actions.encode("measure", 0, "gas_chromatograph")]))
-    readings = {reading.instrument: reading for reading in laboratory_scene(labs).shelf[0].readings}
-    balance = readings["balance"]
-    kilograms = balance.low + balance.values[0] * (balance.high - balance.low)
-    assert kilograms == pytest.approx(4.0 * WURTZ.materials["diethyl_ether"].molar_mass_g_mol / 1000.0)
-    shares = dict(zip(readings["gas_chromatograph"].labels, readings["gas_chromatograph"].values, strict=True))
-    assert shares["diethyl_ether"] == pytest.approx(1.0, abs=1e-6)
-    assert "residue" in shares
-    assert not laboratory_scene(labs).shelf[1].readings
-
-
-def test_every_chromatograph_names_its_own_bars() -> None:
-    """Nothing of oil and salt in water flies but water: only HPLC tells the others apart."""
-    instruments = {name: {"kind": name} for name in ("hplc", "gas_chromatograph", "thermometer")}
+    """And every chromatograph names its own bars."""
+    instruments = {name: {"kind": name} for name in ("hplc", "gas_chromatograph", "thermometer", "balance")}
     env = laboratory({**mapping("salt_from_oil"), "name": "measured", "instruments": instruments})
     for name in instruments:
         manager(env, "measure", 0, name)
-    scene = laboratory_scene(env.laboratories)
-    readings = {reading.instrument: reading for reading in scene.shelf[0].readings}
+    slot, other, *_ = laboratory_scene(env.laboratories).shelf
+    readings = {reading.instrument: reading for reading in slot.readings}
     for name, rest in (("hplc", "ions"), ("gas_chromatograph", "residue")):
         assert readings[name].labels[-1] == rest
         assert len(readings[name].labels) == len(readings[name].values)
-    thermometer = readings["thermometer"]
-    kelvin = thermometer.low + thermometer.values[0] * (thermometer.high - thermometer.low)
-    vessel = scene.shelf[0].vessel
-    assert kelvin == pytest.approx(vessel.temperature_k)
+    shares = dict(zip(readings["gas_chromatograph"].labels, readings["gas_chromatograph"].values, strict=True))
+    assert shares == pytest.approx({"water": 0.0, "hexane": 4 / 5.5, "dodecane": 0.5 / 5.5, "residue": 1 / 5.5})
+    told = {name: readings[name] for name in ("thermometer", "balance")}
+    kelvin, kilograms = (one.low + one.values[0] * (one.high - one.low) for one in told.values())
+    assert kelvin == pytest.approx(slot.vessel.temperature_k)
+    masses = {name: m.molar_mass_g_mol / 1000.0 for name, m in env.scenario.materials.items()}
+    assert kilograms == pytest.approx(sum(mol * masses[name] for name, mol in slot.vessel.contents), rel=0.01)
+    assert not other.readings
 
 
 def test_costs_stock_and_waste_are_the_laboratorys() -> None:
