@@ -9,6 +9,7 @@ import functools
 
 import numpy as np
 import pytest
+from helpers import choose
 
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
@@ -16,6 +17,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import SAFETY_EVENTS
 from chemlab.envs.aec import raw_env
 from chemlab.lab.text import named_events
+from chemlab.laboratory import parallel_env
 
 SAFE = "wurtz_safe"
 SEEDS = 20
@@ -98,3 +100,20 @@ def test_without_a_price_accidents_are_counted_and_not_charged() -> None:
     result = play_episode(env, make_policies("scripted:unsafe", env.laboratories), 0)
     assert weighted(result.safety_events) > 0.0
     assert result.costs["safety"] == 0.0
+
+
+def test_costs_are_weighted_events_in_rounds() -> None:
+    """Of every agent, also of one that has not acted; every kind of accident happens."""
+    env, rng, happened = parallel_env(SAFE), np.random.default_rng(0), set[str]()
+    labs = env.laboratories
+    for seed in range(6):
+        _, infos = env.reset(seed=seed)
+        while env.agents:
+            turns = [agent for agent in env.agents if infos[agent]["has_turn"]]
+            given = {agent: choose(labs, labs.agents.index(agent), 0, rng, submit=0.0) for agent in turns}
+            *_, infos = env.step(given)
+            for info in infos.values():
+                events = named_events(labs.scenario, info)
+                assert info["cost"] == pytest.approx(weighted(events), rel=1e-12)
+                happened |= events.keys()
+    assert happened == set(SAFETY_EVENTS)
