@@ -89,7 +89,7 @@ def test_constant_actions_of_benches_are_searched() -> None:
 @pytest.mark.slow
 def test_a_scenario_that_needs_memory_is_said_to_be_one() -> None:
     """What the first batches of a campaign tell holds for the later ones, and every measurement has a price."""
-    found = audit("campaign", AuditBudget(episodes=20, plans=4, fewer=2, donors=1, planned=1))
+    found = audit("campaign", AuditBudget(episodes=20, plans=20, fewer=5, donors=2, planned=4))
     assert found["value_of_memory"]["low"] > 0.0
 
 
