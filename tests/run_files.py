@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from chemlab.agents.runs import CurvePoint, Evaluation, Run, RunConfig, RunResult
 
@@ -60,3 +61,13 @@ def without_times(run: Run) -> list[Any]:
     curve = [{**asdict(point), "seconds": 0} for point in run.curve()]
     result = asdict(run.result())  # type: ignore[arg-type]
     return [curve, run.evaluations(), {**result, "seconds": 0, "frames_per_second": 0}]
+
+
+def trained(folder: Path, **values: Any) -> RunResult:
+    """Train for a moment, and leave the test out where there is nothing to train with; ``values`` are arguments."""
+    pytest.importorskip("stable_baselines3")
+    from chemlab.agents.train.arguments import training_arguments
+    from chemlab.agents.train.learn import train
+
+    brief = {"envs": 2, "rollout": 16, "steps": 32, "evaluations": 1, "checkpoints": 1}
+    return train(training_arguments({**brief, "eval_episodes": 1, "final_episodes": 1, **values}), folder)

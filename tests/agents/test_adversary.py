@@ -12,6 +12,11 @@ from chemlab.config.loading import load_scenario
 from chemlab.roles.manager_actions import ManagerActions
 
 CAMPAIGN = load_scenario("campaign")
+CODE, CONTEXT = ManagerActions.of(CAMPAIGN).encode, (CAMPAIGN.goals[0],) * 4
+PLAN = tuple(
+    action for slot in range(4) for action in (CODE("start", "rxn_0", slot, CONTEXT[0]), CODE("submit", slot, slot))
+)
+TEAM = TeamPlan(PLAN, ((((1.0, 0.5, 0.0),),),))
 
 
 def test_a_controller_chooses_by_what_it_has_seen() -> None:
@@ -30,20 +35,12 @@ def test_a_controller_chooses_by_what_it_has_seen() -> None:
 @pytest.mark.parametrize("opening", ["submission", "look-rxn"])
 def test_controllers_are_scored(opening: str) -> None:
     """The opening costs at most its ticks, so that the score is about that of the only plan that is known."""
-    code = ManagerActions.of(CAMPAIGN).encode
-    goal = CAMPAIGN.goals[0]
-    plan = [(code("start", "rxn_0", slot, goal), code("submit", slot, slot)) for slot in range(4)]
-    team = TeamPlan(tuple(action for pair in plan for action in pair), ((((1.0, 0.5, 0.0),),),))
     assert openings(CAMPAIGN) == ["look-rxn", "submission"]
-    known = {(goal,) * 4: [team]}
-    found = informed_scores(CAMPAIGN, opening, known, worlds=8, library=1, budget=1, episodes=3, seed=5)
+    found = informed_scores(CAMPAIGN, opening, {CONTEXT: [TEAM]}, worlds=8, library=1, budget=1, episodes=3, seed=5)
     assert np.shape(found) == (2, 3)
     assert np.isfinite(found).all()
-
-
-def test_a_plan_of_one_submission_has_no_such_opening() -> None:
-    context = (CAMPAIGN.goals[0],) * 4
-    assert informed_scores(CAMPAIGN, "submission", {context: [TeamPlan(())]}, 4, 1, 1, 2, 5) is None
+    if opening == "submission":  # of a plan of one submission there is no such opening
+        assert informed_scores(CAMPAIGN, opening, {CONTEXT: [TeamPlan(())]}, 4, 1, 1, 2, 5) is None
 
 
 @pytest.mark.slow
@@ -52,11 +49,8 @@ def test_a_learner_begins_with_an_open_loop_policy() -> None:
     pytest.importorskip("torch")
     limits = CAMPAIGN.limits.model_copy(update={"manager_actions": 40, "ticks": 120})
     short = CAMPAIGN.model_copy(update={"limits": limits})
-    code, goal = ManagerActions.of(CAMPAIGN).encode, CAMPAIGN.goals[0]
-    plan = [(code("start", "rxn_0", slot, goal), code("submit", slot, slot)) for slot in range(4)]
-    team = TeamPlan(tuple(action for pair in plan for action in pair), ((((1.0, 0.5, 0.0),),),))
-    found = PlanSearch(short, "scripted", [FoundPlan((goal,) * 4, team, 0.0)], 0)
+    found = PlanSearch(short, "scripted", [FoundPlan(CONTEXT, TEAM, 0.0)], 0)
     expected = found.play(20, 5, "test").mean()
     assert expected != 0.0
-    assert np.mean(learned_scores(short, 0, 20, 5, {(goal,) * 4: team})) == pytest.approx(expected, abs=1e-9)
+    assert np.mean(learned_scores(short, 0, 20, 5, {CONTEXT: TEAM})) == pytest.approx(expected, abs=1e-9)
     assert np.isfinite(learned_scores(short, 1, 20, 5)).all()

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import refused
 
 from chemlab.agents.advice import AdvisedPolicy, Advisor
 from chemlab.agents.episodes import play_laboratory
@@ -54,20 +55,22 @@ def test_who_follows_the_advice_plays_what_the_advisor_plays(scenario: str) -> N
 
 @pytest.mark.parametrize("scenario", MANAGED)
 def test_what_is_not_played_has_not_been_decided(scenario: str) -> None:
-    """An advisor that hears that nothing was done, where nothing has changed, gives the same advice again."""
+    """An advisor that hears that nothing was done, where nothing has changed, gives the same advice again; so does one
+    that has its memory of before that."""
     labs = Laboratories(scenario, 1)
-    manager: Any = make_policies("scripted", labs, 0)["manager_0"]
+    managers: list[Any] = [make_policies("scripted", labs, 0)["manager_0"] for _ in range(2)]
+    manager, other = managers
     labs.seed(0, 3)
     labs.reset(labs.members)
     member, wait = labs.members, np.array([labs.actions.encode("wait")])
     for turn in range(6):
-        step = np.array([turn])
-        seen, mask = labs.observe(0, member), labs.mask(0, member)
-        first = manager.advise(seen, mask, step, member)
+        given = labs.observe(0, member), labs.mask(0, member), np.array([turn]), member
+        first = manager.advise(*given)
         if first != wait:
-            manager.played(wait, member)
-            again = manager.advise(seen, mask, step, member)
-            np.testing.assert_array_equal(again, first)
+            other.set_memory(manager.get_memory())
+            for one in managers:
+                one.played(wait, member)
+                np.testing.assert_array_equal(one.advise(*given), first)
         manager.played(first, member)
         labs.act(0, member, first)
         if labs.state.status[0] != RUNNING or labs.state.cursor[0] != -1:
@@ -118,29 +121,20 @@ def test_a_teacher_with_an_advisor_passes_on_what_was_played() -> None:
 
     heard = Heard()
     teacher = Advisor(AdvisedPolicy(Heard(), Advisor(heard, 5)))
-    nobody = np.zeros(1, dtype=np.int64)
-    assert teacher.advice(np.zeros((1, 3), dtype=np.float32), None, nobody, nobody).tolist() == [0]
+    nobody, seen = np.zeros(1, dtype=np.int64), np.zeros((1, 3), dtype=np.float32)
+    assert teacher.advice(seen, None, nobody, nobody).tolist() == [0]
     assert heard.played_by_others == []
     teacher.played(np.array([4]), nobody)
     assert heard.played_by_others == [4]
-    lapsing = Advisor(LapsingPolicy(heard, 1.0, 0, 0))
-    lapsing.advice(np.zeros((1, 3), dtype=np.float32), np.ones((1, 3), dtype=np.int8), nobody, nobody)
+    policy = LapsingPolicy(heard, 1.0, 0, 0)
+    lapsing = Advisor(policy)
+    lapsing.advice(seen, np.ones((1, 3), dtype=np.int8), nobody, nobody)
     assert heard.played_by_others == [4]
     lapsing.played(np.array([2]), nobody)
     assert heard.played_by_others == [4, 2]
-
-
-def test_a_policy_knows_which_of_its_actions_were_replaced_at_random() -> None:
-    labs = Laboratories("unlabelled", 4)
-    played: list[int] = []
-    manager = agent_policy("trained", labs, 0)
-    told = manager.played  # type: ignore[attr-defined]
-    manager.played = lambda actions, members: (played.extend(actions.tolist()), told(actions, members))  # type: ignore[attr-defined]
-    lapsing = LapsingPolicy(manager, 1.0, 0, 0)
-    labs.begin(0)
-    members = labs.members
-    actions = lapsing.act(labs.observe(0, members), labs.mask(0, members), np.zeros(4, dtype=np.int64), members)
-    assert played == actions.tolist()
+    # Nor does it believe that it was followed where a random action has taken its place.
+    last = policy.act(seen, np.array([[0, 0, 1]], dtype=np.int8), nobody, nobody)
+    assert heard.played_by_others == [4, 2, *last] == [4, 2, 2]
 
 
 def test_the_episode_s_seed_is_the_teacher_s_seed_too() -> None:
@@ -155,38 +149,6 @@ def test_the_episode_s_seed_is_the_teacher_s_seed_too() -> None:
         )
         drawn.append(seen.tolist())
     assert drawn[0] == drawn[1]
-
-
-def test_what_is_advised_and_not_yet_played_is_remembered_as_that() -> None:
-    labs = Laboratories("rush", 1)
-    managers: list[Any] = [make_policies("scripted", labs, 0)["manager_0"] for _ in range(2)]
-    labs.reset(labs.members)
-    step = np.zeros(1, dtype=np.int64)
-    seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
-    advice = managers[0].advise(seen, mask, step, labs.members)
-    managers[1].set_memory(managers[0].get_memory())
-    other, again = np.setdiff1d(np.flatnonzero(mask[0]), advice)[:1], []
-    for manager in managers:
-        manager.played(other, labs.members)
-        again.append(manager.advise(seen, mask, step + 1, labs.members))
-    np.testing.assert_array_equal(*again)
-    assert again[0] == advice
-
-
-def test_the_scheduler_goes_on_from_what_somebody_else_has_begun() -> None:
-    """It was to measure, and an oven was lit: it neither lights that again nor takes the vessel for a fresh one."""
-    labs = Laboratories("rush", 1)
-    manager: Any = make_policies("scripted", labs, 0)["manager_0"]
-    labs.reset(labs.members)
-    step = np.zeros(1, dtype=np.int64)
-    manager.advise(labs.observe(0, labs.members), labs.mask(0, labs.members), step, labs.members)
-    start = np.array([labs.actions.encode("start", "rxn_0", 2, "F")])
-    manager.played(start, labs.members)
-    labs.act(0, labs.members, start)
-    shop = manager._kept[0]
-    assert shop.running == {"rxn_0": 2}
-    manager.act(labs.observe(0, labs.members), labs.mask(0, labs.members), step + 1, labs.members)
-    assert shop.running["rxn_0"] == 2
 
 
 # -- learners -------------------------------------------------------------------------------------------------
@@ -295,21 +257,11 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
     assert exported.observation_size == labs.observation_sizes[0] + len(labs.actions)
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({"algo": "a2c"}, "hints: is for maskable-ppo, maskable-recurrent-ppo, not for a2c"),
-        ({"bc": "scripted:unsafe"}, "bc: hints are cloned, so it must be 'scripted'; leave it out"),
-    ],
-)
-def test_what_does_not_go_with_advice(values: dict[str, Any], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        arguments(**values)
-
-
-def test_advice_is_for_managers(tmp_path: Path) -> None:
+def test_what_does_not_go_with_advice(tmp_path: Path) -> None:
+    algorithm = "hints: is for maskable-ppo, maskable-recurrent-ppo, not for a2c"
+    refused("a2c", algorithm, arguments, algo="a2c")
+    refused("unsafe", "bc: hints are cloned, so it must be 'scripted'; leave it out", arguments, bc="scripted:unsafe")
     own = arguments(env_id=None, scenario="wurtz_dodecane", bench="dit")
     from chemlab.agents.train.learn import train
 
-    with pytest.raises(ValueError, match="hints: are for a laboratory's manager; dit learns here"):
-        train(own, tmp_path / "run")
+    refused("dit", "hints: are for a laboratory's manager; dit learns here", train, own, tmp_path / "run")

@@ -87,27 +87,10 @@ def test_constant_actions_of_benches_are_searched() -> None:
 
 
 @pytest.mark.slow
-def test_a_scenario_that_is_solved_without_looking_is_said_to_be_one() -> None:
-    """The best constant team scores most of what can be scored."""
-    found = audit(COLD, AuditBudget(episodes=20, plans=400, fewer=10, donors=2, planned=10))
-    assert not found["criteria"]["open_loop"]
-    assert found["open_loop"]["ways"]["everybody"] > 0.5 * found["best"]["value"]
-    assert "an open-loop policy (" in verdict(found)
-
-
-@pytest.mark.slow
 def test_a_scenario_that_needs_memory_is_said_to_be_one() -> None:
     """What the first batches of a campaign tell holds for the later ones, and every measurement has a price."""
     found = audit("campaign", AuditBudget(episodes=20, plans=20, fewer=5, donors=2, planned=4))
     assert found["value_of_memory"]["low"] > 0.0
-
-
-@pytest.mark.slow
-def test_a_scenario_that_needs_two_benches_is_said_to_be_one(unlabelled: tuple[dict[str, Any], Path]) -> None:
-    """Products are made in one and purified in the other: without either, next to nothing is left."""
-    found, _ = unlabelled
-    assert found["criteria"]["value_of_bench"]
-    assert min(own["low"] for own in found["value_of_bench"].values()) > 0.1
 
 
 @pytest.mark.slow
@@ -150,16 +133,13 @@ def test_an_audit_says_everything_that_it_promises(unlabelled: tuple[dict[str, A
     assert found["open_loop"]["value"] == max(found["open_loop"]["ways"].values())
     assert np.diff(found["oracle"]["curve"]).min() >= 0.0
     assert found["oracle"]["curve"][-1] == pytest.approx(1.0)
+    assert set(found["open_loop"]["ways"]) >= {"plan", "everybody", "replay"}
     assert "unlabelled" in verdict(found)
-
-
-@pytest.mark.slow
-def test_looking_is_worth_it_where_vessels_look_alike(unlabelled: tuple[dict[str, Any], Path]) -> None:
-    found, _ = unlabelled
-    assert found["policy"] == "scripted"
+    # Vessels look alike, so that looking is worth it; products are made at one bench and purified at the other.
     assert found["open_loop"]["high"] < found["best"]["low"]
-    assert found["criteria"]["value_of_information"]
-    assert found["criteria"]["open_loop_deviation"]
+    needed = ("value_of_information", "open_loop_deviation", "value_of_bench")
+    assert all(found["criteria"][name] for name in needed)
+    assert min(own["low"] for own in found["value_of_bench"].values()) > 0.1
 
 
 @pytest.mark.slow
@@ -217,31 +197,27 @@ def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path]
 
 @pytest.mark.slow
 def test_a_part_that_is_not_as_it_was_written_is_played_again(unlabelled: tuple[dict[str, Any], Path]) -> None:
-    _, keep = unlabelled
-    crew = Crew(load_scenario("unlabelled"), TINY, keep)
-    job = next(job for job in choosing_jobs(load_scenario("unlabelled")) if job.name == "plan")
-    path, whole = keep / "plan.json", (keep / "plan.json").read_text()
+    """More of them are in ``tests/fuzz``."""
+    spec, keep = load_scenario("unlabelled"), unlabelled[1]
+    crew, path = Crew(spec, TINY, keep), keep / "plan.json"
+    job, whole = next(job for job in choosing_jobs(spec) if job.name == "plan"), path.read_text()
     part = json.loads(whole)
     result = part["result"]
     assert crew.kept(job) == result
     other_plans = [[goals, [*plan, 0]] for goals, plan in result["plans"]]
-    changes: list[dict[str, Any]] = [{"scores": [1.0]}, {"scores": None}, {"scores": [float("nan")] * TINY.episodes}]
-    changes += [{"plans": [[]]}, {"more": 1}, {"everybody": [0.0] * 20_000}, {"plans": other_plans}]
-    worse: list[Any] = [*({**result, **change} for change in changes), [], None, {"scores": result["scores"]}]
-    stamps = [None, 1, [], "", part["stamp"][:-1], "é"]
-    texts = [json.dumps(other) for other in ({**part, "result": other} for other in worse)]
-    texts += [json.dumps({**part, "stamp": other}) for other in stamps]
-    texts += ["[" * 100_000, "", "null", "\0", '{"stamp": 1}', " " * 20_000_000, whole[:-2]]
+    changes: list[dict[str, Any]] = [{"scores": [1.0]}, {"scores": [float("nan")] * TINY.episodes}, {"more": 1}]
+    worse: list[Any] = [*({**result, **change} for change in [*changes, {"plans": other_plans}]), [], None]
+    texts = [json.dumps({**part, "result": other}) for other in worse]
+    texts += [json.dumps({**part, "stamp": other}) for other in (None, [], part["stamp"][:-1], "é")]
     try:
-        for text in texts:
+        for text in [*texts, "[" * 100_000, "", "null", " " * 20_000_000, whole[:-2]]:
             path.write_text(text)
             assert crew.kept(job) is None, text[:500]
     finally:
         path.write_text(whole)
-    # Another policy under the same name, as after more training, is another job.
+    # Another policy under the same name, as after more training, is another job; other budgets and scenarios are, too.
     assert crew.kept(Job("plan", "plan", {"without": "rxn"})) is None
-    # A part that was written for another budget, or another scenario, is another's.
-    assert Crew(load_scenario("unlabelled"), AuditBudget(7, 1, 1, 1, 1), keep).kept(job) is None
+    assert Crew(spec, AuditBudget(7, 1, 1, 1, 1), keep).kept(job) is None
     assert Crew(load_scenario("failing"), TINY, keep).kept(job) is None
 
 

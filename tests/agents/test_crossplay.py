@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import command, refused
+from run_files import trained
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_laboratory
@@ -63,22 +64,18 @@ def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
 
 
 @pytest.mark.slow
-def test_a_cell_is_its_manager_over_its_benches(played: Played) -> None:
-    """Put together by hand, agent by agent."""
+def test_a_cell_can_be_played_and_proved(played: Played, tmp_path: Path) -> None:
+    """It is its manager over its benches, agent by agent; and what its policy's name stands for."""
     labs = Laboratories("unlabelled", 5, split="test")
     policies = make_policies("scripted@0.2", labs, AUDIT_SEED)
     policies["manager_0"] = make_policies("scripted:unsafe", labs, AUDIT_SEED)["manager_0"]
     scores = play_laboratory(labs, policies, None, AUDIT_SEED).returns
-    assert cell(played[1], "scripted:unsafe", "scripted@0.2")["score"] == pytest.approx(scores.mean(), rel=1e-12)
-
-
-@pytest.mark.slow
-def test_a_cell_can_be_played_and_proved(played: Played, tmp_path: Path) -> None:
-    one = cell(played[1], "scripted:unsafe", "scripted")
+    one = cell(played[1], "scripted:unsafe", "scripted@0.2")
+    assert one["score"] == pytest.approx(scores.mean(), rel=1e-12)
     words = ["run", "unlabelled", "--policy", one["policy"], "--split", "test", "--seed", str(AUDIT_SEED)]
     words += ["--episodes", "5", "--json", "--record", str(tmp_path / "a.jsonl")]
-    scores = [json.loads(line)["score"] for line in CliRunner().invoke(app, words).output.splitlines()]
-    assert np.mean(scores) == pytest.approx(one["score"], rel=1e-9)
+    found = [json.loads(line)["score"] for line in CliRunner().invoke(app, words).output.splitlines()]
+    assert found == pytest.approx(scores, rel=1e-9)
     for path in tmp_path.iterdir():
         assert verify_record(path).status == "ok"
 
@@ -116,7 +113,6 @@ def test_partners_that_learning_had_are_played_too() -> None:
     assert [partner for _, partner in benches] == ["scripted", None, "scripted"]
     # Bundled managers with notes have the partners of their training.
     assert partners("rush", ["trained"], ["scripted"]) == [[("trained", "scripted"), scripted], [scripted]]
-    refused("rush", "there it stands for 'scripted'", partners, "rush", ["scripted"], ["trained"])
 
 
 def partners(scenario: str, *names: list[str]) -> list[list[tuple[str, str | None]]]:
@@ -127,16 +123,10 @@ def partners(scenario: str, *names: list[str]) -> list[list[tuple[str, str | Non
 @pytest.mark.slow
 def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     """Two managers with scripted benches behind them, and a run in which everybody has learned."""
-    pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.arguments import IPPO, MaskablePPO
-    from chemlab.agents.train.learn import train
-
-    small: dict[str, Any] = {"steps": 32, "envs": 4, "rollout": 8, "batch_size": 16, "evaluations": 2, "checkpoints": 2}
-    small |= {"scenario": "unlabelled", "eval_episodes": 1, "final_episodes": 1}
+    manager = {"roles": "manager", "algo": "maskable-ppo"}
     for seed in (0, 1):
-        arguments = MaskablePPO(roles=("manager",), seed=seed, **small)
-        train(arguments, tmp_path / "runs" / f"seed-{seed}")
-    train(IPPO(**small), tmp_path / "team")
+        trained(tmp_path / "runs" / f"seed-{seed}", scenario="unlabelled", seed=seed, **manager)
+    trained(tmp_path / "team", scenario="unlabelled", algo="ippo")
     spec, team = load_scenario("unlabelled"), str(tmp_path / "team")
     managers, benches = find_players(spec, [str(tmp_path / "runs"), team], ["scripted:unsafe", team])
     first = tmp_path / "runs" / "seed-0"
@@ -157,27 +147,21 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     assert unseen["manager", str(first)] == ["scripted:unsafe", team]
     with pytest.raises(ValueError, match=r"benches: .*seed-0 has none of its own: there it stands for 'scripted'"):
         find_players(spec, ["scripted"], [str(first)])
-    with pytest.raises(ValueError, match="given twice"):
-        find_players(spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
+    refused("given", "given twice", find_players, spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
 
 
-@pytest.mark.parametrize(
-    ("managers", "benches", "message"),
-    [
-        (["pretrained"], ["scripted"], "manager: pretrained has none of its own: there it stands for 'scripted'"),
-        (["scripted"], ["scripted:no-extraction"], "no-extraction has none of its own: there it stands for 'scripted'"),
-        (["scripted"], ["trained"], "benches: trained has none of its own: there it stands for 'pretrained-isolated'"),
+def test_who_cannot_play_is_refused() -> None:
+    spec, none = load_scenario("wurtz_dodecane"), "has none of its own: there it stands for"
+    for managers, benches, message in (
+        (["pretrained"], ["scripted"], f"manager: pretrained {none} 'scripted'"),
+        (["scripted"], ["trained"], f"benches: trained {none} 'pretrained-isolated'"),
         (["scripted,rxn=random"], ["scripted"], "give one policy; benches are given with --benches"),
         (["scripted"], ["scripted,manager=random"], "there it stands for 'scripted'; give that"),
-        (["nobody"], ["scripted"], "policy: must be one of scripted, scripted:unsafe"),
         (["scripted", "scripted"], ["scripted"], "manager: scripted: given twice"),
         (["scripted:fifo"], ["scripted"], "has no orders to choose from"),
         (["scripted"], ["fictitious_rxn"], "does not fit"),
-    ],
-)
-def test_who_cannot_play_is_refused(managers: list[str], benches: list[str], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        find_players(load_scenario("wurtz_dodecane"), managers, benches)
+    ):
+        refused(message, message, find_players, spec, managers, benches)
 
 
 @pytest.mark.slow

@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("stable_baselines3")
 
 from helpers import refused
+from run_files import without_times
 from sb3_contrib import MaskablePPO, RecurrentPPO
 from test_training import Killed, Stop
 
@@ -25,7 +26,6 @@ from chemlab.agents.train.arguments import Stage, curriculum_of, training_argume
 from chemlab.agents.train.imitate import _examples, fit
 from chemlab.agents.train.learn import train
 from chemlab.agents.train.tasks import LaboratoryTask
-from chemlab.config.datafile import DataError
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.envs.players import as_policy
@@ -99,16 +99,14 @@ def test_a_prepared_vessel_can_be_submitted_at_once() -> None:
 
 
 def test_wrong_shares() -> None:
+    """And of a scenario that nobody has played."""
     labs = Laboratories("wurtz_dodecane")
     refused("oven", "shares of rxn, ext, dit, submit", labs.prepare, {"oven": 0.5})
     for shares in ({"dit": -0.1}, {"dit": 0.7, "ext": 0.7}):
         refused("sum", "sum to at most 1", labs.prepare, shares)
-
-
-def test_a_scenario_that_nobody_has_played() -> None:
-    scenario = load_scenario("wurtz_dodecane").model_copy(update={"name": "never_played", "origin": "/nowhere/x.toml"})
-    with pytest.raises(DataError, match=r"recorded for never_played; run: chemlab export starts FILE\.toml"):
-        Laboratories(scenario).prepare({"dit": 1.0})
+    scenario = labs.scenario.model_copy(update={"name": "never_played", "origin": "/nowhere/x.toml"})
+    never = r"recorded for never_played; run: chemlab export starts FILE\.toml"
+    refused("never", never, Laboratories(scenario).prepare, {"dit": 1.0})
 
 
 @pytest.mark.parametrize("name", scenario_names())
@@ -144,14 +142,12 @@ def test_either_kind_of_start_is_drawn_as_often() -> None:
 
 
 def test_backward_adds_a_bench_at_a_time() -> None:
+    """Or stages are one's own."""
     arguments = training_arguments({"steps": 1000, "roles": "manager", "curriculum": ["backward"]})
     stages, order = curriculum_of(arguments, ("rxn", "ext", "dit")), ["submit", "dit", "ext", "rxn"]
     assert [list(stage.shares) for stage in stages] == [order[:2], order[:3], order]
     assert [stage.until for stage in stages] == [200, 400, 600]
     assert all(sum(stage.shares.values()) == pytest.approx(1.0) for stage in stages)
-
-
-def test_stages_of_ones_own() -> None:
     arguments = training_arguments({"roles": "manager", "curriculum": ["1_000: submit=1", "3000: dit=0.5 ext=0.25"]})
     assert curriculum_of(arguments, ()) == [Stage(1000, {"submit": 1.0}), Stage(3000, {"dit": 0.5, "ext": 0.25})]
 
@@ -167,33 +163,20 @@ def test_stages_that_are_not_understood(tmp_path: Path) -> None:
     refused("bench", "curriculum: is for a laboratory", train, bench, tmp_path / "run")
 
 
-@pytest.mark.usefixtures("hasty")
 @pytest.mark.slow
 def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
-    arguments = training_arguments({**SMALL, "bc": "scripted", "bc_steps": 200})
-    train(arguments, tmp_path / "whole")
-    with pytest.raises(Killed):
-        train(arguments, tmp_path / "broken", Stop(2))
-    train(arguments, tmp_path / "broken")
+    """In the middle of one of two."""
+    stages = ["192: submit=0.9", "320: dit=0.5"]
+    arguments = training_arguments({**SMALL, "preset": "manager-curriculum", "curriculum": stages})
     whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
-    assert [(p.step, p.return_mean) for p in whole.curve()] == [(p.step, p.return_mean) for p in broken.curve()]
-    assert whole.evaluations() == broken.evaluations()
+    train(arguments, whole.path)
+    with pytest.raises(Killed):
+        train(arguments, broken.path, Stop(2))
+    train(arguments, broken.path)
+    assert without_times(broken) == without_times(whole)
 
 
 # -- imitation --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_clone_plays_nearly_as_well_before_it_has_learned_anything(tmp_path: Path) -> None:
-    """256 steps teach nobody a workflow: what the manager knows then is what it was shown."""
-    scores = {}
-    cases = {"clone": {"bc": "scripted", "bc_steps": 4000}, "scratch": {"preset": "manager-curriculum"}}
-    for name, example in cases.items():
-        arguments = training_arguments({**SMALL, "curriculum": ["64: dit=0.1"], "learning_rate": 1e-5, **example})
-        result = train(arguments, tmp_path / name)
-        scores[name] = result.last_mean
-    assert scores["clone"] > 0.6 * result.scripted_mean
-    assert scores["scratch"] < 0.1 * result.scripted_mean
 
 
 def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
@@ -260,25 +243,8 @@ def test_after_the_first_round_the_learner_plays_and_all_rounds_are_learned_from
 
 def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
     arguments = training_arguments({**SMALL, "bc": "scripted", "bc_steps": 1})
-    with pytest.raises(ValueError, match="bc_steps: no episode ended"):
-        train(arguments, tmp_path / "run")
+    refused("bc_steps", "bc_steps: no episode ended", train, arguments, tmp_path / "run")
     assert Run(tmp_path / "run").config() is None, "more turns are not refused as other arguments"
-
-
-@pytest.mark.usefixtures("hasty")
-@pytest.mark.slow
-def test_recurrent_managers_imitate(tmp_path: Path) -> None:
-    values = {**SMALL, "steps": 64, "preset": "paper", "algo": "maskable-recurrent-ppo", "memory": 8}
-    values |= {"bc": "scripted", "bc_steps": 200}
-    train(training_arguments(values), tmp_path / "run")
-    assert (Run(tmp_path / "run").config() or {})["arguments"]["memory"] == 8
-    with pytest.raises(ValueError, match="memory: is for recurrent-ppo"):
-        training_arguments({**SMALL, "memory": 8})
-
-
-def test_only_learners_with_a_policy_can_imitate() -> None:
-    with pytest.raises(ValueError, match="bc: is for ppo"):
-        training_arguments({"algo": "dqn", "bench": "rxn", "bc": "scripted"})
 
 
 # -- who plays --------------------------------------------------------------------------------------------------------

@@ -35,11 +35,9 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize(
     ("scenario", "policy", "more"),
     [
-        ("wurtz_dodecane", "scripted", {}),
         ("wurtz_two_lines", "scripted", {}),
         ("wurtz_two_lines", "careless", {}),
         ("wurtz_safe", "careless", {}),
-        ("wurtz_dodecane", "random", {}),
         ("wurtz_dodecane", "scripted", {"rewards": "mixed"}),
     ],
 )
@@ -149,27 +147,31 @@ def minari(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return found
 
 
+def assert_replays(dataset: Any, env: Any, seeds: tuple[int, ...]) -> None:
+    """Reset with its seed, an environment shows and pays what each episode of a dataset has."""
+    for episode, seed in zip(dataset.iterate_episodes(), seeds, strict=True):
+        seen, info = env.reset(seed=seed)
+        np.testing.assert_array_equal(episode.observations[0], seen)
+        for i, action in enumerate(episode.actions):
+            for key, values in (episode.infos or {}).items():
+                np.testing.assert_array_equal(values[i], info.get(key, 0), key)  # no ticks before the first turn
+            seen, reward, terminated, truncated, info = env.step(action)
+            np.testing.assert_array_equal(episode.observations[i + 1], seen)
+            assert episode.rewards[i] == reward
+            assert (episode.terminations[i], episode.truncations[i]) == (terminated, truncated)
+
+
 def test_datasets_replay_in_the_environment_they_name(minari: Any, scripted: Path, tmp_path: Path) -> None:
-    """The manager's, loaded: reset with its seed, its environment shows and pays the same for the same actions."""
+    """The manager's, loaded."""
     second = record_episode(tmp_path / "second.jsonl", seed=4, named=True)
     written = write_datasets([scripted, second], "tests/wurtz")
     assert [dataset.agent for dataset in written] == ["manager_0", "rxn_0", "ext_0", "dit_0"]
     dataset = minari.load_dataset("tests/wurtz/manager_0-v0")
     env = dataset.recover_environment()
     assert (env.observation_space, env.action_space) == (dataset.observation_space, dataset.action_space)
-    assert dataset.total_episodes == 2
-    metadata = list(dataset.storage.get_episode_metadata([0, 1]))
-    assert [entry["seed"] for entry in metadata] == [3, 4]
-    for episode, entry in zip(dataset.iterate_episodes(), metadata, strict=True):
-        seen, info = env.reset(seed=entry["seed"])
-        np.testing.assert_array_equal(episode.observations[0], seen)
-        for i, action in enumerate(episode.actions):
-            np.testing.assert_array_equal(episode.infos["action_mask"][i], info["action_mask"])
-            seen, reward, terminated, truncated, info = env.step(action)
-            np.testing.assert_array_equal(episode.observations[i + 1], seen)
-            assert episode.rewards[i] == reward
-            assert (episode.terminations[i], episode.truncations[i]) == (terminated, truncated)
-            assert episode.infos["elapsed_ticks"][i + 1] == info["elapsed_ticks"]
+    assert [entry["seed"] for entry in dataset.storage.get_episode_metadata([0, 1])] == [3, 4]
+    assert {"action_mask", "elapsed_ticks"} <= next(dataset.iterate_episodes()).infos.keys()
+    assert_replays(dataset, env, (3, 4))
 
 
 def mine(folder: Path) -> Path:
@@ -179,19 +181,8 @@ def mine(folder: Path) -> Path:
     return path
 
 
-def assert_replays(dataset: Any, env: Any, seed: int) -> None:
-    """An environment shows what a dataset's first episode has."""
-    episode = next(dataset.iterate_episodes())
-    np.testing.assert_array_equal(env.reset(seed=seed)[0], episode.observations[0])
-    for i, action in enumerate(episode.actions):
-        np.testing.assert_array_equal(env.step(action)[0], episode.observations[i + 1])
-
-
-@pytest.mark.parametrize("how", ["path", "loaded"])
-def test_datasets_of_environments_with_scenarios_of_ones_own_name_them(minari: Any, tmp_path: Path, how: str) -> None:
-    path = mine(tmp_path)
-    scenario = path if how == "path" else load_scenario(path)
-    env = gymnasium.make("chemlab/Bench-v1", scenario=scenario, bench="ext")
+def test_datasets_of_environments_with_scenarios_of_ones_own_name_them(minari: Any, tmp_path: Path) -> None:
+    env = gymnasium.make("chemlab/Bench-v1", scenario=load_scenario(mine(tmp_path)), bench="ext")
     steps: dict[str, list[Any]] = {key: [] for key in ("actions", "rewards", "terminations", "truncations")}
     observations = [env.reset(seed=1)[0]]
     while not any(steps["terminations"]):
@@ -208,7 +199,7 @@ def test_datasets_of_environments_with_scenarios_of_ones_own_name_them(minari: A
         dataset = minari.create_dataset_from_buffers("tests/collected-v0", [buffer], env=env)
     again = dataset.recover_environment()
     assert again.unwrapped.bench.scenario.ambient_pressure_kpa == 95.0
-    assert_replays(dataset, again, 1)
+    assert_replays(dataset, again, (1,))
 
 
 def test_datasets_of_records_of_scenarios_of_ones_own_name_their_environment(minari: Any, tmp_path: Path) -> None:
@@ -216,7 +207,7 @@ def test_datasets_of_records_of_scenarios_of_ones_own_name_their_environment(min
     mine(tmp_path).unlink()  # the record has all of it
     write_datasets([path], "tests/mine", agents=["manager_0"])
     dataset = minari.load_dataset("tests/mine/manager_0-v0")
-    assert_replays(dataset, dataset.recover_environment(), 3)
+    assert_replays(dataset, dataset.recover_environment(), (3,))
 
 
 def test_datasets_of_a_split_name_it(minari: Any, tmp_path: Path) -> None:

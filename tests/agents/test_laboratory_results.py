@@ -65,45 +65,41 @@ def rows_of(page: Path) -> dict[tuple[str, str], list[str]]:
 # -- which runs -------------------------------------------------------------------------------------------------------
 
 
-def test_runs_of_managers_are_told_from_others(tmp_path: Path) -> None:
-    """Alone, with benches, with all of them; not benches alone, and not what is unfinished."""
-    for name, bench in (("a", "manager_0"), ("b", "manager,rxn,ext"), ("c", "rxn,manager"), ("d", "rxn,ext")):
-        write_run(tmp_path / name / "seed-0", bench=bench)
-    write_run(tmp_path / "e" / "seed-0", bench="rxn_0")
-    write_run(tmp_path / "f" / "seed-0", finished=False)
-    (group,) = trained_managers._groups(read_runs(tmp_path))
-    assert list(group.labels) == ["a", "b", "c"]
-
-
-def test_runs_are_grouped_by_background_and_folder(tmp_path: Path) -> None:
-    """Folders of one preset stay apart, whatever their runs call themselves; so do two trainers' of one name."""
-    for seed in (1, 0):
-        write_run(tmp_path / "w-manager_0" / "long" / f"seed-{seed}", seed, background=None)
-        write_run(tmp_path / "w-manager_0" / "manager" / f"seed-{seed}", seed)
-    write_run(tmp_path / "w-rllib" / "manager" / "seed-0", background="scripted")
-    write_run(tmp_path / "w-manager_0" / "safe" / "seed-0", background="pretrained")
-    found = {
-        (group.background, label): [run.finished.seed for run in runs]
-        for group in trained_managers._groups(read_runs(tmp_path))
-        for label, runs in group.labels.items()
+def labels(folder: Path) -> dict[tuple[str, str], list[int]]:
+    """{(background, label): seeds} of a folder's managers."""
+    groups = trained_managers._groups(read_runs(folder))
+    return {
+        (g.background, label): [run.finished.seed for run in runs] for g in groups for label, runs in g.labels.items()
     }
-    assert found == {
+
+
+def test_runs_are_grouped_by_who_learned_background_and_folder(tmp_path: Path) -> None:
+    """Managers alone, with benches, with all of them; not benches alone, and not what is unfinished. Folders of one
+    preset stay apart, whatever their runs call themselves; so do two trainers' of one name, and other kinds of runs."""
+    for name, bench in (("a", "manager_0"), ("b", "manager,rxn,ext"), ("c", "rxn,manager"), ("d", "rxn,ext")):
+        write_run(tmp_path / "who" / name / "seed-0", bench=bench)
+    write_run(tmp_path / "who" / "e" / "seed-0", bench="rxn_0")
+    write_run(tmp_path / "who" / "f" / "seed-0", finished=False)
+    assert labels(tmp_path / "who") == {("scripted", name): [0] for name in "abc"}
+    where = tmp_path / "where"
+    for seed in (1, 0):
+        write_run(where / "w-manager_0" / "long" / f"seed-{seed}", seed, background=None)
+        write_run(where / "w-manager_0" / "manager" / f"seed-{seed}", seed)
+    write_run(where / "w-rllib" / "manager" / "seed-0", background="scripted")
+    write_run(where / "w-manager_0" / "safe" / "seed-0", background="pretrained")
+    assert labels(where) == {
         ("scripted", "long"): [0, 1],
         ("scripted", "w-manager_0/manager"): [0, 1],
         ("scripted", "w-rllib/manager"): [0],
         ("pretrained", "safe"): [0],
     }
-    assert collect_count(tmp_path) == 6 + 2 * len(BASELINES)
-
-
-def test_runs_of_other_kinds_in_one_folder_are_rows_of_their_own(tmp_path: Path) -> None:
-    """They are no seeds of one another."""
-    for name, more in (("first", {}), ("clone", {"bc": "scripted"}), ("team", {"bench": "manager,rxn,ext,dit"})):
-        write_run(tmp_path / "runs" / name, **{"label": "ippo", "algo": "ippo", **more})
-    for seed in (0, 1):
-        write_run(tmp_path / "runs" / f"on-{seed}", label="ippo", algo="ippo", begin_from=f"first/seed-{seed}")
-    (group,) = trained_managers._groups(read_runs(tmp_path / "runs"))
-    assert {label: len(runs) for label, runs in group.labels.items()} == {"clone": 1, "first": 1, "on-0": 2, "team": 1}
+    assert collect_count(where) == 6 + 2 * len(BASELINES)
+    kinds: Any = {"first": {}, "clone": {"bc": "scripted"}, "team": {"bench": "manager,rxn,ext,dit"}}
+    kinds |= {f"on-{seed}": {"begin_from": f"first/seed-{seed}"} for seed in (0, 1)}
+    for name, more in kinds.items():
+        write_run(tmp_path / "kinds" / name, **{"label": "ippo", "algo": "ippo", **more})
+    found = {label: len(runs) for (_, label), runs in labels(tmp_path / "kinds").items()}
+    assert found == {"clone": 1, "first": 1, "on-0": 2, "team": 1}
 
 
 def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
@@ -239,14 +235,9 @@ def test_a_real_run_from_training_to_the_page(tmp_path: Path) -> None:
 
     A joint run is compared over its own benches, not over the background's, which are not the default ones here.
     """
-    pytest.importorskip("sb3_contrib")
-    from chemlab.agents.train.arguments import IPPO
-    from chemlab.agents.train.learn import train
-
-    small = {"envs": 4, "rollout": 12, "steps": 200, "batch_size": 32, "epochs": 1, "evaluations": 1}
     path, tables = tmp_path / "runs" / "joint" / "seed-0", tmp_path / "tables"
     own: dict[str, Any] = {"roles": ("manager", "dit"), "background": "pretrained-isolated", "practice": 0.0}
-    train(IPPO(eval_episodes=1, final_episodes=2, **own, **small), path)
+    run_files.trained(path, algo="ippo", steps=200, epochs=1, final_episodes=2, **own)
     assert collect(tmp_path / "runs", tables, episodes=2) == []
     rows = {(row["policy"], row["run"]): row for row in stored(tables)}
     own_rows = [("learned", "joint/seed-0"), ("scripted", "joint/seed-0")]

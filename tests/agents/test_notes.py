@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import copy
-
 import numpy as np
 import pytest
 
@@ -18,8 +16,6 @@ from chemlab.lab.engine import Laboratories
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_actions import DISCARD, FIRST, KIND, SECOND, START, SUBMIT
 
-SCENARIOS = ["failing", "relay", "crude"]
-
 
 class _Noting:
     """The scripted manager, beside which notes are taken."""
@@ -31,27 +27,26 @@ class _Noting:
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> IntArray:
         shown = self.notes.shown(observation, mask, step, members)
         assert np.array_equal(shown[:, : self.size], observation)
-        assert np.array_equal(self.notes.shown(observation, mask, step, members), shown), (
-            "to look again changes nothing"
-        )
+        again = self.notes.shown(observation, mask, step, members)
+        assert np.array_equal(again, shown), "to look again changes nothing"
         actions = np.asarray(self.policy.act(observation, mask, step, members))
         self.notes.played(actions, members)
         self.turns += zip(members.tolist(), shown, actions.tolist(), strict=True)
         return actions
 
 
-def noted(name: str, episodes: int) -> tuple[Laboratories, list[list[tuple[ObservationArray, int]]]]:
-    """Observations with notes, and the scripted manager's actions, of each episode."""
-    labs = Laboratories(load_scenario(name), episodes)
+def noted(name: str) -> tuple[Laboratories, list[list[tuple[ObservationArray, int]]]]:
+    """Observations with notes, and the scripted manager's actions, of each of three episodes."""
+    labs = Laboratories(load_scenario(name), 3)
     policies = make_policies("scripted", labs, 0)
     policies[MANAGER_AGENT] = noting = _Noting(policies[MANAGER_AGENT], labs)
     play_laboratory(labs, policies, labs.scenario.lab_goals[0], 0)
-    return labs, [[turn[1:] for turn in noting.turns if turn[0] == member] for member in range(episodes)]
+    return labs, [[turn[1:] for turn in noting.turns if turn[0] == member] for member in range(3)]
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@pytest.mark.parametrize("name", ["failing", "relay", "crude"])
 def test_notes_hold_what_the_manager_has_done_and_read(name: str) -> None:
-    labs, episodes = noted(name, 3)
+    labs, episodes = noted(name)
     workplace = labs.manager.workplace
     slots, of_slot, _, _ = notes_shape(workplace)
     parts, kinds = channel_slices(workplace.channels), list(labs.scenario.benches)
@@ -78,24 +73,3 @@ def test_notes_hold_what_the_manager_has_done_and_read(name: str) -> None:
                 runs[row[FIRST]], last[row[FIRST]] = 0.0, np.zeros(0)
         assert runs.any() or len(turns) > 1
     assert kept, "readings outlast the vessel's stay on the shelf"
-
-
-def test_notes_of_a_member_do_not_depend_on_the_others() -> None:
-    _, alone = noted("failing", 1)
-    _, three = noted("failing", 3)
-    assert len(alone[0]) == len(three[0])
-    assert all(np.array_equal(one, other) for (one, _), (other, _) in zip(alone[0], three[0], strict=True))
-
-
-def test_memory_can_be_put_back() -> None:
-    labs = Laboratories(load_scenario("failing"), 2)
-    notes, members, step = Notes(labs), np.arange(2), np.array([0, 0])
-    seen = np.zeros((2, labs.observation_sizes[0]), dtype=np.float32)
-    first = notes.shown(seen, None, step, members)
-    kept = copy.deepcopy(notes.get_memory())
-    start = int(np.flatnonzero(labs.actions.table[:, KIND] == START)[0])
-    notes.played(np.array([start, start]), members)
-    later = notes.shown(seen, None, step + 1, members)
-    assert not np.array_equal(later, first)
-    notes.set_memory(kept)
-    assert np.array_equal(notes.shown(seen, None, step + 1, members), first)

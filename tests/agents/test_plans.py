@@ -108,18 +108,14 @@ def test_every_public_context_gets_a_plan() -> None:
     assert search.play(50).mean() > 0.5
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"budget": 0}, ["at least one plan"]),
-        ({"contexts": [("NaCl",)]}, ["dodecane", "NaCl"]),
-        ({"contexts": []}, ["none"]),
-        ({"benches": "omniscient", "budget": 5}, ["'omniscient'"]),
-    ],
-)
-def test_bad_searches_are_refused(arguments: dict[str, Any], words: list[str]) -> None:
-    said = refused("search", ".", search_plan, "wurtz_dodecane", **arguments)
-    assert all(word in said for word in words)
+def test_bad_searches_are_refused() -> None:
+    for said, arguments in (
+        ("at least one plan", {"budget": 0}),
+        ("dodecane.*NaCl", {"contexts": [("NaCl",)]}),
+        ("none", {"contexts": []}),
+        ("'omniscient'", {"benches": "omniscient", "budget": 5}),
+    ):
+        refused(said, said, search_plan, "wurtz_dodecane", **arguments)
 
 
 # -- playing ----------------------------------------------------------------------------------------------------------
@@ -226,22 +222,17 @@ def test_plans_by_name() -> None:
         np.testing.assert_array_equal(policy._steps, plan_for(labs, benches)._steps)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (None, ["no such file"]),
-        ("{", ["not valid JSON"]),
-        ("[]", ["not a file of plans"]),
-        ('{"kind": "evaluation", "format": 1}', ["not a file of plans"]),
-        ('{"kind": "plan", "format": 1, "scenario": "x"}', ["not a file of plans", "chemlab audit plan --out"]),
-    ],
-)
-def test_damaged_files_are_refused(tmp_path: Path, text: str | None, words: list[str]) -> None:
+def test_damaged_files_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    if text is not None:
+    refused("missing", rf"{file}.*no such file", load_plans, file)
+    for text, said in (
+        ("{", "not valid JSON"),
+        ("[]", "not a file of plans"),
+        ('{"kind": "evaluation", "format": 1}', "not a file of plans"),
+        ('{"kind": "plan", "format": 1, "scenario": "x"}', "not a file of plans.*chemlab audit plan --out"),
+    ):
         file.write_text(text)
-    said = refused("file", ".", load_plans, file)
-    assert all(word in said for word in [str(file), *words])
+        refused(text, f"(?s){file}.*{said}", load_plans, file)
 
 
 def test_a_plan_that_does_not_fit_is_refused(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Policies in general: making them, and the random one, which is uniform over legal actions."""
+"""Policies in general: making them, by former names, too; and the random one, which is uniform over legal actions."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 from helpers import refused
 
+from chemlab.agents import former_names
 from chemlab.agents import policies as policies_module
 from chemlab.agents.background import role_env
 from chemlab.agents.episodes import play_episode, play_laboratory
+from chemlab.agents.former_names import current_name
 from chemlab.agents.policies import make_policies, policy_names
 from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.loading import load_scenario
@@ -131,7 +133,8 @@ def unscripted(monkeypatch: pytest.MonkeyPatch) -> Scenario:
 
 
 def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(unscripted: Scenario) -> None:
-    labs = Laboratories(unscripted)
+    env = raw_env(unscripted)
+    labs = env.laboratories
     said = r"'fil' plays random legal actions: .* kind 'filtration_bench:FiltrationBench' .*reaction, extraction"
     with pytest.warns(UserWarning, match=said) as caught:
         policies = make_policies("scripted", labs, seed=5)
@@ -146,13 +149,36 @@ def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(un
     mask = np.zeros((6000, 2), dtype=np.int8)
     mask[:, 1] = 1
     assert act(policies["fil_0"], mask).tolist() == [1] * 6000
-
-
-def test_a_laboratory_with_such_a_bench_is_played_to_its_end(unscripted: Scenario) -> None:
-    env = raw_env(unscripted)
-    with pytest.warns(UserWarning, match="plays random legal actions"):
-        result = play_episode(env, make_policies("scripted", env.laboratories, 0), 0)
-    assert result.status == "submitted"
-    alone = raw_env("fictitious")
+    result, alone = play_episode(env, policies, 0), raw_env("fictitious")
     without = play_episode(alone, make_policies("scripted", alone.laboratories, 0), 0)
+    assert result.status == "submitted"
     assert result.score == pytest.approx(without.score), "the manager does without it"
+
+
+# -- former names, which work for one release ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "current"),
+    [
+        ("heuristic", "scripted"),
+        ("pretrained-alone,manager=direct", "pretrained-isolated,manager=scripted:no-extraction"),
+        ("heuristic,rxn_0=hasty@0.2", "scripted,rxn_0=scripted:unsafe@0.2"),
+        ("serial", "scripted:fifo"),
+        ("runs/heuristic", "runs/heuristic"),
+        ("plan:hasty", "plan:hasty"),
+    ],
+)
+def test_former_names_are_replaced_in_every_part(given: str, current: str) -> None:
+    assert current_name(given) == current
+
+
+def test_a_notice_names_each_former_name_once(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(former_names, "_noticed", set())
+    for _ in range(2):
+        current_name("heuristic,manager=hasty")
+    told = "policy '{}' is now called '{}'; the old name ends with this release\n"
+    expected = told.format("heuristic", "scripted") + told.format("hasty", "scripted:unsafe")
+    assert capsys.readouterr() == ("", expected)

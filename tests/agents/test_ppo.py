@@ -21,7 +21,6 @@ from chemlab.agents.notes import notes_size
 from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import RESULT_SEED, Run
-from chemlab.agents.saved import find_saved
 from chemlab.agents.train.arguments import IPPO
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
@@ -271,16 +270,15 @@ def test_observations_of_the_manager_are_normalized() -> None:
     assert torch.equal(learner.network.scale, same)
 
 
-@pytest.mark.parametrize(("remaining", "kept"), [(1.0, 0.0), (0.75, 0.5), (0.5, 1.0)])
-def test_measurements_are_refunded_ever_less(remaining: float, kept: float) -> None:
-    made = managers("rush", free_readings=0.5, refund=0.0, shown_readings=0.0, rollout=1)
-    measures = np.flatnonzero(made.labs.actions.table[:, 0] == MEASURE)
-    mask = made._infos["manager_0"]["action_mask"]
-    mask[:] = 0
-    mask[:, measures[0]] = 1
-    made.collect(remaining)
+def test_measurements_are_refunded_ever_less() -> None:
     price = load_scenario("rush").instruments["gas_chromatograph"].price
-    assert made._tracks["manager_0"].reward[1] == pytest.approx(-kept * price, abs=1e-6)
+    for remaining, kept in ((1.0, 0.0), (0.75, 0.5), (0.5, 1.0)):
+        made = managers("rush", free_readings=0.5, refund=0.0, shown_readings=0.0, rollout=1)
+        mask = made._infos["manager_0"]["action_mask"]
+        mask[:] = 0
+        mask[:, np.flatnonzero(made.labs.actions.table[:, 0] == MEASURE)[0]] = 1
+        made.collect(remaining)
+        assert made._tracks["manager_0"].reward[1] == pytest.approx(-kept * price, abs=1e-6)
 
 
 @pytest.mark.parametrize("scenario", ["failing", "crude", "rush"])
@@ -368,34 +366,23 @@ def test_slots_and_orders_share_weights() -> None:
         assert learner.network.logits(seen, None).numpy() == pytest.approx(through(weights, x), abs=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("scenario", "given", "tied"), [("rush", {}, True), ("rush@1", {}, False), ("rush", {"tied": False}, False)]
-)
-def test_weights_are_shared_where_parameters_are_hidden(scenario: str, given: dict[str, Any], tied: bool) -> None:
+def test_weights_are_shared_where_parameters_are_hidden() -> None:
     """Level 1 reveals them."""
-    layers = managers(scenario, **given).learners["manager"].network.actor
-    assert isinstance(layers[0], TiedLinear) == tied
-    assert not isinstance(managers().learners["manager"].network.actor[0], TiedLinear)
+    cases: list[tuple[str, dict[str, Any], bool]] = [("rush", {}, True), ("rush@1", {}, False)]
+    for scenario, given, tied in [*cases, ("rush", {"tied": False}, False), ("wurtz_dodecane", {}, False)]:
+        layers = managers(scenario, **given).learners["manager"].network.actor
+        assert isinstance(layers[0], TiedLinear) == tied, (scenario, given)
 
 
-def test_what_is_exported_takes_the_whole_observation(tmp_path: Path) -> None:
+def test_what_is_exported_takes_the_whole_observation() -> None:
     """Weights of wide readings are 0: the exported policy is the network."""
-    out = tmp_path / "run"
-    arguments = IPPO(scenario="wurtz_dodecane", roles=("manager",), steps=300, **QUICK)
-    result = train(arguments, out)
-    assert result.mean == pytest.approx(train(arguments, out).mean)
-    policy = load_pretrained(find_best(out) / "manager")
-    made = PPOTeam(load_scenario("wurtz_dodecane"), ["manager"], arguments, "scripted", False)
-    labs = Laboratories("wurtz_dodecane", 3)
-    labs.begin()
-    observation = np.asarray(labs.observe(0, labs.members))
-    columns = made.learners["manager"].columns
-    assert policy.weights["0.weight"].shape[1] == observation.shape[1] > len(columns)
-    dropped = np.setdiff1d(np.arange(observation.shape[1]), columns)
-    assert not policy.weights["0.weight"][:, dropped].any()
-    expected = through(policy.weights, observation.astype(np.float64))
-    assert policy.values(observation) == pytest.approx(expected, rel=1e-5, abs=1e-6)
-    assert set(find_saved(str(out)).load) == {"manager"}
+    made = managers()
+    learner = made.learners["manager"]
+    assert learner.size > len(learner.columns)
+    whole = np.random.default_rng(0).random((5, learner.size), dtype=np.float32)
+    with torch.no_grad():
+        expected = learner.network.logits(torch.from_numpy(whole[:, learner.columns]), None).numpy()
+    assert through(made.weights("manager"), whole) == pytest.approx(expected, rel=1e-5, abs=1e-5)
 
 
 def test_a_run_is_played_sampled_and_greedy_by_name(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import command, refused, slow_but
-from run_files import write_run
+from run_files import trained, write_run
 
 from chemlab.agents import pretrained
 from chemlab.agents.policies import make_policies
@@ -24,6 +24,7 @@ from chemlab.agents.pretrained import (
     pretrained_for,
     pretrained_names,
 )
+from chemlab.agents.runs import Run
 from chemlab.agents.train.tasks import task_of
 from chemlab.config.loading import load_scenario
 from chemlab.envs.players import as_policy
@@ -90,16 +91,11 @@ def test_card_says_the_preset() -> None:
 
 def exported(folder: Path, env_id: str, algo: str, **values: Any) -> tuple[PretrainedPolicy, Path, Any]:
     """A policy that was trained for a moment and exported, its best checkpoint, and the learner in that."""
-    pytest.importorskip("stable_baselines3")
-    from chemlab.agents.learners import load_learner
-    from chemlab.agents.runs import Run
-    from chemlab.agents.train.arguments import training_arguments
-    from chemlab.agents.train.export import export_run
-    from chemlab.agents.train.learn import train
-
-    values |= {"scenario": env_id, "algo": algo, "envs": 2, "evaluations": 1, "eval_episodes": 1, "final_episodes": 1}
     run = Run(folder / "run")
-    train(training_arguments({**values, "learning_rate": 0.003}), run.path)
+    trained(run.path, scenario=env_id, algo=algo, learning_rate=0.003, **values)
+    from chemlab.agents.learners import load_learner
+    from chemlab.agents.train.export import export_run
+
     card = export_run(run.path, folder / "models" / "mine")
     assert {path.name for path in (folder / "models").iterdir()} == {"mine.json", "mine.safetensors"}
     policy, best = load_pretrained(folder / "models" / "mine.json"), run.checkpoint("best")
@@ -110,7 +106,7 @@ def exported(folder: Path, env_id: str, algo: str, **values: Any) -> tuple[Pretr
 @pytest.mark.parametrize(("env_id", "algo"), [(RXN, "recurrent-ppo"), (DIT, "maskable-recurrent-ppo")])
 def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, tmp_path: Path) -> None:
     """The same actions over experiments that begin and end at different times, in members that are not all there."""
-    policy, _, model = exported(tmp_path, env_id, algo, rollout=16, steps=64, memory=16, epochs=2)
+    policy, _, model = exported(tmp_path, env_id, algo, steps=64, memory=16, epochs=2)
     assert policy.card.memory == 16
     masked, original = algo.startswith("maskable"), as_policy(model)
     draw, steps = np.random.default_rng(0), np.zeros(4, dtype=np.int64)
@@ -140,12 +136,11 @@ def test_recurrent_exports_remember_as_the_learner_does(env_id: str, algo: str, 
 
 @pytest.mark.parametrize(("algo", "env_id"), CASES)
 def test_exports_are_the_learner(algo: str, env_id: str, tmp_path: Path) -> None:
-    pytest.importorskip("stable_baselines3")
-    from chemlab.agents.train.export import largest_difference
-
     values = {"gradient_steps": 10, "buffer_size": 1000, "batch_size": 16}
     values = values if algo in ("dqn", "qr-dqn", "sac", "td3") else {}
     policy, folder, model = exported(tmp_path, env_id, algo, rollout=40, steps=240, **values)
+    from chemlab.agents.train.export import largest_difference
+
     scenario, key = policy.card.scenario, policy.card.bench
     words = shlex.split(policy.card.command)
     assert words[:3] == ["chemlab", "train", scenario]
@@ -203,8 +198,7 @@ def test_sampled_actions_follow_the_logits_and_the_seed() -> None:
 
 def test_sampled_continuous_actions_have_the_exported_spread() -> None:
     plain = made_up(bench_of(RXN))
-    with pytest.raises(ValueError, match="cannot be sampled: it has no log_std"):
-        plain.as_played("sampled")
+    refused("cannot", "cannot be sampled: it has no log_std", plain.as_played, "sampled")
     size = plain.card.action_size
     weights = {**plain.weights, "log_std": np.full(size, -4.0, dtype=np.float32)}
     weights["1.weight"], weights["1.bias"] = plain.weights["1.weight"] * 0.01, np.full(size, 0.5, dtype=np.float32)
@@ -213,8 +207,7 @@ def test_sampled_continuous_actions_have_the_exported_spread() -> None:
     found = policy.act(seen, None, np.zeros(4000, dtype=np.int64), np.arange(4000))
     np.testing.assert_allclose(found.mean(axis=0), policy.values(seen[:1])[0], atol=0.002)
     np.testing.assert_allclose(found.std(axis=0), np.exp(-4.0), rtol=0.1)
-    with pytest.raises(ValueError, match="dqn learns values of actions"):
-        made_up(bench_of(DIT), algo="dqn").as_played("sampled")
+    refused("dqn", "dqn learns values of actions", made_up(bench_of(DIT), algo="dqn").as_played, "sampled")
 
 
 def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,19 +6,18 @@ A cost is the weighted sum of safety events; weights and price are read from the
 from __future__ import annotations
 
 import functools
-from typing import Any
 
 import numpy as np
 import pytest
+from helpers import choose
 
 from chemlab.agents.episodes import EpisodeResult, PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import SAFETY_EVENTS
 from chemlab.envs.aec import raw_env
-from chemlab.lab.text import named_costs, named_events
+from chemlab.lab.text import named_events
 from chemlab.laboratory import parallel_env
-from chemlab.roles.manager_actions import SUBMIT
 
 SAFE = "wurtz_safe"
 SEEDS = 20
@@ -75,6 +74,8 @@ def test_the_score_is_charged(policy: str) -> None:
     price = scenario.safety.reward_price
     assert price > 0.0
     for result, turns in episodes(policy):
+        for turn in turns:
+            assert turn.info["cost"] == pytest.approx(weighted(named_events(scenario, turn.info)), rel=1e-12)
         by_turn = named_events(scenario, {"events": sum(turn.info["events"] for turn in turns)})
         for kind in SAFETY_EVENTS:
             assert result.safety_events.get(kind, 0.0) == pytest.approx(by_turn.get(kind, 0.0), rel=1e-12, abs=1e-15)
@@ -101,55 +102,18 @@ def test_without_a_price_accidents_are_counted_and_not_charged() -> None:
     assert result.costs["safety"] == 0.0
 
 
-# -- cost is weights times events, everywhere -----------------------------------------------------------------------
-
-
-def wild(mask: Any, size: tuple[int, ...], rng: np.random.Generator, forbidden: Any = ()) -> Any:
-    """Any action, mostly legal, in the corners of the box; not a forbidden one unless nothing else is left."""
-    if mask is None:
-        return rng.random(size).round(1)
-    legal = np.flatnonzero(mask) if rng.random() < 0.85 else np.arange(len(mask))
-    kept = np.setdiff1d(legal, forbidden)
-    return int(rng.choice(kept if len(kept) else legal))
-
-
-def test_costs_are_weighted_events_in_aec_and_parallel() -> None:
-    """Of every agent in every step; and all of them together are the episode's totals."""
-    aec, parallel = raw_env(SAFE), parallel_env(SAFE)
-    labs, rng = aec.laboratories, np.random.default_rng(0)
-    submits = np.flatnonzero(labs.actions.table[:, 0] == SUBMIT)
-    happened = dict.fromkeys(SAFETY_EVENTS, 0.0)
+def test_costs_are_weighted_events_in_rounds() -> None:
+    """Of every agent, also of one that has not acted; every kind of accident happens."""
+    env, rng, happened = parallel_env(SAFE), np.random.default_rng(0), set[str]()
+    labs = env.laboratories
     for seed in range(6):
-        aec.reset(seed=seed)
-        _, infos = parallel.reset(seed=seed)
-        assert all(info["cost"] == 0.0 and not info["events"].any() for info in infos.values())
-        totals = {side: dict.fromkeys(SAFETY_EVENTS, 0.0) for side in ("aec", "parallel")}
-
-        def count(side: str, info: dict[str, Any], totals: dict[str, dict[str, float]] = totals) -> None:
-            events = named_events(aec.scenario, info)
-            assert info["cost"] == pytest.approx(weighted(events), rel=1e-12)
-            assert all(value > 0.0 for value in events.values())
-            for kind, value in events.items():
-                totals[side][kind] += value
-
-        while parallel.agents:
-            actions = {}
-            for agent in [agent for agent in parallel.agents if infos[agent]["has_turn"]]:
-                assert aec.agent_selection == agent
-                space = aec.action_space(agent).shape or ()
-                mask = aec.infos[agent].get("action_mask")
-                actions[agent] = wild(mask, space, rng, submits if agent == "manager_0" else ())
-                aec.step(actions[agent])
-                count("aec", aec.infos[agent])
-            *_, infos = parallel.step(actions)
-            for agent, info in infos.items():
-                count("parallel", info)
-                assert agent in actions or info["cost"] == 0.0
-        for side in totals.values():
-            assert list(side.values()) == pytest.approx(labs.safety_totals[0].tolist(), rel=1e-9, abs=1e-12)
-        price = labs.scenario.safety.reward_price
-        paid = price * weighted(totals["parallel"])
-        assert named_costs(infos["manager_0"])["safety"] == pytest.approx(paid, rel=1e-9)
-        for kind, value in totals["aec"].items():
-            happened[kind] += value
-    assert all(value > 0.0 for value in happened.values()), happened
+        _, infos = env.reset(seed=seed)
+        while env.agents:
+            turns = [agent for agent in env.agents if infos[agent]["has_turn"]]
+            given = {agent: choose(labs, labs.agents.index(agent), 0, rng, submit=0.0) for agent in turns}
+            *_, infos = env.step(given)
+            for info in infos.values():
+                events = named_events(labs.scenario, info)
+                assert info["cost"] == pytest.approx(weighted(events), rel=1e-12)
+                happened |= events.keys()
+    assert happened == set(SAFETY_EVENTS)

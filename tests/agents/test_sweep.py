@@ -187,21 +187,6 @@ def test_a_run_whose_process_is_killed_goes_on(tmp_path: Path) -> None:
     assert without_times(one.run) == without_times(other.run)
 
 
-@pytest.mark.slow
-def test_two_sweeps_at_once_leave_a_good_result_alone(tmp_path: Path) -> None:
-    """Whose process comes second waits for the first one's run, and calls nothing failed."""
-    pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, PPO)
-    (one,) = plan(file, tmp_path / "out")
-    command = [sys.executable, "-m", "chemlab", "sweep", str(file), "--processes", "1", "--out", str(tmp_path / "out")]
-    both = [subprocess.Popen([*command, "--json"], stdout=subprocess.PIPE, text=True) for _ in range(2)]
-    found = [json.loads(process.communicate()[0]) for process in both]
-    assert [process.returncode for process in both] == [0, 0]
-    assert [rows[0]["state"] for rows in found] == ["done", "done"]
-    assert not one.run.failed_file.exists()
-    assert one.run.result() is not None
-
-
 def test_waiting_for_runs_of_another_process_takes_no_processor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,17 +52,7 @@ pytestmark = pytest.mark.filterwarnings(
 @pytest.mark.parametrize("name", FEATURED)
 def test_api(name: str) -> None:
     api_test(seeded(laboratory_env(name)), num_cycles=500)
-
-
-@pytest.mark.parametrize("name", FEATURED)
-def test_parallel_api(name: str) -> None:
     parallel_api_test(seeded(parallel_env(name)), num_cycles=200)
-
-
-@pytest.mark.parametrize("name", SOME)
-def test_seeds(name: str) -> None:
-    seed_test(lambda: laboratory_env(name), num_cycles=200)
-    parallel_seed_test(lambda: parallel_env(name), num_cycles=200)
 
 
 @pytest.mark.parametrize(("kind", "expected"), [("aec", raw_env), ("parallel", parallel_env)])
@@ -87,12 +77,10 @@ class StepReturnsObservation(BaseWrapper):
 
 
 @pytest.mark.parametrize("name", SOME)
-def test_bombardment(name: str) -> None:
+def test_seeds_bombardment_and_pictures(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    seed_test(lambda: laboratory_env(name), num_cycles=200)
+    parallel_seed_test(lambda: parallel_env(name), num_cycles=200)
     bombardment_test(StepReturnsObservation(seeded(laboratory_env(name))), cycles=100)
-
-
-@pytest.mark.parametrize("name", SOME)
-def test_render(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setitem(raw_env.metadata, "render_fps", 1000)  # mode "human" keeps to it
     modes = raw_env.metadata["render_modes"]
@@ -145,7 +133,7 @@ def assert_flat(infos: dict[str, dict[str, Any]], shapes: dict[str, dict[str, An
         assert shapes.setdefault(agent, found) == found
 
 
-@pytest.mark.parametrize("name", FEATURED)
+@pytest.mark.parametrize("name", SOME)
 def test_infos_are_flat_and_say_what_has_happened(name: str) -> None:
     rng = np.random.default_rng(0)
     env = raw_env(name)

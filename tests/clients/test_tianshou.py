@@ -59,14 +59,13 @@ def learner(env: gymnasium.Env[Any, Any], exploration: float) -> DQN[Any]:
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning", "ignore::DeprecationWarning")
-@pytest.mark.parametrize("agent", ["manager_0", "ext_0"])
 @pytest.mark.slow
-def test_dqn_with_masks_learns(agent: str) -> None:
+def test_dqn_with_masks_learns() -> None:
     np.random.seed(0)  # noqa: NPY002 - Tianshou explores with NumPy's global stream
     torch.manual_seed(0)
 
     def make() -> MaskInObservation:
-        return MaskInObservation(role_env(agent=agent))
+        return MaskInObservation(role_env())
 
     training, testing = DummyVectorEnv([make] * 3), DummyVectorEnv([make])
     training.seed(0)

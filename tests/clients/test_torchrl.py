@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.libs.gym import GymEnv
 from torchrl.envs.libs.pettingzoo import PettingZooWrapper
-from torchrl.envs.utils import MarlGroupMapType, check_env_specs
+from torchrl.envs.utils import check_env_specs
 
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env
@@ -74,23 +74,6 @@ def test_rollouts_play_legal_actions_only(name: str, api: str) -> None:
     # `submit` is one of many legal actions, so random episodes are short: benches are not always reached.
     assert counts[next(iter(env.group_map))] > 10
     assert sum(counts.values()) > 30
-
-
-def test_an_episode_ends_for_all_and_begins_anew() -> None:
-    env = wrapped("parallel", group_map=MarlGroupMapType.ONE_GROUP_PER_AGENT)
-    env.set_seed(0)
-    rollout = env.rollout(400, break_when_any_done=False)
-    done = rollout["next", "done"][:, 0]
-    assert done.any()
-    for agent in env.possible_agents:
-        torch.testing.assert_close(rollout["next", agent, "done"][:, 0, 0], done)
-    after = done.nonzero()[:-1, 0] + 1
-    assert len(after)
-    begun = env.reset()["manager_0", "observation"]
-    stock_and_so_on = rollout["manager_0", "observation"][after[after < 400]]
-    # Whatever the goal, an episode begins with an untouched budget and nothing done: the last three numbers.
-    torch.testing.assert_close(stock_and_so_on[:, 0, -3:], torch.ones_like(stock_and_so_on[:, 0, -3:]))
-    torch.testing.assert_close(begun[0, -3:], torch.ones(3))
 
 
 # -- training ---------------------------------------------------------------------------------------------------------

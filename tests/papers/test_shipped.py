@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from helpers import refused
 
 from chemlab.agents.evaluate.play import evaluate, find_target
 from chemlab.agents.pretrained import load_pretrained
@@ -28,6 +29,7 @@ def test_bench_policies_are_no_managers() -> None:
 @pytest.mark.usefixtures("only")
 def test_the_table_is_what_evaluate_says(tmp_path: Path) -> None:
     """Returns on both kinds of starting states, the bench's reward in the laboratory and its score."""
+    refused("none", "--collect RUNS makes it", benches_table, tmp_path)
     told: list[str] = []
     collect_benches(tmp_path, 3, told.append)
     assert told == ["wurtz_ext"]
@@ -43,11 +45,3 @@ def test_the_table_is_what_evaluate_says(tmp_path: Path) -> None:
     cells = [f"{trained:.3f} ({beside:.3f})" for trained, beside in expected]
     assert benches_table(tmp_path)[2:] == [f"| `wurtz_ext` | paper | {' | '.join(cells)} |"]
     assert expected[0][0] != expected[0][1]
-
-
-def test_a_table_needs_its_file(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="--collect RUNS makes it"):
-        benches_table(tmp_path)
-    (tmp_path / "benches.csv").write_text("name,scenario\n")
-    with pytest.raises(ValueError, match=r"benches\.csv: has the columns name, scenario; needs"):
-        benches_table(tmp_path)
