@@ -537,7 +537,7 @@ def test_seats_are_entered_with_condition_calls_and_tokens(tmp_path: Path) -> No
     with pytest.raises(ValueError, match=r"0\.jsonl: "):  # another salt
         benchmark(["unlabelled"], [ROWS[0], row], TINY, 2, split="private:" + "f" * 32)
     room = Room("unlabelled", calls=400, seed=AUDIT_SEED + 1, **seat)
-    with pytest.raises(ValueError, match="this episode has no end"):
+    with pytest.raises(ValueError, match="this episode has not ended"):
         find_rows([str(folder)])
     room.close()
     Room("unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + 2, names="opaque", calls=400).close()

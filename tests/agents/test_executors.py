@@ -127,7 +127,7 @@ def test_a_killed_worker_s_jobs_are_played_again_and_at_last_given_up(jobs: Exec
     begun = [len(list(tmp_path.glob(f"begun-{number}-*"))) for number in range(3)]
     assert begun[2] == ATTEMPTS
     assert all(1 <= count <= ATTEMPTS for count in begun)
-    if isinstance(jobs, Workers) and isinstance(jobs._place, executors._Slurm):
+    if isinstance(jobs, Workers) and isinstance(jobs._backend, executors._Slurm):
         return  # where every attempt takes seconds; the rest is not the place's
     with pytest.raises(WorkerLost, match=f"lost {ATTEMPTS} times"):
         jobs.submit(killed_at_first, 2, tmp_path, 100).result()
