@@ -17,7 +17,7 @@ from scipy import stats
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.audit import audit, choosing_jobs, measure_rows, verdict
-from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job, foreseen
+from chemlab.agents.evaluate.jobs import AuditBudget, Job, JobRunner, foreseen
 from chemlab.agents.evaluate.scale import Scale, interval
 from chemlab.agents.evaluate.search import best_in_episode, search_plan
 from chemlab.agents.policies import make_policies
@@ -218,12 +218,12 @@ def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path]
 @pytest.mark.slow
 def test_a_part_that_is_not_as_it_was_written_is_played_again(unlabelled: tuple[dict[str, Any], Path]) -> None:
     _, keep = unlabelled
-    crew = Crew(load_scenario("unlabelled"), TINY, keep)
+    runner = JobRunner(load_scenario("unlabelled"), TINY, keep)
     job = next(job for job in choosing_jobs(load_scenario("unlabelled")) if job.name == "plan")
     path, whole = keep / "plan.json", (keep / "plan.json").read_text()
     part = json.loads(whole)
     result = part["result"]
-    assert crew.kept(job) == result
+    assert runner.cached(job) == result
     other_plans = [[goals, [*plan, 0]] for goals, plan in result["plans"]]
     changes: list[dict[str, Any]] = [{"scores": [1.0]}, {"scores": None}, {"scores": [float("nan")] * TINY.episodes}]
     changes += [{"plans": [[]]}, {"more": 1}, {"everybody": [0.0] * 20_000}, {"plans": other_plans}]
@@ -235,14 +235,14 @@ def test_a_part_that_is_not_as_it_was_written_is_played_again(unlabelled: tuple[
     try:
         for text in texts:
             path.write_text(text)
-            assert crew.kept(job) is None, text[:500]
+            assert runner.cached(job) is None, text[:500]
     finally:
         path.write_text(whole)
     # Another policy under the same name, as after more training, is another job.
-    assert crew.kept(Job("plan", "plan", {"without": "rxn"})) is None
+    assert runner.cached(Job("plan", "plan", {"without": "rxn"})) is None
     # A part that was written for another budget, or another scenario, is another's.
-    assert Crew(load_scenario("unlabelled"), AuditBudget(7, 1, 1, 1, 1), keep).kept(job) is None
-    assert Crew(load_scenario("failing"), TINY, keep).kept(job) is None
+    assert JobRunner(load_scenario("unlabelled"), AuditBudget(7, 1, 1, 1, 1), keep).cached(job) is None
+    assert JobRunner(load_scenario("failing"), TINY, keep).cached(job) is None
 
 
 @pytest.mark.slow

@@ -116,7 +116,7 @@ def test_partners_that_learning_had_are_played_too() -> None:
     assert [partner for _, partner in benches] == ["scripted", None, "scripted"]
     # Bundled managers with notes have the partners of their training.
     assert partners("rush", ["trained"], ["scripted"]) == [[("trained", "scripted"), scripted], [scripted]]
-    refused("rush", "there it stands for 'scripted'", partners, "rush", ["scripted"], ["trained"])
+    refused("rush", "it plays as 'scripted'", partners, "rush", ["scripted"], ["trained"])
 
 
 def partners(scenario: str, *names: list[str]) -> list[list[tuple[str, str | None]]]:
@@ -155,7 +155,7 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     unseen = {(one["side"], one["policy"]): one["unseen"] for one in found["gaps"]}
     assert unseen["manager", team] == ["scripted:unsafe", "scripted"]
     assert unseen["manager", str(first)] == ["scripted:unsafe", team]
-    with pytest.raises(ValueError, match=r"benches: .*seed-0 has none of its own: there it stands for 'scripted'"):
+    with pytest.raises(ValueError, match=r"benches: .*seed-0 has no policy for this side: it plays as 'scripted'"):
         find_players(spec, ["scripted"], [str(first)])
     with pytest.raises(ValueError, match="given twice"):
         find_players(spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
@@ -164,11 +164,11 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("managers", "benches", "message"),
     [
-        (["pretrained"], ["scripted"], "manager: pretrained has none of its own: there it stands for 'scripted'"),
-        (["scripted"], ["scripted:no-extraction"], "no-extraction has none of its own: there it stands for 'scripted'"),
-        (["scripted"], ["trained"], "benches: trained has none of its own: there it stands for 'pretrained-isolated'"),
+        (["pretrained"], ["scripted"], "manager: pretrained has no policy for this side: it plays as 'scripted'"),
+        (["scripted"], ["scripted:no-extraction"], "no-extraction has no policy for this side: it plays as 'scripted'"),
+        (["scripted"], ["trained"], "benches: trained has no policy for this side: it plays as 'pretrained-isolated'"),
         (["scripted,rxn=random"], ["scripted"], "give one policy; benches are given with --benches"),
-        (["scripted"], ["scripted,manager=random"], "there it stands for 'scripted'; give that"),
+        (["scripted"], ["scripted,manager=random"], "it plays as 'scripted'; give this name"),
         (["nobody"], ["scripted"], "policy: must be one of scripted, scripted:unsafe"),
         (["scripted", "scripted"], ["scripted"], "manager: scripted: given twice"),
         (["scripted:fifo"], ["scripted"], "has no orders to choose from"),
