@@ -137,12 +137,6 @@ def _in_order(policies: Mapping[str, Policy], agents: Sequence[str]) -> list[Pol
     return [policies[agent] for agent in agents]
 
 
-def _unsafe(labs: Laboratories) -> npt.NDArray[np.bool_]:
-    """Return [N] True where a harmful safety event happened."""
-    harmful = [kind not in ("boiled_dry", "dry_heating") for kind in labs.scenario.safety_events]
-    return np.asarray((labs.safety_totals[:, harmful] >= _TRACE_EVENT).any(axis=1))
-
-
 def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str | None, seed: int) -> Played:
     """Play one episode in each of N laboratories; laboratory i plays as :func:`play_episode` does with seed + i.
 
@@ -173,12 +167,13 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
     players.play_on(labs.members, count)
     mol, purity = labs.state.submitted[:, :, 0], labs.state.submitted[:, :, 1]
     total = mol.sum(axis=1)
+    harmful = [kind not in ("boiled_dry", "dry_heating") for kind in labs.scenario.safety_events]
     measures = {
         "submitted_mol": total,
         "purity": np.divide((mol * purity).sum(axis=1), total, out=np.zeros(n), where=total > 0.0),
         "instruments": labs.state.charges[:, COST_ITEMS.index("instruments")].copy(),
         "manager_actions": labs.state.actions.astype(np.float64),
-        "unsafe": _unsafe(labs).astype(np.float64),
+        "unsafe": (labs.safety_totals[:, harmful] >= _TRACE_EVENT).any(axis=1).astype(np.float64),
         "limit": (labs.state.status == LIMIT).astype(np.float64),
         "nothing": (total == 0.0).astype(np.float64),
     }

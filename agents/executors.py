@@ -280,19 +280,12 @@ def _exit_with_parent(child_end: Connection) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _ray() -> Any:
-    """Import and return Ray."""
-    with needs("a cluster needs Ray", "ray"):
-        import ray
-    return ray
-
-
 class _Ray:
     """Workers of a Ray cluster, one CPU each."""
 
     def __init__(self, address: str) -> None:
-        self._ray, self._running, self._connection = _ray(), set[Any](), contextlib.ExitStack()
-        self._connection.enter_context(connected(address, 1))
+        self._running, self._connection = set[Any](), contextlib.ExitStack()
+        self._ray = self._connection.enter_context(connected(address, 1))
         self.cpus = int(self._ray.cluster_resources()["CPU"])
         self._call = self._ray.remote(max_retries=0)(_Call.__call__)
         kinds = ("WorkerCrashedError", "NodeDiedError", "ObjectLostError", "OutOfMemoryError", "TaskCancelledError")
@@ -348,8 +341,8 @@ class _Slurm:
 
 
 @contextlib.contextmanager
-def connected(address: str | None, runners: int) -> Iterator[None]:
-    """Connect to Ray for the duration of the context; an existing connection is reused and kept.
+def connected(address: str | None, runners: int) -> Iterator[Any]:
+    """Connect to Ray and yield its module; an existing connection is reused, and kept after the context.
 
     Args:
         address: address of a cluster (``auto``: the cluster of this machine); None starts a local Ray instance.
@@ -358,7 +351,8 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
     Raises:
         ValueError: no cluster answers at the address, or it has too few CPUs.
     """
-    ray = _ray()
+    with needs("a cluster needs Ray", "ray"):
+        import ray
     logging.getLogger("ray.rllib").setLevel(logging.ERROR)  # the level that RLlib sets later
     connects = not ray.is_initialized()
     if connects:
@@ -383,7 +377,7 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
             raise ValueError(
                 f"runners: must be at most {cpus}, the number of Ray's CPUs; given {runners}: use fewer or add nodes"
             )
-        yield
+        yield ray
     finally:
         if connects:
             ray.shutdown()

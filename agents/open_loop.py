@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib.resources
 import itertools
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,6 +29,7 @@ from chemlab.roles.manager_actions import START, SUBMIT, ManagerActions
 from chemlab.roles.manager_view import order_channels
 
 from .former_names import current_name
+from .runs import to_text
 
 Context = tuple[str, ...]
 """The goal of every order, on which a plan may depend."""
@@ -182,7 +182,7 @@ class PlanFile(DataModel):
 
     def save(self, path: Path) -> None:
         """Write the file atomically."""
-        write_text(path, json.dumps(self.model_dump(), indent=1) + "\n")
+        write_text(path, to_text(self.model_dump()))
 
     def decoded(self, actions: ManagerActions) -> dict[Context, Plan]:
         """Return the plans as action indices of a laboratory.

@@ -14,7 +14,6 @@ import hashlib
 import importlib.resources
 import itertools
 import json
-import shlex
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,7 +27,6 @@ from safetensors.numpy import load, save
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
-from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Actions, Memory, Policy, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.base import Workplace
@@ -39,6 +37,7 @@ from .discretised import ChoosingPolicy
 from .former_names import SAMPLED
 from .notes import notes_size
 from .random_policy import RandomPolicy
+from .runs import to_text
 
 Weights = Mapping[str, npt.NDArray[np.float32]]
 Seed = int | np.random.SeedSequence | None
@@ -365,12 +364,6 @@ def _training_command(workplace: Workplace) -> str:
     return f"chemlab train {workplace.scenario.argument} {role}, then chemlab export"
 
 
-def given_as(scenario: Scenario) -> str:
-    """Return the command-line argument for a scenario: the name of a bundled one, else the path of its file."""
-    by_path = Path(scenario.origin).is_file() and not scenario.shipped
-    return shlex.quote(scenario.origin + scenario.level if by_path else scenario.name)
-
-
 def _difference(card: Card, workplace: Workplace) -> str:
     """Describe the first difference between a workplace and the policy's interface; empty if there is none."""
     trained, present = card.interface, interface(workplace)
@@ -453,7 +446,7 @@ def save_policy(path: Path, card: Card, weights: Weights) -> None:
     """
     PretrainedPolicy(card, weights)
     write_bytes(path.with_name(f"{path.name}.safetensors"), save(dict(weights)))
-    write_text(path.with_name(f"{path.name}.json"), json.dumps(card.model_dump(), indent=1) + "\n")
+    write_text(path.with_name(f"{path.name}.json"), to_text(card.model_dump()))
     load_pretrained(path)
 
 

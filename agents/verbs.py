@@ -258,13 +258,7 @@ def _operation_verbs(bench: OperationBench, name: Callable[[str], str]) -> list[
 
 
 def _operation_verb(kind: str, rows: Mapping[tuple[Any, ...], int], unit: str) -> Verb:
-    """Return the verb of one kind of process.
-
-    Args:
-        kind: the kind.
-        rows: actions by (vessel, target, material, amount); an absent part is None.
-        unit: unit of the amount.
-    """
+    """Return the verb of one kind of process; ``rows`` are actions by (vessel, target, material, amount)."""
     parts = {"vessel": "the vessel", "target": "the vessel that receives", "material": "the material"}
     arguments: list[Argument | None] = []
     for k, (part, meaning) in enumerate({**parts, "amount": f"how much ({unit})"}.items()):

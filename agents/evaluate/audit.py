@@ -165,14 +165,10 @@ def choosing_jobs(spec: Scenario) -> list[Job]:
 def measuring_jobs(
     spec: Scenario, budget: AuditBudget, reference: str, plans: list[Any], best: str | None = None
 ) -> list[Job]:
-    """Return the jobs that depend on the results of :func:`choosing_jobs`.
+    """Return the jobs that depend on the results of others.
 
-    Args:
-        spec: the scenario.
-        budget: the budget.
-        reference: name of the best scripted policy.
-        plans: open-loop policies, see :func:`open_loop_plans`.
-        best: name of the best policy; default: the reference.
+    These are the best scripted policy (``reference``), the :func:`open_loop_plans`, and the best policy of all
+    (default: the reference).
     """
 
     def play(name: str, policy: str, split: str = "test", **options: Any) -> Job:
@@ -236,14 +232,7 @@ def _named(found: Mapping[str, dict[str, Any]], *starts: str) -> dict[str, Float
 
 
 def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, chosen: str) -> dict[str, Any]:
-    """Return all measures and criteria.
-
-    Args:
-        spec: the scenario.
-        found: results of all jobs, by name.
-        policy: name of the reference.
-        chosen: name of the best policy in the episodes for the choice.
-    """
+    """Return all measures and criteria from results of jobs; ``policy`` is the reference, ``chosen`` the best one."""
     test, plan, random = (np.array(found[name]["scores"]) for name in ("test", "plan", "random"))
     open_loop = {name: _scores(found, name) for name in ("idle", "replay", "plan", "everybody")}
     open_loop["plan-replay"] = np.array(found["plan"]["everybody"])

@@ -33,7 +33,6 @@ above the oracle, in this command or an earlier one, all lines of the same episo
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import subprocess
@@ -61,7 +60,7 @@ from ..former_names import current_name, split_way
 from ..ledger import ended_episodes
 from ..open_loop import ConstantPlan
 from ..policies import make_policies, policy_names
-from ..runs import Run, differences, find_runs, versions
+from ..runs import Run, differences, find_runs, to_text, versions
 from . import statistics
 from .jobs import AUDIT_SEED, AuditBudget, Job, JobRunner, budget_of, foreseen, planner_jobs
 from .leaderboard import on_scale, runs_of, write_leaderboard
@@ -216,13 +215,7 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
 
 @dataclass(frozen=True)
 class _Block:
-    """Episodes of a replication.
-
-    Attributes:
-        number: index of the replication; it selects one of a row's runs.
-        first: index of the first episode.
-        count: number of episodes.
-    """
+    """Episodes of a replication: index of the replication, which selects a row's run; first episode; number."""
 
     number: int
     first: int
@@ -262,10 +255,10 @@ def _job_name(row: Row, block: _Block) -> str:
 
 
 def _row_jobs(spec: Scenario, rows: Sequence[Row], blocks: Sequence[_Block], split: str) -> list[Job]:
-    """Return the jobs of rows in a scenario; with hidden parameters, those in training worlds as well."""
+    """Return the jobs of the rows that fit a scenario; with hidden parameters, also those in training worlds."""
     jobs = []
     for row in rows:
-        for block in blocks if row.policies else ():
+        for block in blocks if row.policies and _fits(row, spec) else ():
             policy, name = row.policies[block.number % len(row.policies)], _job_name(row, block)
             arguments = {"policy": policy, "seed": AUDIT_SEED + block.first, "episodes": block.count}
             jobs.append(Job(name, "play", {**arguments, "split": split}))
@@ -280,7 +273,7 @@ def part_count(scenarios: Sequence[Scenario], rows: Sequence[Row], budget: Audit
     return sum(
         len(reference_jobs(split))
         + len(planner_jobs(budget, [], split))
-        + len(_row_jobs(spec, _fitting(spec, rows), blocks, split))
+        + len(_row_jobs(spec, rows, blocks, split))
         + sum(len(_records_of(row, spec)) for row in rows)
         for spec in scenarios
     )
@@ -326,17 +319,12 @@ def _verified_records(
     return found
 
 
-def _fitting(spec: Scenario, rows: Sequence[Row]) -> list[Row]:
-    """Return the rows that may play a scenario: trained rows play the scenario of their training."""
-    return [row for row in rows if row.scenario is None or _is_of(row.scenario, spec)]
-
-
-def _is_of(argument: str, spec: Scenario) -> bool:
-    """Return True if a run's scenario argument (a name, or the path of a file with its level) is a scenario."""
-    file, suffix, level = argument.rpartition(".toml")
-    return argument == spec.name or (
-        bool(suffix) and level == spec.level and Path(file + suffix).resolve() == Path(spec.origin).resolve()
-    )
+def _fits(row: Row, spec: Scenario) -> bool:
+    """Return True if a row has no scenario of training, or if this is the scenario, by its name or path with level."""
+    if row.scenario is None or row.scenario == spec.name:
+        return True
+    file, suffix, level = row.scenario.rpartition(".toml")
+    return bool(suffix) and level == spec.level and Path(file + suffix).resolve() == Path(spec.origin).resolve()
 
 
 def check_rows(scenarios: Sequence[Scenario], rows: Sequence[Row]) -> None:
@@ -347,7 +335,7 @@ def check_rows(scenarios: Sequence[Scenario], rows: Sequence[Row]) -> None:
     """
     for row in (row for row in rows if row.policies):
         reasons = [f"was trained in {row.scenario}"] * (row.scenario is not None)
-        for spec in (spec for spec in scenarios if _fitting(spec, [row])):
+        for spec in (spec for spec in scenarios if _fits(row, spec)):
             try:
                 Target(spec).check(row.policies[0])
             except ValueError as error:
@@ -414,8 +402,7 @@ def benchmark(
     ]
     for spec, games in zip(specs, recorded, strict=True):
         runner = JobRunner(spec, chosen, None if keep is None else keep / spec.name, executor, watch)
-        jobs = _row_jobs(spec, _fitting(spec, rows), blocks, split)
-        results = runner.run([*reference_jobs(split), *jobs])
+        results = runner.run([*reference_jobs(split), *_row_jobs(spec, rows, blocks, split)])
         results |= runner.run(planner_jobs(chosen, results["plan"]["plans"], split))
         found[spec.name] = _cells(spec, results, rows, games, blocks, baseline)
     return {
@@ -434,42 +421,27 @@ def _row_named(rows: Sequence[Row], name: str) -> Row:
     return next((row for row in rows if row.name == name), Row(name, ()))
 
 
-@dataclass(frozen=True)
-class _RowScores:
-    """Scores of a row in one scenario.
-
-    Attributes:
-        scores: [E] scores, NaN for episodes that were not played; None if the row did not play.
-        reason: the reason why it did not play.
-        train: [E] scores with the same seeds in training worlds, if the scenario has hidden parameters.
-    """
-
-    scores: FloatArray | None
-    reason: str = ""
-    train: FloatArray | None = None
-
-
 def _row_scores(
     row: Row,
     spec: Scenario,
     results: Mapping[str, dict[str, Any]],
     games: Mapping[str, Mapping[int, tuple[float, Record]]],
     blocks: Sequence[_Block],
-) -> _RowScores:
-    """Collect a row's scores from its records or from the results of its jobs."""
+) -> tuple[FloatArray | str, FloatArray | None]:
+    """Return a row's scores [E] (NaN: not played), or the reason why there are none, and those in training worlds."""
     if row.records:
         scores = np.full(sum(block.count for block in blocks), np.nan)
         scores[list(games[row.name])] = [score for score, _ in games[row.name].values()]
-        return _RowScores(scores) if games[row.name] else _RowScores(None, "has not been played yet")
-    if not _fitting(spec, [row]):
-        return _RowScores(None, f"was trained in {row.scenario}")
+        return scores if games[row.name] else "has not been played yet", None
+    if not _fits(row, spec):
+        return f"was trained in {row.scenario}", None
     names = [_job_name(row, block) for block in blocks]
     refused = next((results[name]["reason"] for name in names if results[name]["scores"] is None), None)
     if refused is not None:
-        return _RowScores(None, refused)
+        return refused, None
     scores = np.concatenate([results[name]["scores"] for name in names])
     train = [results[f"{name}-train"]["scores"] for name in names if f"{name}-train" in results]
-    return _RowScores(scores, train=np.concatenate(train) if train else None)
+    return scores, np.concatenate(train) if train else None
 
 
 def _cells(
@@ -480,32 +452,30 @@ def _cells(
     blocks: Sequence[_Block],
     baseline: str,
 ) -> dict[str, Any]:
-    """Return the cells of one scenario. Rows without all episodes are scored on the episodes that they have.
+    """Return the cells of one scenario from results of jobs and verified records (``games``) by name.
 
-    Args:
-        spec: the scenario.
-        results: results of the jobs, by name.
-        rows: the rows.
-        games: verified records by row, see :func:`_verified_records`.
-        blocks: episodes of the replications.
-        baseline: name of the baseline.
+    Rows without all episodes are scored on the episodes that they have.
     """
     random = np.array(results["random"]["scores"])
-    by_name = {"random": _RowScores(random), "plan": _RowScores(np.array(results["plan"]["scores"]))}
-    by_name |= {row.name: _row_scores(row, spec, results, games, blocks) for row in rows}
+    by_name: dict[str, tuple[FloatArray | str, FloatArray | None]] = {
+        "random": (random, None),
+        "plan": (np.array(results["plan"]["scores"]), None),
+        **{row.name: _row_scores(row, spec, results, games, blocks) for row in rows},
+    }
     # A planner that knows the hidden parameters could play what any other policy played.
-    known = [own.scores for own in by_name.values() if own.scores is not None]
+    known = [scores for scores, _ in by_name.values() if not isinstance(scores, str)]
     oracle = np.fmax.reduce([foreseen(results), *known])
-    by_name["oracle"] = _RowScores(oracle)
+    by_name["oracle"] = oracle, None
+    other = by_name[baseline][0]
     cells: dict[str, Any] = {}
-    for name, own in by_name.items():
-        if own.scores is None:
-            cells[name] = missing(own.reason)
+    for name, (scores, train) in by_name.items():
+        if isinstance(scores, str):
+            cells[name] = missing(scores)
             continue
-        row, played = _row_named(rows, name), np.isfinite(own.scores)
-        compared = None if name == baseline else by_name[baseline].scores
-        run_of = runs_of(len(row.policies), len(blocks), len(own.scores))
-        measured = on_scale(own.scores, random, oracle, run_of, compared, own.train)
+        row, played = _row_named(rows, name), np.isfinite(scores)
+        compared = None if name == baseline or isinstance(other, str) else other
+        run_of = runs_of(len(row.policies), len(blocks), len(scores))
+        measured = on_scale(scores, random, oracle, run_of, compared, train)
         if measured is None:
             cells[name] = missing("no policy scores above random play in these episodes: there is no scale")
             continue
@@ -514,13 +484,13 @@ def _cells(
         parts = [part for part in blockwise if len(part) and oracle[part].mean() > random[part].mean()]
         cells[name] = {
             **measured,
-            "replications": _replications(own.scores, random, oracle, parts),
-            "scores": [score if played[k] else None for k, score in enumerate(own.scores.tolist())],
+            "replications": _replications(scores, random, oracle, parts),
+            "scores": [score if played[k] else None for k, score in enumerate(scores.tolist())],
         }
         if row.seats:
             cells[name]["seats"] = row.effort(spec.name)
-        if own.train is not None:
-            cells[name]["train_scores"] = own.train.tolist()
+        if train is not None:
+            cells[name]["train_scores"] = train.tolist()
         if compared is not None and not played.all():  # the other episodes may be easier or harder
             cells[name]["baseline"] = _replications(compared, random, oracle, parts)
     # The scale of a replication is that of its own worlds, so that easy worlds do not raise its scores.
@@ -617,8 +587,8 @@ def write_benchmark(
     Raises:
         DataError: the existing ``leaderboard.json`` is not a leaderboard.
     """
-    write_text(folder / "benchmark.json", json.dumps(found, indent=1) + "\n")
-    write_text(folder / "marl_eval.json", json.dumps(marl_eval(found, rows), indent=1) + "\n")
+    write_text(folder / "benchmark.json", to_text(found))
+    write_text(folder / "marl_eval.json", to_text(marl_eval(found, rows)))
     written = _write_records(folder, found, scenarios, rows, records)
     write_leaderboard(folder / "leaderboard.json", _lines(found, written))
 
@@ -656,11 +626,7 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
 def _write_records(
     folder: Path, found: Mapping[str, Any], scenarios: Sequence[Scenario], rows: Sequence[Row], count: int
 ) -> dict[tuple[str, str], list[dict[str, Any]]]:
-    """Record the first ``count`` episodes of every row, and copy all given records.
-
-    Returns:
-        Path, seed and score of the records by (scenario, row).
-    """
+    """Record the first ``count`` episodes of every row, copy given records, and return entries by scenario and row."""
     written: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for spec in scenarios:
         cells = found["scenarios"][spec.name]["cells"]

@@ -98,16 +98,11 @@ def informed_scores(
         world_seeds = range(_WORLD_SEED, _WORLD_SEED + worlds)
         train_seen, train_scores = _table(scenario, context, plans, first, world_seeds, "train")
         test_seen, test_scores = _table(scenario, context, plans, first, [seed + i for i in members], "test")
-        by_manager = labs.observation_sizes[0] + _submission_size(labs)
+        by_manager = labs.observation_sizes[0] + 2 * scenario.orders  # amount and purity of each submission
         for scores, part in ((central, slice(None)), (feedback, slice(by_manager))):
             train, test = (seen[:, :, part].reshape(len(seen), -1) for seen in (train_seen, test_seen))
             scores[members] = test_scores[_choice(train, train_scores, test), np.arange(len(members))]
     return central.tolist(), feedback.tolist()
-
-
-def _submission_size(labs: Laboratories) -> int:
-    """Return the number of values that describe submissions: amount and purity of each order."""
-    return 2 * labs.scenario.orders
 
 
 def _opening(labs: Laboratories, name: str, context: Context, best: TeamPlan) -> tuple[TeamPlan, TeamPlan] | None:
@@ -157,7 +152,7 @@ class _Observing(Playback):
     def __init__(self, labs: Laboratories, plans: Sequence[tuple[int, ...]], opening: int) -> None:
         super().__init__(labs.actions, plans)
         self._labs, self._opening = labs, opening
-        size = sum(labs.observation_sizes) + _submission_size(labs)
+        size = sum(labs.observation_sizes) + 2 * labs.scenario.orders
         self.seen = np.zeros((len(plans), opening + 1, size), dtype=np.float32)
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:

@@ -115,19 +115,10 @@ def _play(
     contended: bool = False,
     reports: bool = True,
 ) -> dict[str, Any]:
-    """Score a policy; the scores are None if no policy of this name fits.
+    """Score a policy by name; the scores are None if none fits.
 
-    Args:
-        scenario: the scenario.
-        budget: number of episodes, if ``episodes`` is None.
-        policy: name of the policy.
-        split: split of the worlds.
-        seed: seed of the first episode.
-        instruments: False removes the budget for measurements.
-        without: bench that the scripted manager, used in place of the policy's manager, must not use.
-        episodes: number of episodes.
-        contended: True to count contention as well.
-        reports: False removes the reports of benches.
+    ``without`` replaces its manager by a scripted one that does not use this bench. ``contended`` counts contention.
+    The default number of episodes is the budget's.
     """
     if not reports:
         mute = {key: bench.model_copy(update={"report": None}) for key, bench in scenario.benches.items()}
@@ -163,7 +154,7 @@ def _plan(scenario: Scenario, budget: AuditBudget, without: str = "", split: str
     found: dict[str, Any] = {"scores": search.play(budget.episodes, AUDIT_SEED, split).tolist(), "chosen": chosen}
     if not without:
         found["plans"] = [[list(context), list(plan)] for context, plan in search.plans.items()]
-        found["everybody"] = _replayed(scenario, budget, search, split)
+        found["everybody"] = _replay(scenario, budget, search, split)["scores"]
     return found
 
 
@@ -197,10 +188,7 @@ def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: li
 
 
 def _inform(scenario: Scenario, budget: AuditBudget, opening: str, plans: list[Any]) -> dict[str, Any]:
-    """Score controllers without instruments that choose among plans by observations.
-
-    ``scores`` are those by observations of all agents, ``feedback`` those by the manager's observations.
-    """
+    """Score controllers without instruments that choose among plans by all agents' or the manager's observations."""
     found = informed_scores(
         without_instruments(scenario),
         opening,
@@ -224,24 +212,16 @@ def _known(plans: list[Any]) -> dict[Context, list[TeamPlan]]:
     return known
 
 
-def _replayed(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch, split: str = "test") -> list[float]:
-    """Return the scores of actions replayed from the best donor's episode."""
-    returns = replay_actions(scenario, policy, budget.donors, budget.episodes, AUDIT_SEED, split=split)
-    scores: list[float] = returns.tolist()
-    return scores
-
-
-def _replay(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, Any]:
-    return {"scores": _replayed(scenario, budget, policy)}
+def _replay(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch, split: str = "test") -> dict[str, Any]:
+    """Score actions replayed from the best donor's episode."""
+    scores = replay_actions(scenario, policy, budget.donors, budget.episodes, AUDIT_SEED, split=split)
+    return {"scores": scores.tolist()}
 
 
 def _foresee(
     scenario: Scenario, budget: AuditBudget, first: int, plans: list[Any], split: str = "test"
 ) -> dict[str, Any]:
-    """Search for the best plan of each of ``_CHUNK`` episodes.
-
-    ``curves`` are the best scores after each tenth of the budget.
-    """
+    """Search for the best plan of each of ``_CHUNK`` episodes; ``curves``: best scores after tenths of the budget."""
     known = _known(plans)
     scores, curves = [], []
     for episode in range(first, min(first + _CHUNK, budget.episodes)):

@@ -321,7 +321,7 @@ def summary(checks: Sequence[LineCheck]) -> str:
 
 
 def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, str], Line]) -> None:
-    """Compare a line's numbers with those that follow from the scores; set the proof and append faults."""
+    """Compare a line's numbers with recomputed ones; set the proof and append faults."""
     if line.get("value") is None:
         check.proof = "empty"
         return

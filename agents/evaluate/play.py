@@ -30,7 +30,7 @@ BATCH = 256
 """Maximum number of concurrent episodes; results do not depend on it."""
 _MOST = 0.5
 _OBSTACLES = {"limit": "ran out of actions or ticks", "nothing": "submitted nothing"}
-"""Descriptions of measures of a laboratory; a note reports those that exceed a share of ``_MOST``."""
+"""Descriptions of measures of a laboratory; a note reports a measure above ``_MOST``."""
 DRAWN = "drawn"
 """Name used instead of a goal if each episode draws the goals of its orders."""
 

@@ -216,7 +216,7 @@ class Search:
         actions of benches, with and without measurements, are returned as well.
 
         Args:
-            names: names of policies; those that do not fit are omitted.
+            names: names of policies; policies that do not fit are omitted.
             scenario: scenario in which they play; default: that of the search.
         """
         teams = []

@@ -173,24 +173,6 @@ def jackknife(value: float, without: npt.ArrayLike) -> Estimate:
 # -- score intervals --------------------------------------------------------------------------------------------------
 
 
-def _score_interval(share: float, variance: Callable[[float], float]) -> Estimate:
-    """Return a share with its score interval: all probabilities from which it is at most z standard deviations away.
-
-    Args:
-        share: the estimate, from 0 to 1.
-        variance: variance of the estimate as a function of the probability; 0 at 0 and 1.
-    """
-    z2 = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) ** 2
-
-    def excess(p: float) -> float:
-        return (share - p) ** 2 - z2 * variance(p)
-
-    # A share of 0 or 1 is a root itself, but not the end of the interval.
-    low = 0.0 if share <= 0.0 else float(optimize.brentq(excess, 0.0, min(share, 1.0 - 1e-9)))
-    high = 1.0 if share >= 1.0 else float(optimize.brentq(excess, max(share, 1e-9), 1.0))
-    return Estimate(share, low, high)
-
-
 def _binomial(p: float, n: int) -> float:
     """Return the variance of a share of n samples."""
     return p * (1.0 - p) / n
@@ -203,13 +185,26 @@ def _mann_whitney(p: float, m: int, n: int) -> float:
 
 
 def _mean_share(shares: Sequence[float], variances: Sequence[Callable[[float], float]], together: bool) -> Estimate:
-    """Return the mean over strata of shares; its variance is the largest, that of strata with equal probabilities."""
-    k = len(shares)
+    """Return the mean over strata of shares with its score interval.
 
-    def variance(p: float) -> float:
-        return sum(of_stratum(p) for of_stratum in variances) / (k if together else k * k)
+    The interval has all probabilities from which the mean is at most z standard deviations away.
 
-    return _score_interval(float(np.mean(shares)), variance)
+    Args:
+        shares: shares in [0, 1].
+        variances: variance of each share as a function of the probability, which is taken as equal in all strata.
+        together: as for :func:`mean`.
+    """
+    k, share = len(shares), float(np.mean(shares))
+    z2 = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) ** 2
+
+    def excess(p: float) -> float:
+        variance = sum(of_stratum(p) for of_stratum in variances) / (k if together else k * k)
+        return (share - p) ** 2 - z2 * variance
+
+    # A share of 0 or 1 is a root itself, but not the end of the interval.
+    low = 0.0 if share <= 0.0 else float(optimize.brentq(excess, 0.0, min(share, 1.0 - 1e-9)))
+    high = 1.0 if share >= 1.0 else float(optimize.brentq(excess, max(share, 1e-9), 1.0))
+    return Estimate(share, low, high)
 
 
 def _wins(difference: FloatArray) -> FloatArray:

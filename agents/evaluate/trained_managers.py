@@ -160,7 +160,7 @@ def collect(
     """Write tables of the finished runs below a folder, and play the best checkpoints of runs with a manager.
 
     All policies play the same seeds, which are used neither in training nor for the choice of checkpoints. A run is
-    compared with the scripted manager over the same benches, including those that were trained with the manager.
+    compared with the scripted manager over the same benches, including benches trained with the manager.
 
     Stored results of other runs, and of runs that cannot be played any more, are kept. Baselines are played again if a
     run of their group is, or if they are missing in the tables.
