@@ -215,7 +215,7 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
 
 @dataclass(frozen=True)
 class _Block:
-    """Episodes of a replication: index of the replication, which selects a row's run; first episode; number."""
+    """Episodes of a replication: its index, which selects a row's run; first episode; number of episodes."""
 
     number: int
     first: int

@@ -330,7 +330,7 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
         value = (line["score"] - scale["random"]) / (scale["oracle"] - scale["random"])
         _compare(check, "value", line["value"], value)
     elif line.get("scores"):
-        check.faults.append(f"value: is {line['value']}, but the line has no score or no scale")
+        check.faults.append(f"value: is {line['value']}, but the line has no score or no valid scale")
     if not line.get("scores"):
         return
     played = [score for score in line["scores"] if score is not None]
@@ -405,4 +405,4 @@ def _check_record(check: LineCheck, line: Line, entry: Line, folder: Path) -> No
         fault(f"{proof.status}: {proof.message}")
     # Another version or platform may round differently.
     elif proof.status != "other" and (proof.score is None or not _equal(proof.score, entry.get("score"))):
-        fault(f"its score is {proof.score}, and the line has {entry.get('score')}")
+        fault(f"its replay gives a score of {proof.score}, and the line has {entry.get('score')}")

@@ -84,7 +84,9 @@ def _checked(strata: Strata, together: bool = False) -> list[FloatArray]:
         raise ValueError("statistics: samples must be finite numbers")
     sizes = sorted({array.size for array in arrays})
     if together and len(sizes) > 1:
-        raise ValueError(f"statistics: samples that belong together are equally many in each stratum, given {sizes}")
+        raise ValueError(
+            f"statistics: samples that belong together must be equally many in each stratum, given {sizes}"
+        )
     return arrays
 
 

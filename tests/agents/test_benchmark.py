@@ -220,10 +220,10 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path
         ({"scores": [*scores[:4], None]}, "episodes"),
         ({"scale": {**ends, "oracle": ends["oracle"] + 1e-6}}, "scale.oracle"),
         ({"scale": {**ends, "random": ends["random"] - 1e-6}}, "scale.random"),
-        ({"scale": {"random": ends["oracle"], "oracle": ends["random"]}, "value": 5.0}, "no scale on which"),
+        ({"scale": {"random": ends["oracle"], "oracle": ends["random"]}, "value": 5.0}, "has no score or no valid scale"),
         ({"over_baseline": {**mean, "value": mean["value"] + 1e-6}}, "over_baseline.value"),
         ({"over_baseline": {**mean, "high": mean["high"] - 1e-6}}, "over_baseline.high"),
-        ({"records": [{**first, "score": first["score"] + 1e-6}]}, f"{first['file']}: its score is"),
+        ({"records": [{**first, "score": first["score"] + 1e-6}]}, f"{first['file']}: its replay gives"),
         ({"records": [{**first, "seed": first["seed"] + 1}]}, f"{first['file']}: is of unlabelled, seed 4000000"),
         ({"records": [{**first, "file": "records/none.jsonl"}]}, "records/none.jsonl: "),
         ({"records": [{**first, "file": "../leaderboard.json"}]}, "is not below the leaderboard's folder"),
@@ -388,7 +388,7 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
     refuse(r"is of another unlabelled than .*unlabelled.toml", other)
     with pytest.raises(ValueError, match=r"p/q.*: given twice"):
         find_rows([str(tmp_path / "p/q"), str(tmp_path / "p_q")])
-    with pytest.raises(ValueError, match=r"baseline: .*0.jsonl: must have played all episodes"):
+    with pytest.raises(ValueError, match=r"baseline: .*0.jsonl: must play all episodes"):
         benchmark(["unlabelled"], find_rows([str(other)]), TINY, 2, baseline=str(other))
     game("several", AUDIT_SEED)
     game("several", AUDIT_SEED + 1, who="somebody else")
