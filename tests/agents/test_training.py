@@ -630,7 +630,7 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
     values["benches"]["ext"]["start"] = {}
     for name, advice in (
         ("wurtz_dodecane", "give it contents (moles by material); or train with --starts lab"),
-        ("new", "; or record vessels with chemlab export starts new, and train with --starts lab"),
+        ("new", "; or record vessels with chemlab export starts FILE.toml, and train with --starts lab"),
     ):
         said: Any = BenchTask(load_scenario({**values, "name": name}), "ext").warning()
         assert said.endswith(advice)
