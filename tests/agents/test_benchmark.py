@@ -220,7 +220,10 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path
         ({"scores": [*scores[:4], None]}, "episodes"),
         ({"scale": {**ends, "oracle": ends["oracle"] + 1e-6}}, "scale.oracle"),
         ({"scale": {**ends, "random": ends["random"] - 1e-6}}, "scale.random"),
-        ({"scale": {"random": ends["oracle"], "oracle": ends["random"]}, "value": 5.0}, "has no score or no valid scale"),
+        (
+            {"scale": {"random": ends["oracle"], "oracle": ends["random"]}, "value": 5.0},
+            "has no score or no valid scale",
+        ),
         ({"over_baseline": {**mean, "value": mean["value"] + 1e-6}}, "over_baseline.value"),
         ({"over_baseline": {**mean, "high": mean["high"] - 1e-6}}, "over_baseline.high"),
         ({"records": [{**first, "score": first["score"] + 1e-6}]}, f"{first['file']}: its replay gives"),
