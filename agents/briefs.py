@@ -1,4 +1,4 @@
-"""The introduction that a seat is given, generated from the scenario."""
+"""Introduction (brief) for a seat, generated from the scenario."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from chemlab.roles.bench import Bench
 
 _ACTUATORS = {"stir": "stirring", "heat": "heating"}
 _FEW = 2
-"""Largest number of goals that a manager's introduction lists apart from the reactions."""
+"""Maximum number of goals whose theoretical maxima are listed with the orders instead of the reactions."""
 
 
 def opaque_names(scenario: Scenario, salt: str) -> dict[str, str]:
-    """Code names of all materials but air, permuted by a salt."""
+    """Return code names of all materials except air, {name: code}, permuted by a salt."""
     materials = sorted(name for name in scenario.materials if name != "air")
     words = np.frombuffer(hashlib.blake2b(f"names {salt}".encode(), digest_size=32).digest(), "<u4")
     order = np.random.default_rng(words.tolist()).permutation(len(materials))
@@ -30,13 +30,13 @@ def opaque_names(scenario: Scenario, salt: str) -> dict[str, str]:
 
 
 def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[str], str]) -> str:
-    """The introduction for one seat.
+    """Return the introduction for one seat.
 
     Args:
         labs: the laboratory.
         seat: the agent.
         seats: all agents that have a seat.
-        name: gives the names of materials.
+        name: returns the displayed name of a material.
     """
     spec, role = labs.scenario, labs.roles[labs.agents.index(seat)].workplace
     others = [other for other in seats if other != seat]
@@ -48,27 +48,31 @@ def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[s
         lines.append(f"{', '.join(others)}: other seats; {', '.join(policies)}: policies")
     elif others or policies:
         lines.append(f"All other agents: {'seats' if others else 'policies'}")
-    most = {} if isinstance(role, Bench) else _produced(spec)
-    lines += _bench_lines(role) if isinstance(role, Bench) else _manager_lines(labs, most)
+    maxima = {} if isinstance(role, Bench) else _product_maxima(spec)
+    lines += _bench_lines(role) if isinstance(role, Bench) else _manager_lines(labs, maxima)
     if spec.family.reaction or spec.family.violent:
-        lines.append(_reactions(spec, name, most))
-    # What is only about benches on their own is left out.
+        lines.append(_reactions(spec, name, maxima))
+    # Draws that only affect single benches outside a laboratory are omitted.
     draws = [(k, d) for k, d in spec.world.draws.items() if not d.of or not spec.benches.keys() >= set(d.of)]
     hidden = [_draw_words(spec, key, draw, name) for key, draw in draws]
     if hidden:
         lines.append(f"Hidden, redrawn every episode: {'; '.join(hidden)}.")
-    return "\n".join(_plain(line, name) for line in lines)
+    # Texts of the scenario have names of materials in backticks.
+    return "\n".join(re.sub(r"`([^`]*)`", lambda match: name(match[1]), line) for line in lines)
 
 
-def _produced(spec: Scenario) -> dict[str, float]:
-    """Goals whose maximum stands at the only reaction that makes them; none if there are few."""
-    made = [product for step in spec.family.reaction for product in dict(step.products)]
-    plain = [goal for goal in spec.lab_goals if goal not in spec.specifications and made.count(goal) == 1]
-    found = {goal: spec.theoretical_maximum_mol.get(goal, 1.0) for goal in plain}
-    return found if len(found) > _FEW else {}
+def _product_maxima(spec: Scenario) -> dict[str, float]:
+    """Return the theoretical maxima (mol) to list behind the reactions, by goal.
+
+    They are those of goals without a specification that one reaction produces; none if there are few.
+    """
+    products = [product for step in spec.family.reaction for product in dict(step.products)]
+    goals = [goal for goal in spec.lab_goals if goal not in spec.specifications and products.count(goal) == 1]
+    return {goal: spec.theoretical_maximum_mol.get(goal, 1.0) for goal in goals} if len(goals) > _FEW else {}
 
 
-def _manager_lines(labs: Laboratories, most: Mapping[str, float]) -> list[str]:
+def _manager_lines(labs: Laboratories, maxima: Mapping[str, float]) -> list[str]:
+    """Return the manager's lines: orders, limits, costs, instruments, benches, grades and degradation."""
     spec = labs.scenario
     prices = ", ".join(
         f"{key} {one.price:g}" + (f" (drifts; a calibration {one.drift.price:g})" if one.drift else "")
@@ -76,7 +80,7 @@ def _manager_lines(labs: Laboratories, most: Mapping[str, float]) -> list[str]:
     )
     limits, costs = spec.limits, spec.costs
     lines = [
-        *_order_lines(spec, most),
+        *_order_lines(spec, maxima),
         f"Limits: {limits.manager_actions} actions, {limits.ticks} ticks, {limits.budget:g} for measuring. "
         f"Costs: {', '.join([f'a tick {costs.tick:g}', *_prices(spec)])}.",
     ]
@@ -89,7 +93,7 @@ def _manager_lines(labs: Laboratories, most: Mapping[str, float]) -> list[str]:
     grades = [f"{grade} ({', '.join(_grade_words(wanted))})" for grade, wanted in spec.grades.items()]
     lines += [f"Grades: {', '.join(grades)}."] if grades else []
     wears = [bench.wear for bench in spec.benches.values() if bench.wear is not None]
-    return lines + (wear_words(spec) if any(one.spread or one.drift or one.life for one in wears) else [])
+    return lines + (wear_words(spec) if any(wear.spread or wear.drift or wear.life for wear in wears) else [])
 
 
 def _grade_words(wanted: GradeSpec) -> list[str]:
@@ -101,13 +105,13 @@ def _grade_words(wanted: GradeSpec) -> list[str]:
     ]
 
 
-def _reactions(spec: Scenario, name: Callable[[str], str], most: Mapping[str, float]) -> str:
-    """All reactions, with numbers if hidden parameters refer to them; what all have in common is said once.
+def _reactions(spec: Scenario, name: Callable[[str], str], maxima: Mapping[str, float]) -> str:
+    """List all reactions, numbered if hidden parameters refer to them. Common reactants and products are stated once.
 
     Args:
         spec: the scenario.
-        name: gives the names of materials.
-        most: maxima of products, which stand behind them.
+        name: returns the displayed name of a material.
+        maxima: theoretical maxima (mol) to list behind products.
     """
     steps, head = spec.family.reaction, "Reactions"
     sides = [(dict(step.reactants), dict(step.products)) for step in steps]
@@ -121,17 +125,17 @@ def _reactions(spec: Scenario, name: Callable[[str], str], most: Mapping[str, fl
     numbered = any(equation(step) in draw.of for draw in spec.world.draws.values() for step in steps)
     words: dict[str, list[str]] = {}
     for k, (reactants, products) in enumerate(sides, start=1):
-        maximum = "".join(f" ({most[one]:.3g})" for one in products if one in most)
-        made = f"{f'({k}) ' if numbered else ''}{renamed(side_words(products), name)}{maximum}"
-        words.setdefault(renamed(side_words(reactants), name), []).append(made)
-    listed = "; ".join(f"{reactants} -> {' or '.join(made)}" for reactants, made in words.items())
+        maximum = "".join(f" ({maxima[product]:.3g})" for product in products if product in maxima)
+        option = f"{f'({k}) ' if numbered else ''}{renamed(side_words(products), name)}{maximum}"
+        words.setdefault(renamed(side_words(reactants), name), []).append(option)
+    listed = "; ".join(f"{reactants} -> {' or '.join(options)}" for reactants, options in words.items())
     sentences = [f"{renamed(head, name)}: {listed}."] if words else []
     sentences += [f"Violent: {renamed(equation(one), name)}." for one in spec.family.violent]
     return " ".join(sentences)
 
 
 def _prices(spec: Scenario) -> list[str]:
-    """Prices of waste, stock and safety events, where there are any."""
+    """List the prices of waste, stock and safety events that are not 0."""
     prices = [f"a litre of waste {spec.costs.waste_per_l:g}"] if spec.costs.waste_per_l else []
     stock = _priced({f"`{name}`": price for name, price in spec.costs.stock_per_mol.items()})
     prices += [f"a mol of {stock}"] if stock else []
@@ -143,42 +147,33 @@ def _prices(spec: Scenario) -> list[str]:
 
 
 def _priced(prices: Mapping[str, float]) -> str:
-    """List names with their prices, names of the same price together."""
-    alike: dict[float, list[str]] = {}
+    """List names with their prices; names of the same price are grouped, and prices of 0 omitted."""
+    by_price: dict[float, list[str]] = {}
     for name, price in prices.items():
-        alike.setdefault(price, []).append(name)
-    return ", ".join(f"{' or '.join(names)} {price:g}" for price, names in alike.items() if price)
+        by_price.setdefault(price, []).append(name)
+    return ", ".join(f"{' or '.join(names)} {price:g}" for price, names in by_price.items() if price)
 
 
-def _order_lines(spec: Scenario, most: Mapping[str, float]) -> list[str]:
-    """Orders and score, with the specifications where there are any."""
-    several = f"{spec.orders} orders, each" if spec.orders > 1 else "One order"
-    rest = [
-        f"`{goal}` (at most {spec.theoretical_maximum_mol.get(goal, 1.0):.3g} mol"
-        + (
-            f"; needs {needed_words(goal, spec.specifications[goal])}, or is worth nothing"
-            if goal in spec.specifications
-            else ""
+def _order_lines(spec: Scenario, maxima: Mapping[str, float]) -> list[str]:
+    """Return lines on orders, specifications, score, penalties, feedback, and vessels that may be submitted.
+
+    ``maxima`` has the goals that are listed with the reactions. Defaults are not mentioned.
+    """
+    wanted = ["a product with its maximum (mol) behind it"] if maxima else []
+    for goal in (goal for goal in spec.lab_goals if goal not in maxima):
+        needs = spec.specifications.get(goal)
+        needed = f"; needs {needed_words(goal, needs)}, or is worth nothing" if needs is not None else ""
+        wanted.append(f"`{goal}` (at most {spec.theoretical_maximum_mol.get(goal, 1.0):.3g} mol{needed})")
+    lines = [f"{f'{spec.orders} orders, each' if spec.orders > 1 else 'One order'} for {' or '.join(wanted)}."]
+    demand = spec.demand
+    if demand.order:
+        share = (
+            f"a late delivery pays {demand.late:g} of its price, one below the least amount or purity {demand.short:g}"
         )
-        + ")"
-        for goal in spec.lab_goals
-        if goal not in most
-    ]
-    wanted = [*(["a product with its maximum (mol) behind it"] if most else []), *rest]
-    lines = [f"{several} for {' or '.join(wanted)}."]
-    if spec.demand.order:
-        late, short = spec.demand.late, spec.demand.short
-        share = f"a late delivery pays {late:g} of its price, one below the least amount or purity {short:g}"
         lines.append(f"Score: the mean over orders of the price paid ({share}), minus costs.")
-        return lines + _customer_lines(spec)
-    mean = " (mean over orders)" if spec.orders > 1 else ""
-    lines.append(f"Score: mol submitted x purity / maximum{mean}, minus costs.")
-    return lines + _customer_lines(spec)
-
-
-def _customer_lines(spec: Scenario) -> list[str]:
-    """Penalties, feedback, and vessels that may be submitted, where they differ from the default."""
-    demand, lines = spec.demand, []
+    else:
+        mean = " (mean over orders)" if spec.orders > 1 else ""
+        lines.append(f"Score: mol submitted x purity / maximum{mean}, minus costs.")
     if demand.missed:
         lines.append(f"An order not met costs {demand.missed:g}{' of its price' if demand.order else ''}.")
     if demand.feedback != 0.0:
@@ -195,31 +190,27 @@ def _customer_lines(spec: Scenario) -> list[str]:
 
 
 def _bench_lines(bench: Bench) -> list[str]:
+    """Return the lines of a bench's agent: score, limits, vessels, gauges and noise."""
     gauges = [c for c in bench.channels if c.size == 1 and c.unit not in ("fraction", "one-hot", "0 or 1")]
     ranges = "; ".join(f"{c.name} {c.low:g} to {c.high:g} {c.unit}" for c in gauges)
     noise = ", ".join(f"{channel} {deviation:g}" for channel, deviation in bench.spec.noise.items())
-    often = " What is mostly noise is shown only at the first step, and by look."
+    shown = " What is mostly noise is shown only at the first step, and by look."
     return [
         f"You operate {'an' if bench.kind[0] in 'aeiou' else 'a'} {bench.kind} bench. "
         f"Score of an experiment: {bench.score_meaning}.",
         f"An experiment has at most {bench.spec.step_limit} steps. Vessels: {position_words(bench)}.",
         *([f"Gauges: {ranges}."] if ranges else []),
-        *([f"Noise (of full scale): {noise}.{often}"] if noise else []),
+        *([f"Noise (of full scale): {noise}.{shown}"] if noise else []),
     ]
 
 
-def _plain(line: str, name: Callable[[str], str]) -> str:
-    """Names in backticks as they are called here."""
-    return re.sub(r"`([^`]*)`", lambda match: name(match[1]), line)
-
-
 def renamed(words: str, name: Callable[[str], str]) -> str:
-    """Return words with names of materials replaced."""
+    """Return a text with the names of materials replaced by their displayed names."""
     return " ".join(name(word) for word in words.split(" "))
 
 
 def _draw_words(spec: Scenario, key: str, draw: Draw, name: Callable[[str], str]) -> str:
-    """Describe a declared draw; agents that observe it do so under its key."""
+    """Describe a declared draw; ``key`` is the name under which agents observe it."""
     numbers = draw.distribution.model_dump(exclude_none=True)
     kind = numbers.pop("kind")
     parts = []
@@ -240,16 +231,16 @@ def _draw_words(spec: Scenario, key: str, draw: Draw, name: Callable[[str], str]
     targets = _ranges([numbers_of.get(one) or renamed(one, name) for one in draw.of if one not in spec.benches])
     of = f" of {name(draw.material)}" if draw.material else ""
     of += f" (rest {name(draw.inert)})" if draw.inert else ""
-    told = "all agents" if spec.world.revealed else ", ".join(draw.told)
-    told = f", revealed to {told} as {key}" if told else ""
+    agents = "all agents" if spec.world.revealed else ", ".join(draw.told)
+    revealed = f", revealed to {agents} as {key}" if agents else ""
     where = f" ({targets.replace(', reaction ', ', ')})" if targets else ""
     actuators = [worn.actuator for one in draw.of if one in spec.benches and (worn := spec.benches[one].wear)]
     what = f"effect of {_ACTUATORS[actuators[0]]}" if actuators and draw.what == "gain" else draw.what
-    return f"{what}{of}{where}, {change}{kind} {', '.join(parts)}{told}"
+    return f"{what}{of}{where}, {change}{kind} {', '.join(parts)}{revealed}"
 
 
 def _ranges(names: Sequence[str]) -> str:
-    """Names with numbers in a row as ranges: ``slot_0-7``."""
+    """List names; three or more numbered names of one kind become a range, as ``slot_0-7``."""
     numbered = [name.rpartition("_") for name in names]
     if len(names) > 2 and len({stem for stem, _, _ in numbered}) == 1 and all(n.isdigit() for _, _, n in numbered):
         return f"{numbered[0][0]}_{numbered[0][2]}-{numbered[-1][2]}"

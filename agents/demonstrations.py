@@ -54,7 +54,7 @@ class Demonstration:
         tick: tick at which the episode began.
         observations, masks, elapsed, costs: T + 1 of each; masks are empty for continuous actions.
         actions, rewards: T of each.
-        terminated, truncated: the way the episode ended.
+        terminated, truncated: how the episode ended.
     """
 
     agent: str
@@ -69,7 +69,7 @@ class Demonstration:
     terminated: bool = False
     truncated: bool = False
 
-    def see(self, look: Look, elapsed: int, cost: float) -> None:
+    def observe(self, look: Look, elapsed: int, cost: float) -> None:
         """Append an observation with the ticks and costs since the previous one."""
         self.observations.append(look.observation)
         if look.mask is not None:
@@ -88,20 +88,20 @@ class _Splitter:
         self._latest: dict[str, Demonstration] = {}
         self._turn_at: dict[str, int] = {}
         self._pending_cost: dict[str, float] = {}
-        self.found: dict[str, list[Demonstration]] = {agent: [] for agent in self._labs.agents}
+        self._episodes: dict[str, list[Demonstration]] = {agent: [] for agent in self._labs.agents}
 
-    def tell(self) -> dict[str, list[Demonstration]]:
+    def episodes(self) -> dict[str, list[Demonstration]]:
         """Return the episodes of every agent in order."""
         for move in self._replay.moves():
-            self._enter(move)
+            self._add(move)
         state = self._labs.state
         for agent, demonstration in list(self._open.items()):
             self._close(agent, self._replay.look(self._labs.agents.index(agent)))
             over = agent == MANAGER_AGENT and state.status[0] != RUNNING
             demonstration.terminated, demonstration.truncated = over, not over
-        return self.found
+        return self._episodes
 
-    def _enter(self, move: Move) -> None:
+    def _add(self, move: Move) -> None:
         labs = self._labs
         for play in move.plays:
             agent = labs.agents[play.agent]
@@ -109,7 +109,7 @@ class _Splitter:
                 self._begin(agent, play.agent, move.tick)
             demonstration = self._open[agent]
             elapsed = move.tick - self._turn_at.get(agent, move.tick)
-            demonstration.see(Look(play.observation, play.mask), elapsed, self._pending_cost.pop(agent, 0.0))
+            demonstration.observe(Look(play.observation, play.mask), elapsed, self._pending_cost.pop(agent, 0.0))
             demonstration.actions.append(play.action)
             demonstration.rewards.append(0.0)
             self._turn_at[agent] = move.tick
@@ -119,14 +119,13 @@ class _Splitter:
             self._pending_cost[agent] = self._pending_cost.get(agent, 0.0) + move.cost[agent]
         for agent in move.scores:
             if agent in self._open:
-                ended = self._open[agent]
+                self._open[agent].terminated = True
                 self._close(agent, move.last[agent])
-                ended.terminated = True
 
     def _begin(self, agent: str, number: int, tick: int) -> None:
         labs = self._labs
         self._open[agent] = self._latest[agent] = Demonstration(agent, labs.roles[number].goal(0), tick)
-        self.found[agent].append(self._open[agent])
+        self._episodes[agent].append(self._open[agent])
         self._turn_at.pop(agent, None)
         self._pending_cost.pop(agent, None)
 
@@ -136,7 +135,7 @@ class _Splitter:
         # The last step of an experiment takes one tick, although the tick has not ended while other benches have their
         # turns.
         elapsed = elapsed if agent == MANAGER_AGENT else max(elapsed, 1)
-        demonstration.see(look, elapsed, self._pending_cost.pop(agent, 0.0))
+        demonstration.observe(look, elapsed, self._pending_cost.pop(agent, 0.0))
 
 
 def demonstrations(record: Record, trust: bool = False) -> dict[str, list[Demonstration]]:
@@ -149,7 +148,7 @@ def demonstrations(record: Record, trust: bool = False) -> dict[str, list[Demons
     Raises:
         RecordError: the record cannot be replayed here.
     """
-    return _Splitter(record, trust).tell()
+    return _Splitter(record, trust).episodes()
 
 
 # -- datasets ---------------------------------------------------------------------------------------------------------
@@ -174,19 +173,19 @@ def _minari() -> Any:
     return minari
 
 
-def _verified(path: Path, trust: bool, tell: Callable[[str], None]) -> Record:
-    """Read a record and verify it.
+def _verified(path: Path, trust: bool, notify: Callable[[str], None]) -> Record:
+    """Read and verify a record; report a verdict other than ``ok``.
 
     Raises:
         RecordError: the file is not a record.
         ValueError: the record is wrong or cannot be verified.
     """
     record = read_record(path)
-    found = verify_record(record, trust=trust)
-    if found.status in ("tampered", "unchecked"):
-        raise ValueError(f"{path}: {found.message}: it cannot serve as a demonstration (see chemlab verify)")
-    if found.status != "ok":
-        tell(f"{path}: {found.message}")
+    verdict = verify_record(record, trust=trust)
+    if verdict.status in ("tampered", "unchecked"):
+        raise ValueError(f"{path}: {verdict.message}: it cannot serve as a demonstration (see chemlab verify)")
+    if verdict.status != "ok":
+        notify(f"{path}: {verdict.message}")
     return record
 
 
@@ -205,7 +204,7 @@ def write_datasets(
     Args:
         paths: records of one scenario with equal content.
         name: name of the datasets.
-        agents: names of agents; default: all that had a turn.
+        agents: names of agents; default: all agents that had a turn.
         force: replace existing datasets.
         trust: allow imports of code that the records name.
         tell: receives messages for the user.
@@ -222,23 +221,23 @@ def write_datasets(
     except ValueError as error:
         parts = "two or more letters, digits, - and _, in parts separated by /"
         raise ValueError(f"--name: a dataset's name has {parts}; given {name!r:.100}") from error
-    twice = [path for number, path in enumerate(paths) if path.resolve() in [one.resolve() for one in paths[:number]]]
-    if twice:
-        raise ValueError(f"{twice[0]}: is given twice; its episodes would be in the datasets twice")
+    for i, path in enumerate(paths):
+        if path.resolve() in [earlier.resolve() for earlier in paths[:i]]:
+            raise ValueError(f"{path}: is given twice; its episodes would be in the datasets twice")
     records = [_verified(path, trust, tell) for path in paths]
     scenarios = [recorded_scenario(record) for record in records]
     for path, scenario in zip(paths, scenarios, strict=True):
         if scenario_hash(scenario) != scenario_hash(scenarios[0]):
             raise ValueError(f"{path}: has another scenario than {paths[0]}; make a separate dataset of each")
-    everybody: list[str] = records[0].header["agents"]
-    unknown = set(agents or ()) - set(everybody)
+    all_agents: list[str] = records[0].header["agents"]
+    unknown = set(agents or ()) - set(all_agents)
     if unknown:
-        raise ValueError(f"agent: unknown agent {', '.join(sorted(unknown))}; choose from {', '.join(everybody)}")
-    told = [demonstrations(record, trust) for record in records]
+        raise ValueError(f"agent: unknown agent {', '.join(sorted(unknown))}; choose from {', '.join(all_agents)}")
+    by_record = [(record, demonstrations(record, trust)) for record in records]
     labs = Laboratories(scenarios[0])
     chosen = []
-    for agent in agents or everybody:
-        episodes = [(record, d) for record, found in zip(records, told, strict=True) for d in found[agent]]
+    for agent in agents or all_agents:
+        episodes = [(record, d) for record, found in by_record for d in found[agent]]
         if episodes:
             chosen.append((agent, episodes))
         elif agents:
@@ -251,12 +250,12 @@ def write_datasets(
     for id in ids:
         path = minari.storage.get_dataset_path(id)
         if path.exists() and not force:
-            raise ValueError(f"dataset {id} is already there ({path}); give another name, or --force to replace it")
+            raise ValueError(f"dataset {id} already exists ({path}); give another name, or --force to replace it")
     return [_write(minari, id, agent, episodes, labs) for id, (agent, episodes) in zip(ids, chosen, strict=True)]
 
 
 def _environment(agent: str, labs: Laboratories, split: str | None) -> EnvSpec:
-    """Return the spec of the environment whose spaces and episodes a dataset has, of a split (None: ``train``)."""
+    """Return the spec of a dataset's environment, with a split (None: ``train``)."""
     manager = agent == MANAGER_AGENT
     spec = copy.deepcopy(gymnasium.spec("chemlab/LabManager-v1" if manager else "chemlab/Bench-v1"))
     spec.kwargs["scenario"] = plain_scenario(labs.scenario)
@@ -273,14 +272,14 @@ def _write(
     number = labs.agents.index(agent)
     splits = {record.header.get("split") for record, _ in episodes}
     spec = _environment(agent, labs, splits.pop() if len(splits) == 1 else None)
-    buffers = [_buffer(minari, record, demonstration) for record, demonstration in episodes]
+    buffers = [_buffer(minari, record, d) for record, d in episodes]
     players = sorted({str(record.header["policies"].get(agent, "unknown")) for record, _ in episodes})
     path = minari.storage.get_dataset_path(id)
-    kept = path.with_name(f".{path.name}.replaced")
-    if kept.exists():  # by an export that was killed
+    backup = path.with_name(f".{path.name}.replaced")
+    if backup.exists():  # left by an export that was killed
         shutil.rmtree(path, ignore_errors=True)
     elif path.exists():
-        path.rename(kept)
+        path.rename(backup)
     try:
         with warnings.catch_warnings():
             # Minari warns about missing author, email and code permalink, which a record does not contain.
@@ -304,18 +303,17 @@ def _write(
         dataset.storage.update_metadata({"scenario": labs.scenario.name, "scenario_hash": scenario_hash(labs.scenario)})
     except BaseException:
         shutil.rmtree(path, ignore_errors=True)  # an incomplete dataset would block the next attempt
-        if kept.exists():
-            kept.rename(path)
+        if backup.exists():
+            backup.rename(path)
         raise
-    shutil.rmtree(kept, ignore_errors=True)
-    returns = [sum(demonstration.rewards) for _, demonstration in episodes]
-    steps = sum(len(demonstration.rewards) for _, demonstration in episodes)
+    shutil.rmtree(backup, ignore_errors=True)
+    returns = [sum(d.rewards) for _, d in episodes]
+    steps = sum(len(d.rewards) for _, d in episodes)
     return Dataset(id, agent, len(episodes), steps, float(np.mean(returns)), os.fspath(path))
 
 
-def _buffer(minari: Any, record: Record, demonstration: Demonstration) -> Any:
+def _buffer(minari: Any, record: Record, d: Demonstration) -> Any:
     """Convert an episode to Minari's buffer."""
-    d = demonstration
     ends = np.arange(len(d.rewards)) == len(d.rewards) - 1
     infos = {"elapsed_ticks": np.array(d.elapsed, dtype=np.int64), "cost": np.array(d.costs, dtype=np.float64)}
     if d.masks:

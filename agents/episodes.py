@@ -1,4 +1,4 @@
-"""Play episodes: experiments of a bench, or of laboratories, many at once or one with its turns and record."""
+"""Play episodes of a bench or a laboratory: in a batch, or one with a callback for each turn and a record."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from chemlab.record import Play, Recorder
 from chemlab.roles.manager_state import COST_ITEMS, LIMIT, STATUS_WORDS
 
 _TRACE_MOL = 1e-6
+"""Smallest amount of a material that counts as present."""
 _TRACE_EVENT = 1e-9
+"""Smallest total of a safety event; less is a rounding error."""
 
 
 @dataclass
@@ -30,10 +32,10 @@ class Played:
         returns: [n] return of the bench's agent, or the manager's score of a laboratory.
         lengths: [n] steps taken (a laboratory: ticks).
         cost: [n] weighted safety events.
-        illegal: [n] masked actions played (lost turns).
-        cases: [n] which starting state it was, where there are several, else ''.
-        measures: further numbers of each episode, {name: [n]}.
-        actions: the actions of each episode, where they were recorded: integers, or rows of numbers.
+        illegal: [n] invalid actions.
+        cases: [n] kind of initial state; '' if there is only one.
+        measures: further measures, {name: [n]}.
+        actions: actions of each episode (integers, or lists of numbers), if they were recorded.
     """
 
     returns: FloatArray
@@ -46,7 +48,7 @@ class Played:
 
     @classmethod
     def joined(cls, parts: Sequence[Played]) -> Played:
-        """Several batches as one."""
+        """Return several batches as one."""
         arrays = ("returns", "lengths", "cost", "illegal")
         recorded = [part.actions for part in parts if part.actions is not None]
         return cls(
@@ -63,11 +65,9 @@ def _case(env: RoleVectorEnv, goal: str, member: int) -> str:
     if companion is None or companion.probability in (0.0, 1.0):
         return ""
     other = companion.if_goal if goal == companion.material else companion.material
-    forms = {other}
-    forms |= {
-        ion for salt in env.batch.scenario.family.salt if salt.solid == other for ion in (salt.cation, salt.anion)
-    }
-    present = bool(forms & env.batch.shelf.vessel(member, 0).amounts(_TRACE_MOL).keys())
+    salts = [salt for salt in env.batch.scenario.family.salt if salt.solid == other]
+    forms = {other, *(ion for salt in salts for ion in (salt.cation, salt.anion))}
+    present = forms & env.batch.shelf.vessel(member, 0).amounts(_TRACE_MOL).keys()
     return f"{'with' if present else 'without'} {other}"
 
 
@@ -78,15 +78,15 @@ def play_bench(
     seed: int | Sequence[int],
     record: bool = False,
 ) -> Played:
-    """Play one experiment in every member of a batch; a member plays the same as a single environment with its seed.
+    """Play one experiment in each of N environments; each gives the same result as a single one with its seed.
 
     Args:
         env: batch of N with ``autoreset_mode="SameStep"``.
-        policy: policy of all members.
-        goal: goal of the experiments, or one for each member.
-        seed: seed of member 0, with consecutive seeds for the others; or one for each member. What a policy draws
-            follows from them, too.
-        record: whether to keep the actions.
+        policy: policy of all environments.
+        goal: goal of the experiments, or one for each environment.
+        seed: seed of environment 0 (the others have consecutive seeds), or one for each environment. Random policies
+            are seeded with them as well.
+        record: True to keep the actions.
 
     Returns:
         N episodes.
@@ -94,14 +94,14 @@ def play_bench(
     n, limit = env.num_envs, env.bench.spec.step_limit
     goals = np.array([goal] * n if isinstance(goal, str) else goal)
     seeds = [seed + i for i in range(n)] if isinstance(seed, int) else list(seed)
-    for i, one in enumerate(dict.fromkeys(goals.tolist())):
-        # The first reset must be of all members; members with other goals are then reset again.
-        only = goals == one if i else np.ones(n, dtype=np.bool_)
-        observations, _ = env.reset(seed=seeds, options={"goal": one, "reset_mask": only})
-    cases = [_case(env, one, member) for member, one in enumerate(goals.tolist())]
-    start = getattr(policy, "seed", lambda member, own: None)
-    for member, own in enumerate(seeds):
-        start(member, own)
+    for i, name in enumerate(dict.fromkeys(goals.tolist())):
+        # The first reset must include all environments; those with other goals are then reset again.
+        reset = goals == name if i else np.ones(n, dtype=np.bool_)
+        observations, _ = env.reset(seed=seeds, options={"goal": name, "reset_mask": reset})
+    cases = [_case(env, name, member) for member, name in enumerate(goals.tolist())]
+    if hasattr(policy, "seed"):
+        for member, own_seed in enumerate(seeds):
+            policy.seed(member, own_seed)
     played = Played(np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros(n), np.zeros(n, dtype=np.int64), cases, {}, None)
     running, step, members = np.ones(n, dtype=np.bool_), np.zeros(n, dtype=np.int64), np.arange(n)
     rows: list[npt.NDArray[Any]] = []
@@ -116,7 +116,7 @@ def play_bench(
         played.illegal += running * infos["illegal_action"]
         played.lengths += running
         ended = terminated | truncated
-        # A member that has ended continues with an experiment that does not count, with a reset policy memory.
+        # An environment whose episode has ended plays another one, which is not counted; step 0 resets the memory.
         step = np.where(ended, 0, step + 1)
         running &= ~ended
         if not running.any():
@@ -127,38 +127,32 @@ def play_bench(
 
 
 def _in_order(policies: Mapping[str, Policy], agents: Sequence[str]) -> list[Policy]:
-    """Return the policies of agents.
+    """Return the policies in the order of the agents.
 
     Raises:
-        ValueError: they are not exactly these agents', as where roles (``rxn``) are named, which would not be played.
+        ValueError: the keys differ from the agents' names; roles (``rxn``) instead of agents are an error, too.
     """
     if set(policies) != set(agents):
         raise ValueError(f"policies: needs one for each of {', '.join(agents)}, given {', '.join(map(str, policies))}")
     return [policies[agent] for agent in agents]
 
 
-def _unsafe(labs: Laboratories) -> npt.NDArray[np.bool_]:
-    """Return [N] whether a harmful safety event happened; amounts below ``_TRACE_EVENT`` are rounding errors."""
-    harmful = [kind not in ("boiled_dry", "dry_heating") for kind in labs.scenario.safety_events]
-    return np.asarray((labs.safety_totals[:, harmful] >= _TRACE_EVENT).any(axis=1))
-
-
 def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: str | None, seed: int) -> Played:
-    """Play one episode in each of N laboratories: in laboratory i what :func:`play_episode` plays with seed + i.
+    """Play one episode in each of N laboratories; laboratory i plays as :func:`play_episode` does with seed + i.
 
     Args:
         labs: N laboratories.
-        policies: one for every agent, by its id.
-        goal: the laboratory's goal; None: drawn, as in any episode.
-        seed: of laboratory 0. What policies draw follows from the seeds, too.
+        policies: policy of every agent, by its name.
+        goal: goal of all orders; None: drawn in each episode.
+        seed: seed of laboratory 0. Random policies are seeded with the laboratories' seeds as well.
 
     Returns:
-        N episodes: the manager's scores; measures ``submitted_mol``, ``purity`` (0 where nothing was submitted),
-        ``instruments`` (cost of measurements, in units of the score), ``manager_actions``, ``unsafe`` (1 if anything
-        was spilled or vented, or a metal burned, else 0), ``limit`` (1 if actions or ticks ran out), ``nothing`` (1 if
-        nothing was submitted), and the reward of every bench's agent.
+        N episodes with the manager's scores. The measures are ``submitted_mol``, ``purity`` (0 if nothing was
+        submitted), ``instruments`` (cost of measurements, in units of the score), ``manager_actions``, ``unsafe`` (1 if
+        anything was spilled or vented, or a metal burned), ``limit`` (1 if actions or ticks ran out), ``nothing`` (1 if
+        nothing was submitted), and ``reward AGENT``, the return of each bench agent.
     """
-    n, own = len(labs.members), _in_order(policies, labs.agents)
+    n, ordered = len(labs.members), _in_order(policies, labs.agents)
     labs.begin(seed, goal)
     cost, illegal, rewards = np.zeros(n), np.zeros(n, dtype=np.int64), np.zeros((n, len(labs.agents)))
 
@@ -167,20 +161,21 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
         cost[members] += labs.cost[members].sum(axis=1)
         illegal[members] += labs.illegal(number)[members]
 
-    players = Players(labs, own)
+    players = Players(labs, ordered)
     for member in labs.members.tolist():
         players.seed(member, seed + member)
     players.play_on(labs.members, count)
     mol, purity = labs.state.submitted[:, :, 0], labs.state.submitted[:, :, 1]
-    whole = mol.sum(axis=1)
+    total = mol.sum(axis=1)
+    harmful = [kind not in ("boiled_dry", "dry_heating") for kind in labs.scenario.safety_events]
     measures = {
-        "submitted_mol": whole,
-        "purity": np.divide((mol * purity).sum(axis=1), whole, out=np.zeros(n), where=whole > 0.0),
+        "submitted_mol": total,
+        "purity": np.divide((mol * purity).sum(axis=1), total, out=np.zeros(n), where=total > 0.0),
         "instruments": labs.state.charges[:, COST_ITEMS.index("instruments")].copy(),
         "manager_actions": labs.state.actions.astype(np.float64),
-        "unsafe": _unsafe(labs).astype(np.float64),
+        "unsafe": (labs.safety_totals[:, harmful] >= _TRACE_EVENT).any(axis=1).astype(np.float64),
         "limit": (labs.state.status == LIMIT).astype(np.float64),
-        "nothing": (whole == 0.0).astype(np.float64),
+        "nothing": (total == 0.0).astype(np.float64),
     }
     measures |= {f"reward {agent}": rewards[:, i] for i, agent in enumerate(labs.agents) if i}
     return Played(labs.result(labs.members), labs.state.ticks.copy(), cost, illegal, [""] * n, measures)
@@ -188,7 +183,7 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
 
 @dataclass(frozen=True)
 class PlayedTurn:
-    """One agent's turn, as it has just been played."""
+    """A turn that an agent has just played."""
 
     agent: str
     tick: int
@@ -201,9 +196,9 @@ class PlayedTurn:
 class EpisodeResult:
     """Results of an episode; ``chemlab run --json`` prints its fields.
 
-    ``score`` is the manager's result: what the orders pay, as a mean, minus ``missed`` (the penalty of orders that pay
-    nothing) and minus costs. ``paid`` of the ``orders`` pay something. ``status`` says how the episode ended
-    (:data:`~chemlab.roles.manager_state.STATUS_WORDS`).
+    ``score`` is the raw score: the mean payment of the orders, minus ``missed`` (the penalty for orders that pay
+    nothing) and minus costs. ``paid`` is the number of orders that pay something. ``status`` is the reason for the
+    episode's end (:data:`~chemlab.roles.manager_state.STATUS_WORDS`).
     """
 
     scenario: str
@@ -224,7 +219,7 @@ class EpisodeResult:
     status: str
 
     def words(self) -> str:
-        """The outcome, the costs and the score as a line."""
+        """Return a line with the outcome, the costs and the score."""
         items = {**self.costs, "missed orders" if self.orders > 1 else "missed order": self.missed}
         costs = ", ".join(f"{item} {value:.4f}" for item, value in items.items() if value > 0.0)
         end = f"submitted {self.submitted_mol:.3f} mol {self.goal} at purity {self.purity:.3f}"
@@ -249,8 +244,8 @@ def play_episode(
     Args:
         env: the laboratory, without wrappers.
         policies: a policy for every agent.
-        seed: the episode's seed. What policies draw follows from it, too.
-        policy_name: what to call the policies in the result.
+        seed: seed of the episode and of random policies.
+        policy_name: name of the policies in the result.
         watch: called after every turn.
         options: passed to ``env.reset``.
         recorder: writes the episode's record.
@@ -258,7 +253,7 @@ def play_episode(
     Returns:
         The episode's result.
     """
-    own = _in_order(policies, env.possible_agents)
+    ordered = _in_order(policies, env.possible_agents)
     env.reset(seed=seed, options=options)
     if recorder is not None:
         recorder.begin(seed, options)
@@ -276,7 +271,7 @@ def play_episode(
         if watch is not None:
             watch(PlayedTurn(agent, tick, action, env.rewards[agent], env.infos[agent]))
 
-    players = Players(labs, own, act)
+    players = Players(labs, ordered, act)
     players.seed(0, seed)
     players.play_on(labs.members)
     outcome, state = labs.outcome(), labs.state
@@ -310,9 +305,10 @@ def record_episode(
     options: dict[str, Any] | None = None,
     force: bool = False,
 ) -> EpisodeResult:
-    """Play one episode as :func:`play_episode` does, and write its record to ``path``, over one there if ``force``.
+    """Play one episode as :func:`play_episode` does, and write its record to ``path``.
 
-    The record names ``policy_name`` as every agent's policy, if given.
+    An existing file is replaced only with ``force``. If given, ``policy_name`` is recorded as the policy of every
+    agent.
     """
     names = dict.fromkeys(env.possible_agents, policy_name) if policy_name else None
     with Recorder(path, env.laboratories, policies=names, force=force) as recorder:

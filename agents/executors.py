@@ -38,10 +38,13 @@ from chemlab.config.parts import strangers_code, trust
 
 ATTEMPTS = 3
 """Maximum number of attempts per job."""
-_SLURM_AT_A_TIME = 64
+_SLURM_CONCURRENT = 64
 _SLURM_MINUTES = 60
 _OBJECT_STORE_BYTES = 512 * 1024 * 1024
-"""Object store of a Ray instance started here; a batch of turns takes some ten megabytes."""
+"""Size of the object store of a local Ray instance; a batch of turns takes about ten megabytes."""
+
+_Outcome = tuple[Any, Exception | None, str]
+"""Outcome of a call: result, error and traceback."""
 
 P = ParamSpec("P")
 Value = TypeVar("Value")
@@ -49,7 +52,7 @@ J = TypeVar("J")
 
 
 class WorkerLost(OSError):
-    """A job has lost its worker or its child process; as the error of a future, in every allowed attempt."""
+    """A job lost its worker or its child process; raised by a future if this happened in every attempt."""
 
 
 # -- executors --------------------------------------------------------------------------------------------------------
@@ -68,7 +71,7 @@ def executor(address: str | None = None, processes: int | None = None, commands:
         ValueError: no cluster answers at the address.
         ImportError: the extra is not installed.
     """
-    jobs = _made(address, processes, commands)
+    jobs = _new_executor(address, processes, commands)
     try:
         yield jobs
     except BaseException:
@@ -77,14 +80,14 @@ def executor(address: str | None = None, processes: int | None = None, commands:
     jobs.shutdown()
 
 
-def _made(address: str | None, processes: int | None, commands: bool) -> Executor:
+def _new_executor(address: str | None, processes: int | None, commands: bool) -> Executor:
     if address is None:
         count = processes or os.cpu_count() or 1
         if commands:
             return Workers(_Commands(), count)
         return Workers(_Processes(count), count) if count > 1 else Inline()
     if address == "slurm":
-        return Workers(_Slurm(), processes or _SLURM_AT_A_TIME)
+        return Workers(_Slurm(), processes or _SLURM_CONCURRENT)
     cluster = _Ray(address)
     return Workers(cluster, processes or cluster.cpus)
 
@@ -121,12 +124,12 @@ class Inline(Executor):
 
 @dataclass(frozen=True)
 class _Call:
-    """A job in the form that is sent to a worker.
+    """A function call that is sent to a worker.
 
     Attributes:
         function, arguments, keywords: the call.
         trusted: value of :func:`~chemlab.config.parts.trust` at submission.
-        folder: working directory at submission, to which relative paths refer.
+        folder: working directory at submission, the base of relative paths.
     """
 
     function: Callable[..., Any]
@@ -135,8 +138,8 @@ class _Call:
     trusted: bool | None
     folder: str
 
-    def __call__(self) -> tuple[Any, Exception | None, str]:
-        """Return the result, or the error and its traceback; engines would wrap errors in their own classes."""
+    def __call__(self) -> _Outcome:
+        """Return (result, None, "") or (None, error, traceback): some engines would change the class of an error."""
         if Path(self.folder).is_dir():
             os.chdir(self.folder)
         with contextlib.nullcontext() if self.trusted is None else strangers_code(self.trusted):
@@ -146,53 +149,53 @@ class _Call:
                 return None, error, traceback.format_exc()
 
 
-class _Place(Protocol):
+class _Backend(Protocol):
     """A set of workers that execute calls.
 
     Attributes:
-        lost: exception types of :meth:`play` that indicate a lost worker.
+        lost: exception types of :meth:`execute` that indicate a lost worker.
     """
 
     lost: tuple[type[BaseException], ...]
 
-    def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
-        """Execute a call and return its result when finished."""
+    def execute(self, call: _Call) -> _Outcome:
+        """Execute a call and return its outcome when it is finished."""
 
     def close(self) -> None:
         """Stop the workers and their running calls."""
 
 
 class Workers(ThreadPoolExecutor):
-    """Executor whose threads each watch one job of a place and restart it if its worker is lost.
+    """Executor whose threads each wait for one job of a backend and restart it if its worker is lost.
 
     Args:
-        place: the workers.
+        backend: the workers.
         count: number of concurrent jobs.
     """
 
-    def __init__(self, place: _Place, count: int) -> None:
+    def __init__(self, backend: _Backend, count: int) -> None:
         super().__init__(count, "jobs")
-        self._place, self._closing = place, False
+        self._backend, self._closing = backend, False
 
     def submit(self, fn: Callable[P, Value], /, *args: P.args, **kwargs: P.kwargs) -> Future[Value]:
         """See :meth:`concurrent.futures.Executor.submit`. The future's exception may also be :class:`WorkerLost`."""
-        return super().submit(self._played, _Call(fn, args, kwargs, trust(), os.getcwd()))
+        return super().submit(self._executed, _Call(fn, args, kwargs, trust(), os.getcwd()))
 
-    def _played(self, call: _Call) -> Any:
+    def _executed(self, call: _Call) -> Any:
         reason: BaseException | None = None
         for _ in range(ATTEMPTS):
             if self._closing:
                 break
             try:
-                value, error, where = self._place.play(call)
-            except self._place.lost as lost:
+                value, error, trace = self._backend.execute(call)
+            except self._backend.lost as lost:
                 reason = lost
                 continue
             if isinstance(error, WorkerLost):
                 reason = error
                 continue
             if error is not None:
-                raise error from RuntimeError(f"in a worker:\n{where}")
+                raise error from RuntimeError(f"in a worker:\n{trace}")
             return value
         raise WorkerLost(
             f"a job's worker was lost {ATTEMPTS} times: it was killed or ran out of memory (use fewer --processes). "
@@ -204,10 +207,10 @@ class Workers(ThreadPoolExecutor):
         super().shutdown(wait=False, cancel_futures=cancel_futures)
         if cancel_futures:
             self._closing = True
-            self._place.close()
+            self._backend.close()
         if wait:
             super().shutdown()
-            self._place.close()
+            self._backend.close()
 
 
 # -- workers ----------------------------------------------------------------------------------------------------------
@@ -218,7 +221,7 @@ class _Commands:
 
     lost: tuple[type[BaseException], ...] = ()
 
-    def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
+    def execute(self, call: _Call) -> _Outcome:
         return call()
 
     def close(self) -> None:
@@ -234,19 +237,19 @@ class _Processes:
     def __init__(self, count: int) -> None:
         self._count, self._lock = count, threading.Lock()
         self._pool: ProcessPoolExecutor | None = None
-        self._leash: Connection | None = None
+        self._parent_end: Connection | None = None
 
-    def _running(self) -> ProcessPoolExecutor:
+    def _running_pool(self) -> ProcessPoolExecutor:
         with self._lock:
             if self._pool is None:
                 # Threads of numerical libraries do not survive a fork.
                 context = get_context("spawn")
-                end, self._leash = context.Pipe(duplex=False)
-                self._pool = ProcessPoolExecutor(self._count, context, _end_with, (end,))
+                child_end, self._parent_end = context.Pipe(duplex=False)
+                self._pool = ProcessPoolExecutor(self._count, context, _exit_with_parent, (child_end,))
             return self._pool
 
-    def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
-        pool = self._running()
+    def execute(self, call: _Call) -> _Outcome:
+        pool = self._running_pool()
         try:
             return pool.submit(call).result()
         except BrokenExecutor:
@@ -257,65 +260,58 @@ class _Processes:
 
     def close(self) -> None:
         with self._lock:
-            pool, leash = self._pool, self._leash
-            self._pool = self._leash = None
-        if pool is not None and leash is not None:
+            pool, parent_end = self._pool, self._parent_end
+            self._pool = self._parent_end = None
+        if pool is not None and parent_end is not None:
             pool.shutdown(wait=False, cancel_futures=True)
-            leash.close()
+            parent_end.close()
             pool.shutdown()
 
 
-def _end_with(leash: Connection) -> None:
-    """End this process when the other end of the pipe closes: the executor was closed, or its process has died."""
+def _exit_with_parent(child_end: Connection) -> None:
+    """Exit this process when the parent's end of the pipe closes: its executor was closed, or the parent has died."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is handled by the parent process
 
     def watch() -> None:
         with contextlib.suppress(EOFError, OSError):
-            leash.recv_bytes()
+            child_end.recv_bytes()
         os._exit(1)
 
     threading.Thread(target=watch, daemon=True).start()
-
-
-def _ray() -> Any:
-    """Import and return Ray."""
-    with needs("a cluster needs Ray", "ray"):
-        import ray
-    return ray
 
 
 class _Ray:
     """Workers of a Ray cluster, one CPU each."""
 
     def __init__(self, address: str) -> None:
-        self._ray, self._at_work, self._left = _ray(), set[Any](), contextlib.ExitStack()
-        self._left.enter_context(connected(address, 1))
+        self._running, self._connection = set[Any](), contextlib.ExitStack()
+        self._ray = self._connection.enter_context(connected(address, 1))
         self.cpus = int(self._ray.cluster_resources()["CPU"])
         self._call = self._ray.remote(max_retries=0)(_Call.__call__)
         kinds = ("WorkerCrashedError", "NodeDiedError", "ObjectLostError", "OutOfMemoryError", "TaskCancelledError")
         self.lost: tuple[type[BaseException], ...] = tuple(getattr(self._ray.exceptions, kind) for kind in kinds)
 
-    def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
+    def execute(self, call: _Call) -> _Outcome:
         reference = self._call.remote(call)
-        self._at_work.add(reference)
+        self._running.add(reference)
         try:
-            found: tuple[Any, Exception | None, str] = self._ray.get(reference)
-            return found
+            outcome: _Outcome = self._ray.get(reference)
+            return outcome
         finally:
-            self._at_work.discard(reference)
+            self._running.discard(reference)
 
     def close(self) -> None:
-        for reference in list(self._at_work):
+        for reference in list(self._running):
             self._ray.cancel(reference, force=True)
-        self._left.close()
+        self._connection.close()
 
 
 class _Slurm:
     """Slurm jobs, submitted by submitit; ``cluster="local"`` starts local processes instead.
 
     Args:
-        cluster: submitit's name of the engine.
-        folder: directory visible to every node; holds the jobs' arguments, results and logs.
+        cluster: name of the engine in submitit.
+        folder: directory that every node can access, for arguments, results and logs of the jobs.
     """
 
     def __init__(self, cluster: str = "slurm", folder: Path = Path("slurm")) -> None:
@@ -326,27 +322,27 @@ class _Slurm:
         except RuntimeError as error:
             raise ValueError(f"address: no Slurm found ({error}); run this on a machine with sbatch") from error
         self._engine.update_parameters(name="chemlab", cpus_per_task=1, timeout_min=_SLURM_MINUTES)
-        self._lock, self._at_work = threading.Lock(), set[Any]()
+        self._lock, self._running = threading.Lock(), set[Any]()
         self.lost: tuple[type[BaseException], ...] = (submitit.core.utils.UncompletedJobError,)
 
-    def play(self, call: _Call) -> tuple[Any, Exception | None, str]:
+    def execute(self, call: _Call) -> _Outcome:
         with self._lock:
             job = self._engine.submit(call)
-            self._at_work.add(job)
+            self._running.add(job)
         try:
-            found: tuple[Any, Exception | None, str] = job.result()
-            return found
+            outcome: _Outcome = job.result()
+            return outcome
         finally:
-            self._at_work.discard(job)
+            self._running.discard(job)
 
     def close(self) -> None:
-        for job in list(self._at_work):
+        for job in list(self._running):
             job.cancel(check=False)
 
 
 @contextlib.contextmanager
-def connected(address: str | None, runners: int) -> Iterator[None]:
-    """Connect to Ray for the duration of the context; an existing connection is reused and kept.
+def connected(address: str | None, runners: int) -> Iterator[Any]:
+    """Connect to Ray and yield its module; an existing connection is reused, and kept after the context.
 
     Args:
         address: address of a cluster (``auto``: the cluster of this machine); None starts a local Ray instance.
@@ -355,10 +351,11 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
     Raises:
         ValueError: no cluster answers at the address, or it has too few CPUs.
     """
-    ray = _ray()
+    with needs("a cluster needs Ray", "ray"):
+        import ray
     logging.getLogger("ray.rllib").setLevel(logging.ERROR)  # the level that RLlib sets later
-    ours = not ray.is_initialized()
-    if ours:
+    connects = not ray.is_initialized()
+    if connects:
         # Disable Ray's usage reports unless the user has configured them.
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
         quiet: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
@@ -380,9 +377,9 @@ def connected(address: str | None, runners: int) -> Iterator[None]:
             raise ValueError(
                 f"runners: must be at most {cpus}, the number of Ray's CPUs; given {runners}: use fewer or add nodes"
             )
-        yield
+        yield ray
     finally:
-        if ours:
+        if connects:
             ray.shutdown()
 
 
@@ -413,7 +410,7 @@ _running: set[subprocess.Popen[bytes]] = set()
 
 
 def run_chemlab(words: Sequence[str], log: Path) -> int:
-    """Run a command in a child process on one core, which ends with this process; return its exit code.
+    """Run a command in a child process on one core and return its exit code. The child ends with this process.
 
     Args:
         words: arguments of ``chemlab``.
@@ -424,8 +421,8 @@ def run_chemlab(words: Sequence[str], log: Path) -> int:
     """
     # Threads of numerical libraries would compete with other jobs for the core.
     single = dict.fromkeys(("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
-    with log.open("ab") as said:
-        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": said, "stderr": subprocess.STDOUT}
+    with log.open("ab") as output:
+        streams: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": output, "stderr": subprocess.STDOUT}
         with subprocess.Popen([sys.executable, "-c", _CHILD, *words], env={**os.environ, **single}, **streams) as child:
             _running.add(child)
             try:

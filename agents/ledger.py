@@ -1,4 +1,4 @@
-"""A ledger of episodes: a file of lines, each of which has the hash of the line before it."""
+"""Ledger of episodes: a file of JSON lines, each with the hash of the line before it."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _PATIENCE_S = 10.0
 _FILE_BYTES = 2**28
 
 
-class _Played(BaseModel):
-    """An episode that is over: its conditions, the digest of its record, and counts of each seat."""
+class _Episode(BaseModel):
+    """A finished episode: its conditions, the hash of its record, and counts by seat."""
 
     condition: str
     names: str
@@ -41,15 +41,15 @@ def _hash(entry: Mapping[str, Any]) -> str:
 
 
 def append_entry(path: Path, entry: Mapping[str, Any]) -> dict[str, Any]:
-    """Add an entry to a ledger, with its number, the time and the hash of the entry before it.
+    """Append an entry to a ledger and return it with its number, the time, the previous hash and its own hash.
 
     Raises:
-        ValueError: the ledger is not intact, or another process keeps it locked.
+        ValueError: the ledger is not intact, or another process has locked it.
         OSError: the disk is full; nothing has been added.
     """
     with path.open("a+b", buffering=0) as file:
         if not wait_locked(file.fileno(), _PATIENCE_S):
-            raise ValueError(f"{path}: another process keeps it locked; try again")
+            raise ValueError(f"{path}: another process has locked it; try again")
         file.seek(0)
         entries = _checked(path, file.read())
         previous = entries[-1]["hash"] if entries else ""
@@ -61,28 +61,28 @@ def append_entry(path: Path, entry: Mapping[str, Any]) -> dict[str, Any]:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
             os.fsync(file.fileno())
         except OSError:
-            file.truncate(end)  # a part of a line would make the ledger useless
+            file.truncate(end)  # an incomplete line would invalidate the ledger
             raise
     return full
 
 
 def read_ledger(path: Path) -> list[dict[str, Any]]:
-    """The entries of a ledger.
+    """Return the entries of a ledger.
 
     Raises:
-        ValueError: a line has been changed, removed or added; the message says which.
+        ValueError: a line has been changed, removed or added; the message has its number.
         OSError: it is not a regular file, or larger than 256 MiB.
     """
     return _checked(path, read_bytes(path, _FILE_BYTES))
 
 
 def ended_episodes(folder: Path) -> dict[Path, dict[str, Any]]:
-    """All episodes of the ledgers in a folder, by the file of their record.
+    """Return all episodes of the ledgers below a folder, by the path of their record.
 
     Raises:
-        ValueError: a ledger is not intact, an entry lacks a value, an episode has no end, or a record is missing or has
-            been changed.
-        OSError: a file is not a regular one, or too large.
+        ValueError: a ledger is not intact, an entry lacks a value, an episode is not finished, or a record is missing
+            or has been changed.
+        OSError: a file is not a regular file, or too large.
     """
     found = {}
     for path in sorted(folder.rglob(LEDGER)):
@@ -93,33 +93,30 @@ def ended_episodes(folder: Path) -> dict[Path, dict[str, Any]]:
                 continue
             if str(number) not in ends:
                 raise ValueError(
-                    f"{path}: line {number + 1}: this episode has no end. All episodes of a folder count: wait for the "
-                    "end, or play into a new folder"
+                    f"{path}: line {number + 1}: this episode has not ended. All episodes of a folder count: wait for "
+                    "its end, or play into a new folder"
                 )
             played = entry | ends[str(number)]
-            validated(_Played, played, f"{path}: episode of line {number + 1}")
-            stem = path.parent / f"episode-{number:04d}.jsonl"
-            file = stem if stem.exists() else stem.with_name(f"{stem.name}.part")
-            if not file.exists() or _digest(file) != played["record"]:
-                raise ValueError(f"{stem}: is missing, or has been changed since the episode: restore it")
+            validated(_Episode, played, f"{path}: episode of line {number + 1}")
+            record = path.parent / f"episode-{number:04d}.jsonl"
+            file = record if record.exists() else record.with_name(f"{record.name}.part")
+            if not file.exists() or hashlib.sha256(read_bytes(file, LIMITS.file_bytes)).hexdigest() != played["record"]:
+                raise ValueError(f"{record}: is missing, or has been changed since the episode: restore it")
             found[file] = played
     return found
 
 
-def _digest(file: Path) -> str:
-    return hashlib.sha256(read_bytes(file, LIMITS.file_bytes)).hexdigest()
-
-
 def _checked(path: Path, content: bytes) -> list[dict[str, Any]]:
+    """Return the entries of a ledger's content; ``path`` is for the error message."""
     entries: list[dict[str, Any]] = []
     for number, line in enumerate(content.splitlines()):
         try:
             entry = json.loads(line)
             previous = entries[-1]["hash"] if entries else ""
-            sound = entry["hash"] == _hash(entry) and entry["previous"] == previous and entry["number"] == number
+            intact = entry["hash"] == _hash(entry) and entry["previous"] == previous and entry["number"] == number
         except (ValueError, KeyError, TypeError, RecursionError):
-            sound = False
-        if not sound:
-            raise ValueError(f"{path}: line {number + 1} is not what was written; the ledger is not intact")
+            intact = False
+        if not intact:
+            raise ValueError(f"{path}: line {number + 1} has been changed; the ledger is not intact")
         entries.append(entry)
     return entries

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib.resources
 import itertools
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -30,6 +29,7 @@ from chemlab.roles.manager_actions import START, SUBMIT, ManagerActions
 from chemlab.roles.manager_view import order_channels
 
 from .former_names import current_name
+from .runs import to_text
 
 Context = tuple[str, ...]
 """The goal of every order, on which a plan may depend."""
@@ -54,10 +54,10 @@ class Playback(Remembering):
 
     Args:
         actions: the manager's actions.
-        plans: the sequences.
+        plans: the sequences, by environment index.
 
     Attributes:
-        started: [N, benches] experiments of each bench in the episode so far.
+        started: [N, benches] number of experiments at each bench in the episode so far.
     """
 
     _MEMORY = ("_plan", "_next")
@@ -75,7 +75,7 @@ class Playback(Remembering):
         self._next: IntArray = np.zeros(0, dtype=np.int64)
 
     def choose(self, observation: ObservationArray, members: IntArray) -> IntArray:
-        """Return [B] the sequence of each starting episode; here, the one at its environment index."""
+        """Return [B] the indices of the sequences for new episodes; here, their environment indices."""
         return members
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
@@ -83,43 +83,41 @@ class Playback(Remembering):
         assert mask is not None, "the manager has discrete actions"
         lacking = int(members.max()) + 1 - len(self._next)
         if lacking > 0:
-            self._next, self._plan = (
-                np.append(array, np.zeros(lacking, np.int64)) for array in (self._next, self._plan)
-            )
+            self._next, self._plan = (np.pad(array, (0, lacking)) for array in (self._next, self._plan))
             self.started = np.resize(self.started, (len(self._next), self.started.shape[1]))
-        fresh = step == 0
-        if fresh.any():
-            self.started[members[fresh]] = 0
-            self._plan[members[fresh]] = self.choose(observation[fresh], members[fresh])
-            self._next[members[fresh]] = 0
+        new = step == 0
+        if new.any():
+            self.started[members[new]] = 0
+            self._plan[members[new]] = self.choose(observation[new], members[new])
+            self._next[members[new]] = 0
         plan, position, rows = self._plan[members], self._next[members], np.arange(len(members))
         may_wait = mask[:, self._wait] != 0
         while True:
-            meant = self._steps[plan, position]
-            legal = (meant != _END) & (mask[rows, meant] != 0)
-            left_out = (meant != _END) & ~legal & ~may_wait
-            if not left_out.any():
+            planned = self._steps[plan, position]
+            legal = (planned != _END) & (mask[rows, planned] != 0)
+            skipped = (planned != _END) & ~legal & ~may_wait
+            if not skipped.any():
                 break
-            position += left_out
+            position += skipped
         self._next[members] = position + legal
-        begun = np.flatnonzero(legal & (self._table[meant, 0] == START))
-        self.started[members[begun], self._table[meant[begun], 1]] += 1
+        starts = np.flatnonzero(legal & (self._table[planned, 0] == START))
+        self.started[members[starts], self._table[planned[starts], 1]] += 1
         submissions = mask[:, self._submissions] != 0
         submit = np.where(submissions.any(axis=1), self._submissions[submissions.argmax(axis=1)], mask.argmax(axis=1))
-        return np.where(legal, meant, np.where(may_wait, self._wait, submit))
+        return np.where(legal, planned, np.where(may_wait, self._wait, submit))
 
 
 class ConstantPlan(Playback):
-    """Open-loop manager with one plan for every public context; see :class:`Playback` for actions that are not legal.
+    """Open-loop manager with one plan for each public context; see :class:`Playback` for actions that are not legal.
 
     Args:
         scenario: the public scenario.
-        channels: the manager's observation channels; only the initial goals are used.
+        channels: the manager's observation channels, of which only the initial goals are read.
         actions: the manager's actions.
         plans: plans by context.
 
     Raises:
-        ValueError: a context that the scenario may draw has no plan.
+        ValueError: a context of the scenario has no plan.
     """
 
     def __init__(
@@ -134,18 +132,18 @@ class ConstantPlan(Playback):
             )
         super().__init__(actions, [plans[context] for context in contexts])
         slices = channel_slices(channels)
-        self._goals = [slices[name] for name, _ in order_channels(scenario)]
-        self._known = {context: number for number, context in enumerate(contexts)}
-        self._names = scenario.lab_goals
-        self._asked = [scenario.goals.index(goal) for goal in scenario.lab_goals]
+        self._orders = [slices[name] for name, _ in order_channels(scenario)]
+        self._contexts = {context: number for number, context in enumerate(contexts)}
+        self._goals = scenario.lab_goals
+        self._columns = [scenario.goals.index(goal) for goal in scenario.lab_goals]
 
     def choose(self, observation: ObservationArray, members: IntArray) -> IntArray:
         """Return [B] the index of the context in each observation [B, size].
 
         For orders that have not arrived, the first possible goal is assumed.
         """
-        goals = np.stack([observation[:, part][:, self._asked].argmax(axis=1) for part in self._goals], axis=1)
-        return np.array([self._known[tuple(self._names[g] for g in row)] for row in goals], dtype=np.int64)
+        goals = np.stack([observation[:, part][:, self._columns].argmax(axis=1) for part in self._orders], axis=1)
+        return np.array([self._contexts[tuple(self._goals[g] for g in row)] for row in goals], dtype=np.int64)
 
 
 # -- stored plans -----------------------------------------------------------------------------------------------------
@@ -169,7 +167,7 @@ class PlanFile(DataModel):
         versions: versions of chemlab, numpy and Python.
         tried: number of evaluated plans.
         evaluation: ``episodes``, ``seed`` and the score's ``value``, ``low`` and ``high``.
-        plans: one of each context.
+        plans: one plan for each context.
     """
 
     kind: Literal["plan"]
@@ -184,7 +182,7 @@ class PlanFile(DataModel):
 
     def save(self, path: Path) -> None:
         """Write the file atomically."""
-        write_text(path, json.dumps(self.model_dump(), indent=1) + "\n")
+        write_text(path, to_text(self.model_dump()))
 
     def decoded(self, actions: ManagerActions) -> dict[Context, Plan]:
         """Return the plans as action indices of a laboratory.
@@ -223,23 +221,23 @@ def load_plans(path: Path) -> PlanFile:
     """
     content = read_json(path)
     try:
-        found = validated(PlanFile, content, str(path))
+        return validated(PlanFile, content, str(path))
     except DataError as error:
-        what = "cannot be read: not a file of plans of this version; see `chemlab audit plan --out`"
-        raise DataError(f"{path}: {what}\n{error}") from error
-    return found
+        raise DataError(
+            f"{path}: cannot be read: not a file of plans of this version; see `chemlab audit plan --out`\n{error}"
+        ) from error
 
 
 def plan_for(laboratories: Laboratories, benches: str = "scripted", file: str | None = None) -> ConstantPlan:
-    """Return an open-loop policy for a laboratory's manager: the best stored one, or that of a file.
+    """Return an open-loop policy for a laboratory's manager: a bundled one, or that of a file.
 
     Args:
         laboratories: the laboratories of the manager.
         benches: policy of the benches.
-        file: written by ``chemlab audit plan --out``.
+        file: path of a file written by ``chemlab audit plan --out``; None: the bundled plan.
 
     Raises:
-        ValueError: no plan is stored for this scenario, or it does not fit.
+        ValueError: no plan is bundled for this scenario and these benches, or the plan does not fit.
     """
     labs, path = laboratories, Path(file or "")
     if file is None:

@@ -8,7 +8,6 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 
 from chemlab.config.scenario import Scenario
@@ -25,8 +24,8 @@ from .discretised import NearestPolicy
 from .former_names import current_name, split_way
 from .notes import Notes
 from .open_loop import plan_for
-from .pretrained import PretrainedPolicy, load_pretrained, pretrained_for, pretrained_names
-from .random_policy import RandomPolicy
+from .pretrained import PretrainedPolicy, Seed, load_pretrained, pretrained_for, pretrained_names
+from .random_policy import RandomPolicy, action_size
 from .roles import role_of
 from .saved import Saved, find_saved, is_saved, saved_files
 from .scripted.crystallization import ScriptedCrystallization
@@ -46,7 +45,7 @@ from .scripted.upkeep import UpkeepManager, has_wearing_lines
 from .scripted.workup import ScriptedWorkup
 
 _MARGINS_K: dict[str, float | None] = {"scripted:hot": -8.0, "scripted:fixed": None}
-"""Habits by name: kelvin below the highest temperature that a reaction bench thinks right, see ScriptedReaction."""
+"""Temperature margins of reaction benches by policy name, as for :class:`~.scripted.reaction.ScriptedReaction`."""
 
 _SCRIPTS: dict[str, dict[str, type[Any]]] = {
     "paper": {
@@ -64,6 +63,7 @@ _SCRIPTS: dict[str, dict[str, type[Any]]] = {
 """Scripted policies by physics backend and kind of bench."""
 
 _DEEPEST = 8
+"""Maximum number of training runs, each with the next one as its background."""
 _LEARNED = ("pretrained", "pretrained-isolated", "trained")
 """Names of policies with bundled weights."""
 _UNSCRIPTED: set[str] = set()
@@ -78,21 +78,18 @@ class LapsingPolicy(Advising):
     Args:
         policy: the other policy.
         probability: probability of a random action in each turn, in [0, 1].
-        size: as for :class:`RandomPolicy`.
-        seed: as for :class:`RandomPolicy`.
+        size, seed: as for :class:`RandomPolicy`.
     """
 
     _MEMORY = ("_lapses", "_random", "_policy")
 
-    def __init__(
-        self, policy: Policy, probability: float, size: int, seed: int | np.random.SeedSequence | None = None
-    ) -> None:
+    def __init__(self, policy: Policy, probability: float, size: int, seed: Seed = None) -> None:
         first, second = as_sequence(seed).spawn(2)
         self._policy, self._probability = policy, probability
         self._lapses, self._random = RandomPolicy(1, first), RandomPolicy(size, second)
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Restart the streams of one member."""
+        """Restart the random streams of one environment."""
         parts = self._lapses, self._random, self._policy
         for part, sequence in zip(parts, as_sequence(seed).spawn(3), strict=True):
             if hasattr(part, "seed"):
@@ -101,10 +98,10 @@ class LapsingPolicy(Advising):
     def advise(
         self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray
     ) -> Actions:
-        meant = Advisor(self._policy).advice(observation, mask, step, members)
+        intended = Advisor(self._policy).advice(observation, mask, step, members)
         drawn = self._random.act(observation, mask, step, members)
         lapse = self._lapses.act(observation, None, step, members)[:, 0] < self._probability
-        return np.where(lapse if meant.ndim == 1 else lapse[:, None], drawn, meant)
+        return np.where(lapse if intended.ndim == 1 else lapse[:, None], drawn, intended)
 
     def played(self, actions: IntArray, members: IntArray) -> None:
         Advisor(self._policy).played(actions, members)
@@ -123,27 +120,28 @@ def make_policies(name: str, laboratories: Laboratories, seed: int | None = None
     Args:
         name: one of :func:`policy_names` (below), the name of a bundled policy
             (:func:`~.pretrained.pretrained_names`), or the path of a training run, a checkpoint or exported weights for
-            the roles that were trained (its background plays the others). A learned policy plays greedily or sampled,
-            as its card says; ``:greedy`` or ``:sampled`` after its name says otherwise. ``@0.1`` after it is the share
+            the trained roles (the run's background plays the others). A learned policy plays greedily or sampled, as
+            its card says; ``:greedy`` or ``:sampled`` after its name overrides this. ``@0.1`` after a name is the share
             of random legal actions. Exceptions follow after commas, by role or agent:
             ``pretrained@0.1,manager=runs/first:sampled``.
 
             * ``scripted``; with an ability removed: ``scripted:unsafe`` (no actions that serve only safety or
               measurement), ``scripted:no-extraction`` (the manager does not use extraction), ``scripted:memoryless``
               (the manager forgets its findings at the end of a batch, or at the next measurement), ``scripted:fifo``
-              (the manager takes one order at a time, in the order of arrival); with other habits: ``scripted:hot``
-              (reaction benches to which the highest useful temperature is revealed work above it, extraction benches to
-              which polarities are revealed wash with more) and ``scripted:fixed`` (such benches do what is right at the
-              median, whatever is revealed); the manager counts on the habit; others play as ``scripted``
+              (the manager processes one order at a time, in the order of arrival); with other conventions:
+              ``scripted:hot`` (reaction benches to which the highest useful temperature is revealed work above it,
+              extraction benches to which polarities are revealed wash with more) and ``scripted:fixed`` (such benches
+              play as for the median, whatever is revealed). The manager relies on the convention; other agents play as
+              ``scripted``
             * ``random``
             * ``pretrained``: bundled benches and the scripted manager; ``pretrained-isolated``: the same with benches
               trained on single benches; ``trained``: a bundled manager as well, with the benches of its training
-            * ``plan``: the manager plays the best stored constant plan for these benches, or that in ``plan:FILE``
-        laboratories: whose agents they are for.
-        seed: of what policies draw, where no episode's seed sets it (:meth:`chemlab.envs.players.Players.seed`).
+            * ``plan``: the manager plays the best bundled open-loop plan for these benches; ``plan:FILE``: a plan file
+        laboratories: the laboratories of the agents.
+        seed: seed of random policies; :meth:`chemlab.envs.players.Players.seed` replaces it in each episode.
 
     Raises:
-        ValueError: unknown name, or nothing that fits.
+        ValueError: the name is unknown, or no policy of that name fits.
     """
     seeds = np.random.SeedSequence(seed).spawn(len(laboratories.agents))
     return {
@@ -157,21 +155,16 @@ def _name_for(name: str, agent: str, agents: Sequence[str]) -> str:
     general, *exceptions = name.split(",")
     known = {*agents, *map(role_of, agents)}
     for exception in exceptions:
-        whose, _, other = exception.partition("=")
-        if whose not in known or not other:
+        role, _, policy = exception.partition("=")
+        if role not in known or not policy:
             raise ValueError(f"policy: {exception!r}: must be ROLE=POLICY; roles: {', '.join(sorted(known))}")
-        if whose in (agent, role_of(agent)):
-            general = other
+        if role in (agent, role_of(agent)):
+            general = policy
     return general
 
 
-def _size(actions: gymnasium.Space[Any]) -> int:
-    """Return the size of a continuous action, 0 for a discrete one."""
-    return int((actions.shape or (0,))[0])
-
-
 def _way(name: str) -> tuple[str, str | None]:
-    """Split the way to play from the name of bundled weights, as :func:`~.saved.find_saved` does for a path."""
+    """Split ``:greedy`` or ``:sampled`` from a name of :func:`policy_names`; paths are returned as they are."""
     general, way = split_way(name)
     if way is None or general not in policy_names():
         return name, None
@@ -194,7 +187,7 @@ def _saved(name: str, others: Sequence[str]) -> Saved:
     """Find a bundled or saved policy.
 
     Raises:
-        ValueError: there is none; the message has the ``others``, names that may also be given.
+        ValueError: it does not exist; the message lists ``others``, the names that are accepted as well.
     """
     if not is_saved(name):
         near = difflib.get_close_matches(name, [*others, *pretrained_names()], 1)
@@ -205,103 +198,97 @@ def _saved(name: str, others: Sequence[str]) -> Saved:
     return find_saved(name)
 
 
-def agent_policy(
-    name: str, laboratories: Laboratories, number: int, seed: int | np.random.SeedSequence | None = None, deep: int = 0
-) -> Policy:
-    """A policy by name (see :func:`make_policies`) for agent ``number`` of a laboratory.
+def agent_policy(name: str, laboratories: Laboratories, number: int, seed: Seed = None, depth: int = 0) -> Policy:
+    """Return a policy by name (see :func:`make_policies`) for one agent.
 
     Args:
-        name, laboratories, number, seed: whose policy it is.
-        deep: how many training runs have led here, each with the next one in its background.
+        name: the policy's name.
+        laboratories: the laboratories of the agent.
+        number: agent index.
+        seed: seed of a random policy.
+        depth: number of training runs whose backgrounds have led to this policy.
 
     Raises:
-        ValueError: unknown name, or no pretrained policy fits.
+        ValueError: the name is unknown, or no policy of that name fits.
     """
-    if deep > _DEEPEST:
+    if depth > _DEEPEST:
         raise ValueError(f"policy: {name}: more than {_DEEPEST} runs, each in the background of the one before")
     name = current_name(name)
-    agent, role = laboratories.agents[number], laboratories.roles[number].workplace
-    operates = isinstance(role, Bench)
-    own = _name_for(name, agent, laboratories.agents)
-    steady, at, share = own.rpartition("@")
-    if at and not is_saved(own):
-        policy = agent_policy(steady, laboratories, number, seed, deep)
-        return LapsingPolicy(policy, _probability(own, share), _size(laboratories.action_space(number)), seed)
-    if own == "plan" or own.startswith("plan:"):
-        if not operates:
-            operators = name.split(",")[0].partition("@")[0]
-            operators = "scripted" if operators.partition(":")[0] == "plan" else operators
-            return plan_for(laboratories, operators, own.partition(":")[2] or None)
-        own = "scripted"
-    own, way = _way(own)
-    if own not in policy_names():
-        saved = _saved(own, policy_names())
-        if role_of(agent) in saved.load:
-            return as_trained(saved.load[role_of(agent)](role, seed), laboratories, number, seed, deep)
-        if own != name.partition(",")[0]:
+    role, workplace = role_of(laboratories.agents[number]), laboratories.roles[number].workplace
+    is_bench = isinstance(workplace, Bench)
+    chosen = _name_for(name, laboratories.agents[number], laboratories.agents)
+    base, at, share = chosen.rpartition("@")
+    if at and not is_saved(chosen):
+        policy = agent_policy(base, laboratories, number, seed, depth)
+        return LapsingPolicy(policy, _probability(chosen, share), action_size(workplace.action_space), seed)
+    if chosen == "plan" or chosen.startswith("plan:"):
+        if not is_bench:
+            benches = name.split(",")[0].partition("@")[0]
+            benches = "scripted" if benches.partition(":")[0] == "plan" else benches
+            return plan_for(laboratories, benches, chosen.partition(":")[2] or None)
+        chosen = "scripted"
+    chosen, way = _way(chosen)
+    if chosen not in policy_names():
+        saved = _saved(chosen, policy_names())
+        if role in saved.load:
+            return as_trained(saved.load[role](workplace, seed), laboratories, number, seed, depth)
+        if chosen != name.partition(",")[0]:
             raise ValueError(
-                f"policy: {role_of(agent)}={own}: has no policy of its own for this role, but for "
-                f"{', '.join(saved.load)}; leave it out, or give what is to play: {role_of(agent)}={saved.background}"
+                f"policy: {role}={chosen}: has policies for {', '.join(saved.load)} only; leave it out, or name the "
+                f"policy of this role: {role}={saved.background}"
             )
         try:
-            return agent_policy(saved.background, laboratories, number, seed, deep + 1)
+            return agent_policy(saved.background, laboratories, number, seed, depth + 1)
         except ValueError as error:
-            raise ValueError(f"{own}: background of this run: {error}" if deep == 0 else str(error)) from error
-    if own == "random":
-        return RandomPolicy(_size(laboratories.action_space(number)), seed)
-    if own == "trained" and operates:
-        return agent_policy(_partners(laboratories), laboratories, number, seed, deep + 1)
-    if own == "trained" or (own in ("pretrained", "pretrained-isolated") and operates):
-        found = pretrained_for(role, laboratory=True, alone=own == "pretrained-isolated")
-        return as_trained(found.as_played(way, seed), laboratories, number, seed, deep)
-    careful, margin_k = own != "scripted:unsafe", _MARGINS_K.get(own, 0.0)
-    if isinstance(role, Bench):
-        return scripted_bench(role, careful, seed, margin_k)
-    benches = laboratories.scenario.benches
-    washing = [key for key, bench in benches.items() if bench.kind == "extraction"]
-    skip = washing if own == "scripted:no-extraction" else []
-    remember, schedule = own != "scripted:memoryless", own != "scripted:fifo"
+            raise ValueError(f"{chosen}: background of this run: {error}" if depth == 0 else str(error)) from error
+    if chosen == "random":
+        return RandomPolicy(action_size(workplace.action_space), seed)
+    if chosen == "trained" and is_bench:
+        return agent_policy(_partners(laboratories), laboratories, number, seed, depth + 1)
+    if chosen == "trained" or (chosen in ("pretrained", "pretrained-isolated") and is_bench):
+        pretrained = pretrained_for(workplace, laboratory=True, alone=chosen == "pretrained-isolated")
+        return as_trained(pretrained.as_played(way, seed), laboratories, number, seed, depth)
+    careful, margin_k = chosen != "scripted:unsafe", _MARGINS_K.get(chosen, 0.0)
+    if isinstance(workplace, Bench):
+        return scripted_bench(workplace, careful, seed, margin_k)
+    extraction = [key for key, bench in laboratories.scenario.benches.items() if bench.kind == "extraction"]
+    skip = extraction if chosen == "scripted:no-extraction" else []
+    remember, schedule = chosen != "scripted:memoryless", chosen != "scripted:fifo"
     return scripted_manager(laboratories, careful, skip, remember, schedule, margin_k)
 
 
-def policy_files(name: str, deep: int = 0) -> list[Path]:
-    """Return the files from which a policy by name is loaded (see :func:`make_policies`), with its background's."""
+def policy_files(name: str, depth: int = 0) -> list[Path]:
+    """Return the files of a policy by name (see :func:`make_policies`) and of its background."""
     found = list[Path]()
-    for number, part in enumerate(current_name(name).split(",")):
-        own = part.partition("=")[2] if number else part
-        steady, at, _ = own.rpartition("@")
-        own = steady if at and not is_saved(own) else own
-        if own.startswith("plan:"):
-            found.append(Path(own.partition(":")[2]))
-        elif _way(own)[0] not in policy_names() and is_saved(own):
-            files = saved_files(own)
+    for i, part in enumerate(current_name(name).split(",")):
+        chosen = part.partition("=")[2] if i else part
+        base, at, _ = chosen.rpartition("@")
+        chosen = base if at and not is_saved(chosen) else chosen
+        if chosen.startswith("plan:"):
+            found.append(Path(chosen.partition(":")[2]))
+        elif _way(chosen)[0] not in policy_names() and is_saved(chosen):
+            files = saved_files(chosen)
             cards = [load_pretrained(file).card for file in files if file.suffix == ".safetensors"]
-            others = {find_saved(own).background, *(card.advice for card in cards if card.advice)}
+            others = {find_saved(chosen).background, *(card.advice for card in cards if card.advice)}
             found += files
-            for other in sorted(others) if deep < _DEEPEST else ():
-                found += policy_files(other, deep + 1)
+            for other in sorted(others) if depth < _DEEPEST else ():
+                found += policy_files(other, depth + 1)
     return found
 
 
-def as_trained(
-    policy: Policy,
-    laboratories: Laboratories,
-    number: int,
-    seed: int | np.random.SeedSequence | None = None,
-    deep: int = 0,
-) -> Policy:
+def as_trained(policy: Policy, laboratories: Laboratories, number: int, seed: Seed = None, depth: int = 0) -> Policy:
     """Return a trained policy with the notes or the advisor of its training, if it had any."""
-    if isinstance(policy, PretrainedPolicy) and policy.card.notes:
+    card = policy.card if isinstance(policy, PretrainedPolicy) else None
+    if card is not None and card.notes:
         return AdvisedPolicy(policy, Notes(laboratories))
-    advice = policy.card.advice if isinstance(policy, PretrainedPolicy) else None
-    if advice is None:
+    if card is None or card.advice is None:
         return policy
-    advisor = agent_policy(advice, laboratories, number, seed, deep + 1)
+    advisor = agent_policy(card.advice, laboratories, number, seed, depth + 1)
     return AdvisedPolicy(policy, Advisor(advisor, len(laboratories.actions)))
 
 
 def _partners(laboratories: Laboratories) -> str:
-    """Return the background of the bundled manager of a laboratory; ``pretrained`` without one."""
+    """Return the background of a laboratory's bundled manager; ``pretrained`` if there is no such manager."""
     try:
         return pretrained_for(laboratories.manager.workplace, laboratory=True).card.background or "scripted"
     except ValueError:
@@ -309,14 +296,12 @@ def _partners(laboratories: Laboratories) -> str:
 
 
 def is_scripted(bench: Bench) -> bool:
-    """Return whether a scripted policy exists for a kind of bench."""
+    """Return True if a scripted policy exists for a bench."""
     return bench.spec.kind in _SCRIPTS.get(bench.scenario.physics, {})
 
 
-def scripted_bench(
-    bench: Bench, careful: bool = True, seed: int | np.random.SeedSequence | None = None, margin_k: float | None = 0.0
-) -> Policy:
-    """Return the scripted policy of a bench; for kinds without one, random legal actions with a warning.
+def scripted_bench(bench: Bench, careful: bool = True, seed: Seed = None, margin_k: float | None = 0.0) -> Policy:
+    """Return the scripted policy of a bench; for kinds without one, a random policy and a warning.
 
     Args:
         bench: the bench.
@@ -327,8 +312,8 @@ def scripted_bench(
     kind = bench.spec.kind
     if is_scripted(bench):
         script = _SCRIPTS[bench.scenario.physics][kind]
-        habits = {"margin_k": margin_k} if script in (ScriptedReaction, ScriptedExtraction) else {}
-        policy: Policy = script(bench, careful, **habits)
+        margin = {"margin_k": margin_k} if script in (ScriptedReaction, ScriptedExtraction) else {}
+        policy: Policy = script(bench, careful, **margin)
         if isinstance(bench, ReactionBench) and catalysts(bench.scenario):
             policy = ScriptedScreening(bench)
         return NearestPolicy(policy, bench) if isinstance(bench, Discretised) else policy
@@ -339,11 +324,11 @@ def scripted_bench(
             f"(only for {', '.join(_SCRIPTS.get(bench.scenario.physics, {}))})",
             stacklevel=2,
         )
-    return RandomPolicy(_size(bench.action_space), seed)
+    return RandomPolicy(action_size(bench.action_space), seed)
 
 
 def has_memory(scenario: Scenario) -> bool:
-    """Return whether the scripted manager of a scenario keeps findings for later decisions."""
+    """Return True if the scripted manager of a scenario keeps findings for later decisions."""
     return (
         (has_orders_to_schedule(scenario) and _has_reports(scenario))
         or has_unknown_rate(scenario) is not None
@@ -364,7 +349,7 @@ def scripted_manager(
     schedule: bool = True,
     margin_k: float | None = 0.0,
 ) -> Policy:
-    """Return the scripted manager of some laboratories.
+    """Return the scripted manager for a scenario.
 
     Args:
         laboratories: the laboratories.
@@ -372,10 +357,10 @@ def scripted_manager(
         skip: benches that are not used.
         remember: False clears the belief at the end of a batch, or at the next measurement.
         schedule: False processes one order at a time in order of arrival.
-        margin_k: margin of the reaction benches that the manager counts on.
+        margin_k: temperature margin of the reaction benches that the manager assumes.
 
     Raises:
-        ValueError: the scripted manager of the scenario has no memory or no schedule that could be removed.
+        ValueError: the scripted manager of the scenario has no memory or no schedule to remove.
     """
     labs = laboratories
     positions = {bench.key: len(bench.positions) for bench in labs.benches}
@@ -408,17 +393,17 @@ def bench_policy(name: str, bench: Bench, seed: int = 0) -> Policy:
         seed: seed of a random policy.
 
     Raises:
-        ValueError: there is no such policy for this bench.
+        ValueError: the name is unknown, or no policy of that name fits the bench.
     """
     name, way = _way(current_name(name))
     if name == "scripted":
         return scripted_bench(bench, seed=seed)
     if name == "random":
-        return RandomPolicy(_size(bench.action_space), seed)
+        return RandomPolicy(action_size(bench.action_space), seed)
     if name == "pretrained":
         return pretrained_for(bench).as_played(way, seed)
     saved = _saved(name, ("scripted", "random", "pretrained")).load
-    # A run of one role may be tried on any bench that it fits; with several roles, the choice must be unambiguous.
+    # A run of one role may play any bench that it fits; a run of several roles plays benches of these roles.
     role = next(iter(saved)) if len(saved) == 1 else bench.key
     if role not in saved:
         raise ValueError(f"policy: {name} is for {', '.join(saved)}; given bench {bench.key!r}")

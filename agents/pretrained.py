@@ -12,8 +12,8 @@ from __future__ import annotations
 import functools
 import hashlib
 import importlib.resources
+import itertools
 import json
-import shlex
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,7 +27,6 @@ from safetensors.numpy import load, save
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated, written
 from chemlab.config.files import read_bytes, write_bytes, write_text
-from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Actions, Memory, Policy, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.base import Workplace
@@ -38,6 +37,7 @@ from .discretised import ChoosingPolicy
 from .former_names import SAMPLED
 from .notes import notes_size
 from .random_policy import RandomPolicy
+from .runs import to_text
 
 Weights = Mapping[str, npt.NDArray[np.float32]]
 Seed = int | np.random.SeedSequence | None
@@ -45,17 +45,18 @@ Seed = int | np.random.SeedSequence | None
 _MOST_BYTES = 256_000_000
 _MOST_LAYERS = 32
 
-
 LSTM = {"lstm.weight_ih": ("4H", "O"), "lstm.weight_hh": ("4H", "H"), "lstm.bias": ("4H",)}
 """Shapes by name of the weights of an LSTM with H units and O inputs."""
 LOG_STD = "log_std"
-"""Name of the logarithms of the standard deviations [n] of continuous actions, without which they are not sampled."""
-_VALUES = ("dqn", "qr-dqn")
-"""Algorithms whose outputs are values of actions, not logits."""
+"""Name of the logarithms of the standard deviations [n] of continuous actions; without them, a policy cannot be
+sampled.
+"""
+_Q_LEARNERS = ("dqn", "qr-dqn")
+"""Algorithms whose outputs are action values, not logits."""
 
 
 class Interface(DataModel):
-    """An agent's channels and actions as plain values; policies fit if these are equal."""
+    """Channels and actions of an agent as plain values; a policy fits an agent with an equal interface."""
 
     model_config = ConfigDict(strict=True)
 
@@ -78,7 +79,7 @@ def interface(workplace: Workplace) -> Interface:
 def fingerprint(workplace: Workplace) -> str:
     """Return a hash of the task.
 
-    For a bench, it covers options, initial state, chemistry, stock and prices; for a manager, those of all benches, the
+    For a bench, it covers options, initial state, chemistry, stock and prices; for a manager, these of all benches, the
     shelf, instruments, limits and costs.
     """
     scenario = workplace.scenario
@@ -94,7 +95,6 @@ def fingerprint(workplace: Workplace) -> str:
     if isinstance(workplace, Bench):
         task["bench"] = written(workplace.spec, without={"count"})
     else:
-        # The name of a scenario is irrelevant.
         task["laboratory"] = written(scenario, without={"name", "title", "summary"})
     return hashlib.sha256(json.dumps(task, sort_keys=True).encode()).hexdigest()[:16]
 
@@ -105,24 +105,24 @@ class Card(DataModel):
     Attributes:
         name: name of the policy.
         env_id, scenario, goals, starts: training task.
-        bench: its role: a bench's key, or ``manager``.
+        bench: role: a bench's key, or ``manager``.
         fingerprint: hash of the task (:func:`fingerprint`).
-        interface: its channels and actions (:func:`interface`).
-        observation_size, action_size: sizes; ``action_size`` is the number of discrete actions, or of numbers.
-        algo, label, seed, step: the algorithm, and the checkpoint's step.
+        interface: channels and actions (:func:`interface`).
+        observation_size: length of an observation.
+        action_size: number of discrete actions, or length of a continuous action.
+        algo, label, seed, step: the algorithm, its label, the run's seed, and the checkpoint's step.
         command: command that repeats the training.
         versions: versions of chemlab, Stable-Baselines3, PyTorch, numpy.
         activation: activation of the hidden layers, ``tanh`` or ``relu``.
         output: ``argmax`` (of the legal actions), ``clip`` (to [0, 1]) or ``tanh`` (rescaled to [0, 1]).
-        evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` and the scripted policy's ``scripted_mean``,
-            ``scripted_by_goal``; for the policy as played here, with masks.
-        background: policies of the roles that did not learn, if trained in a laboratory.
-        memory: number of units of its LSTM before the layers; 0: none.
-        masked: whether it chooses among legal actions only; False if it was trained without masks.
+        evaluation: ``episodes_per_goal``, ``seed``, ``mean``, ``by_goal`` of the policy as played here, with masks, and
+            ``scripted_mean``, ``scripted_by_goal`` of the scripted policy.
+        background: policy of the roles that did not learn, if trained in a laboratory.
+        memory: number of units of the LSTM before the layers; 0: none.
+        masked: True if it chooses among legal actions only; False if it was trained without masks.
         advice: name of the policy whose action it observes (:mod:`chemlab.agents.advice`), if any.
-        sampled: whether its actions are drawn from its distribution unless a name says otherwise; else the most
-            probable one is played.
-        notes: whether it observes its notes of the episode (:mod:`chemlab.agents.notes`), after everything else.
+        sampled: True if actions are drawn from its distribution by default; False if the most probable one is played.
+        notes: True if its notes of the episode (:mod:`chemlab.agents.notes`) are the last part of its observation.
     """
 
     model_config = ConfigDict(strict=True)
@@ -156,7 +156,7 @@ class Card(DataModel):
     @classmethod
     def of(cls, workplace: Workplace, **more: Any) -> Card:
         """Return the card of a policy trained for a workplace; ``more`` are the other fields."""
-        own: dict[str, Any] = {
+        fields: dict[str, Any] = {
             "scenario": workplace.scenario.name,
             "bench": workplace.key,
             "fingerprint": fingerprint(workplace),
@@ -165,22 +165,22 @@ class Card(DataModel):
             "action_size": workplace.action_count or len(workplace.action_meanings),
         }
         if more.get("advice") is not None:
-            own["observation_size"] += own["action_size"]
+            fields["observation_size"] += fields["action_size"]
         if more.get("notes"):
-            own["observation_size"] += notes_size(workplace)
-        return cls(**{**own, **more})
+            fields["observation_size"] += notes_size(workplace)
+        return cls(**{**fields, **more})
 
 
 class PretrainedPolicy(Remembering):
     """A trained network as a :class:`~chemlab.envs.players.Policy`, with a memory if it has an LSTM.
 
-    It plays greedily, or sampled if its card says so. A sampled policy depends on its seed alone.
+    It plays greedily, or sampled if its card says so. The drawn actions of a sampled policy depend on its seed only.
 
     Args:
-        card: its card.
+        card: the policy's card.
         weights: ``{i}.weight`` [out, in] and ``{i}.bias`` [out] of the layers, in order; with a memory of H units also
             :data:`LSTM`, gates in PyTorch's order (input, forget, cell, output); :data:`LOG_STD`, if there is one.
-        seed: seed of what is drawn.
+        seed: seed of the drawn actions.
 
     Raises:
         ValueError: weights and card do not agree.
@@ -191,17 +191,17 @@ class PretrainedPolicy(Remembering):
     def __init__(self, card: Card, weights: Weights, seed: Seed = None) -> None:
         self.card, self.weights = card, weights
         hidden = card.memory
-        kept = {*(LSTM if hidden else ()), *({LOG_STD} & set(weights))}
-        depth = min((len(weights) - len(kept)) // 2, _MOST_LAYERS)
-        expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")} | kept
+        others = {*(LSTM if hidden else ()), *({LOG_STD} & set(weights))}
+        depth = min((len(weights) - len(others)) // 2, _MOST_LAYERS)
+        expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")} | others
         if set(weights) != expected or not depth:
             raise ValueError(
                 f"{card.name}: weights must be 0.weight, 0.bias, 1.weight, ... of {_MOST_LAYERS} layers at most; found "
                 f"{sorted(weights)!s:.500}"
             )
         for name, shape in LSTM.items() if hidden else ():
-            wanted = tuple({"O": card.observation_size, "H": hidden, "4H": 4 * hidden}[axis] for axis in shape)
-            if weights[name].shape != wanted or not np.isfinite(weights[name]).all():
+            expected_shape = tuple({"O": card.observation_size, "H": hidden, "4H": 4 * hidden}[axis] for axis in shape)
+            if weights[name].shape != expected_shape or not np.isfinite(weights[name]).all():
                 raise ValueError(f"{card.name}: {name}: {weights[name].shape} does not fit, or is not finite")
         self._lstm = [weights[name].astype(np.float64) for name in LSTM] if hidden else []
         self._memory = Memory(hidden, hidden)
@@ -223,36 +223,36 @@ class PretrainedPolicy(Remembering):
                 f"{card.name}: the card says {first} observations and {card.action_size} actions, "
                 f"the weights {sizes[0]} and {sizes[1]}: the two files do not belong together"
             )
-        spread = weights.get(LOG_STD, np.zeros(card.action_size))
-        if spread.shape != (card.action_size,) or not np.isfinite(spread).all():
+        log_std = weights.get(LOG_STD, np.zeros(card.action_size))
+        if log_std.shape != (card.action_size,) or not np.isfinite(log_std).all():
             raise ValueError(f"{card.name}: {LOG_STD}: must be {card.action_size} finite numbers")
-        self._std = np.exp(spread.astype(np.float64))
+        self._std = np.exp(log_std.astype(np.float64))
         self._draws = RandomPolicy(1 if card.output == "argmax" else card.action_size, seed) if card.sampled else None
         obstacle = card.sampled and self._obstacle()
         if obstacle:
             raise ValueError(f"{card.name}: cannot be sampled: {obstacle}; play it greedily")
 
     def _obstacle(self) -> str:
-        """Say why the policy has no distribution; empty if it has one."""
+        """Return the reason why the policy cannot be sampled; empty if it can."""
         if self.card.output == "argmax":
-            return f"{self.card.algo} learns values of actions" if self.card.algo in _VALUES else ""
+            return f"{self.card.algo} learns values of actions" if self.card.algo in _Q_LEARNERS else ""
         return "" if self.card.output == "clip" and LOG_STD in self.weights else f"it has no {LOG_STD}"
 
     def as_played(self, way: str | None, seed: Seed = None) -> PretrainedPolicy:
-        """Return the policy, played in a way.
+        """Return a greedy or sampled copy of the policy.
 
         Args:
             way: :data:`~.former_names.GREEDY`, :data:`~.former_names.SAMPLED` or None (as its card says).
-            seed: seed of what is drawn.
+            seed: seed of the drawn actions.
 
         Raises:
-            ValueError: it has no distribution that could be sampled.
+            ValueError: the policy cannot be sampled.
         """
         sampled = self.card.sampled if way is None else way == SAMPLED
         return PretrainedPolicy(self.card.model_copy(update={"sampled": sampled}), self.weights, seed)
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
-        """Restart the random stream of one member, if it is sampled."""
+        """Restart the random stream of one environment."""
         if self._draws is not None:
             self._draws.seed(member, seed)
 
@@ -266,10 +266,10 @@ class PretrainedPolicy(Remembering):
         if difference:
             raise ValueError(
                 f"pretrained {self.card.name!r} does not fit {workplace.key!r} of {workplace.scenario.name}: "
-                f"{difference}; train one for it: {_advice(workplace)}"
+                f"{difference}; train one for it: {_training_command(workplace)}"
             )
-        here = (self.card.scenario, self.card.bench) == (workplace.scenario.name, workplace.key)
-        if here and self.card.fingerprint != fingerprint(workplace):
+        same = (self.card.scenario, self.card.bench) == (workplace.scenario.name, workplace.key)
+        if same and self.card.fingerprint != fingerprint(workplace):
             warnings.warn(
                 f"pretrained {self.card.name!r}: {workplace.key!r} of {workplace.scenario.name} has changed since it "
                 f"was trained, so that it may do worse than its card says; train it again: {self.card.command}",
@@ -279,11 +279,11 @@ class PretrainedPolicy(Remembering):
     def values(
         self, observation: ObservationArray, step: IntArray | None = None, members: IntArray | None = None
     ) -> npt.NDArray[np.float32]:
-        """Return [B, actions] the outputs of the network: logits or Q values of discrete actions, else the mean action.
+        """Return the outputs of the network [B, actions]: logits or Q values of discrete actions, or the mean action.
 
         Args:
             observation: [B, size] observations.
-            step, members: as for :meth:`act`, for a policy with a memory, which is then updated; default: the start.
+            step, members: as for :meth:`act`; needed by a policy with a memory, which is updated. Default: first turns.
 
         Raises:
             ValueError: observations have another size.
@@ -291,36 +291,36 @@ class PretrainedPolicy(Remembering):
         x = np.asarray(observation, dtype=np.float32)
         if x.ndim != 2 or x.shape[1] != self.card.observation_size:
             raise ValueError(
-                f"pretrained {self.card.name!r} sees [B, {self.card.observation_size}] numbers, given {x.shape}; "
+                f"pretrained {self.card.name!r} observes [B, {self.card.observation_size}] numbers, given {x.shape}; "
                 "check() states the difference"
             )
         # The last digits of sums of products depend on the batch size and the memory layout. Twice the precision
         # removes these differences, which matter when two actions have nearly equal values.
         y = x.astype(np.float64)
         if self._lstm:
-            begun = np.zeros(len(y), dtype=np.int64)
-            y = self._remembered(y, begun if step is None else step, np.arange(len(y)) if members is None else members)
+            first = np.zeros(len(y), dtype=np.int64)
+            y = self._lstm_output(y, first if step is None else step, np.arange(len(y)) if members is None else members)
         for i, (weight, bias) in enumerate(self._layers):
             y = y @ weight + bias
             if i < len(self._layers) - 1:
                 y = np.tanh(y) if self.card.activation == "tanh" else np.maximum(y, 0.0)
         return y.astype(np.float32)
 
-    def _remembered(self, seen: FloatArray, step: IntArray, members: IntArray) -> FloatArray:
-        """Return [B, H] the outputs of the LSTM."""
+    def _lstm_output(self, x: FloatArray, step: IntArray, members: IntArray) -> FloatArray:
+        """Return the output of the LSTM [B, H], and update its memory."""
         from scipy.special import expit  # imported on use, because the import is slow
 
         hidden, cell = self._memory.recall(step, members)
-        into, over, bias = self._lstm
-        gates = seen @ into.T + hidden @ over.T + bias
-        entering, forgetting, new, leaving = np.split(gates, 4, axis=1)
-        cell = expit(forgetting) * cell + expit(entering) * np.tanh(new)
-        hidden = expit(leaving) * np.tanh(cell)
+        input_weights, hidden_weights, bias = self._lstm
+        gates = x @ input_weights.T + hidden @ hidden_weights.T + bias
+        input_gate, forget_gate, candidate, output_gate = np.split(gates, 4, axis=1)
+        cell = expit(forget_gate) * cell + expit(input_gate) * np.tanh(candidate)
+        hidden = expit(output_gate) * np.tanh(cell)
         self._memory.keep(members, hidden, cell)
         return hidden
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """See :class:`chemlab.envs.players.Policy`; without a mask every discrete action counts as legal."""
+        """See :class:`chemlab.envs.players.Policy`. Without a mask, all discrete actions are legal."""
         values = self.values(observation, step, members)
         drawn = None if self._draws is None else self._draws.act(observation, None, step, members)
         if self.card.output == "argmax":
@@ -337,14 +337,14 @@ class PretrainedPolicy(Remembering):
 
 
 def _drawn(logits: npt.NDArray[np.float32], uniform: FloatArray) -> IntArray:
-    """Return [B] actions of logits [B, A], by uniform numbers [B, 1]."""
-    shares = np.exp((logits - logits.max(axis=1, keepdims=True)).astype(np.float64)).cumsum(axis=1)
-    whole = shares[:, -1:]
-    return np.asarray((shares <= np.minimum(uniform * whole, np.nextafter(whole, 0.0))).sum(axis=1))
+    """Return actions [B] sampled from logits [B, A] by uniform numbers [B, 1]."""
+    cumulated = np.exp((logits - logits.max(axis=1, keepdims=True)).astype(np.float64)).cumsum(axis=1)
+    total = cumulated[:, -1:]
+    return np.asarray((cumulated <= np.minimum(uniform * total, np.nextafter(total, 0.0))).sum(axis=1))
 
 
 def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:
-    """Adapt a policy to a workplace: discrete choices of a discretised bench are converted to continuous actions.
+    """Return a policy adapted to a workplace: choices of a discretised bench are converted to continuous actions.
 
     Raises:
         ValueError: it does not fit, see :meth:`PretrainedPolicy.check`.
@@ -358,33 +358,30 @@ def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:
     return policy
 
 
-def _advice(workplace: Workplace) -> str:
-    who = f"--bench {workplace.key}" if isinstance(workplace, Bench) else "--roles manager"
-    return f"chemlab train {workplace.scenario.argument} {who}, then chemlab export"
-
-
-def given_as(scenario: Scenario) -> str:
-    """Return the command-line argument for a scenario: a bundled one's name, else the path of its file."""
-    own = Path(scenario.origin).is_file() and not scenario.shipped
-    return shlex.quote(scenario.origin + scenario.level if own else scenario.name)
+def _training_command(workplace: Workplace) -> str:
+    """Return the commands that train and export a policy for a workplace."""
+    role = f"--bench {workplace.key}" if isinstance(workplace, Bench) else "--roles manager"
+    return f"chemlab train {workplace.scenario.argument} {role}, then chemlab export"
 
 
 def _difference(card: Card, workplace: Workplace) -> str:
     """Describe the first difference between a workplace and the policy's interface; empty if there is none."""
-    mine, other = card.interface, interface(workplace)
-    if mine.kind != other.kind:
-        return f"it is for {mine.kind}, this is {other.kind}"
+    trained, present = card.interface, interface(workplace)
+    if trained.kind != present.kind:
+        return f"it is for {trained.kind}, this is {present.kind}"
     size = int(workplace.observation_space.shape[0]) + (card.action_size if card.advice is not None else 0)
     size += notes_size(workplace) if card.notes else 0
-    for ours, theirs in zip(mine.channels, other.channels, strict=False):
-        if ours != theirs:
-            return f"observation {ours[0]!r}: it knows {ours[1:]}, here {theirs[0]!r} is {theirs[1:]}"
+    for old, new in zip(trained.channels, present.channels, strict=False):
+        if old != new:
+            return f"observation {old[0]!r}: it was trained with {old[1:]}, here {new[0]!r} is {new[1:]}"
     if card.observation_size != size:
-        return f"it sees {card.observation_size} numbers, here there are {size}"
-    known, here = mine.actions, other.actions
-    if known != here:
-        i = next((i for i, (a, b) in enumerate(zip(known, here, strict=False)) if a != b), min(len(known), len(here)))
-        return f"it has {len(known)} actions, here there are {len(here)}; they differ from {i} on"
+        return f"it observes {card.observation_size} numbers, here there are {size}"
+    if trained.actions != present.actions:
+        pairs = itertools.zip_longest(trained.actions, present.actions)
+        first = next(i for i, (old_action, new_action) in enumerate(pairs) if old_action != new_action)
+        return (
+            f"it has {len(trained.actions)} actions, here there are {len(present.actions)}; they differ from {first} on"
+        )
     return ""
 
 
@@ -404,12 +401,12 @@ def _read_card(path: Path) -> Card:
     return validated(Card, read_json(path), f"{path}: not a card of this version")
 
 
-# What is bundled stays as it is, and a command may ask for all of it hundreds of times.
+# Bundled cards do not change, and a command may read all of them hundreds of times.
 _bundled = functools.cache(_read_card)
 
 
 def pretrained_files(name_or_path: str | Path) -> tuple[Path, Path]:
-    """Return the card and the weights of a policy by its name, or by the path of either, with or without a suffix."""
+    """Return the paths of a policy's card and weights, by its name or the path of either, with or without a suffix."""
     path = Path(name_or_path)
     if isinstance(name_or_path, str) and name_or_path in pretrained_names():
         path = _shipped() / name_or_path
@@ -424,12 +421,12 @@ def load_pretrained(name_or_path: str | Path) -> PretrainedPolicy:
     Raises:
         ValueError: the name is unknown, or files are missing or damaged.
     """
-    description, file = pretrained_files(name_or_path)
-    card = _read_card(description)
+    card_file, file = pretrained_files(name_or_path)
+    card = _read_card(card_file)
     try:
         weights = load(read_bytes(file, _MOST_BYTES))
     except Exception as error:  # safetensors has its own exception class, which is not public
-        raise DataError(f"{file}: cannot be read ({error!s:.500}); it belongs beside {description.name}") from error
+        raise DataError(f"{file}: cannot be read ({error!s:.500}); it belongs beside {card_file.name}") from error
     try:
         return PretrainedPolicy(card, weights)
     except ValueError as error:
@@ -449,7 +446,7 @@ def save_policy(path: Path, card: Card, weights: Weights) -> None:
     """
     PretrainedPolicy(card, weights)
     write_bytes(path.with_name(f"{path.name}.safetensors"), save(dict(weights)))
-    write_text(path.with_name(f"{path.name}.json"), json.dumps(card.model_dump(), indent=1) + "\n")
+    write_text(path.with_name(f"{path.name}.json"), to_text(card.model_dump()))
     load_pretrained(path)
 
 
@@ -458,17 +455,19 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
 
     Args:
         workplace: the bench or manager.
-        laboratory: whether it is in a laboratory. Benches trained in a running laboratory are preferred there, and
-            others for single benches; among equals, benches trained on a laboratory's vessels.
-        alone: whether benches trained on single benches are used in a laboratory as well.
+        laboratory: True if it is in a laboratory: policies trained in a running laboratory are preferred, otherwise
+            policies trained on a single bench. The next criteria are an equal scenario and bench, and training on the
+            vessels of a laboratory.
+        alone: True to prefer policies trained on a single bench in a laboratory as well.
 
     Raises:
-        ValueError: there is none; the message states why one of this kind does not fit, if possible of this scenario.
+        ValueError: no policy fits. The message has the reason for one of the same kind, if possible of this scenario.
     """
     reasons, fitting = [], []
-    cards = {name: _bundled(_shipped() / f"{name}.json") for name in pretrained_names()}
-    alike = {name: card for name, card in cards.items() if card.interface.kind == workplace.kind}
-    for name, card in alike.items():
+    for name in pretrained_names():
+        card = _bundled(_shipped() / f"{name}.json")
+        if card.interface.kind != workplace.kind:
+            continue
         difference = _difference(card, workplace)
         if difference:
             reasons.append((card.scenario != workplace.scenario.name, f"{name}: {difference}"))
@@ -481,7 +480,7 @@ def pretrained_for(workplace: Workplace, laboratory: bool = False, alone: bool =
         more = f"; others that do not fit: {len(reasons) - 1}" if len(reasons) > 1 else ""
         raise ValueError(
             f"no pretrained policy fits {workplace.key!r} of {workplace.scenario.name} ({reason}{more}); "
-            f"train one: {_advice(workplace)}"
+            f"train one: {_training_command(workplace)}"
         )
     policy = load_pretrained(min(fitting)[-1])
     policy.check(workplace)

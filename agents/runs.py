@@ -1,4 +1,4 @@
-"""Folder of a training run: its files, and reading them. Figures and tables are made from these files alone.
+"""Read and write the folder of a training run. Figures and tables are made from these files alone.
 
 | File | Content |
 |---|---|
@@ -14,7 +14,7 @@ large, not for version control |
 (:mod:`~chemlab.agents.seals`) |
 | `tensorboard/` | TensorBoard's event files; not for version control |
 
-Numbers are floats with full precision; `null` for missing ones (no episode ended; no scripted policy).
+Floats have full precision; a missing number (no episode ended; no scripted policy) is `null`.
 """
 
 from __future__ import annotations
@@ -41,8 +41,9 @@ RESULT_SEED = 2_000_000
 
 
 def training_seeds(seed: int, envs: int) -> list[int]:
-    """Return the seeds of a run's environments, of 64 bits: neither another run's nor those of evaluations."""
-    return [int(own) for own in np.random.SeedSequence(seed).generate_state(envs, np.uint64)]
+    """Return 64-bit seeds of a run's environments, which differ from those of other runs and of evaluations."""
+    seeds: list[int] = np.random.SeedSequence(seed).generate_state(envs, np.uint64).tolist()
+    return seeds
 
 
 class RunConfig(BaseModel):
@@ -57,7 +58,7 @@ class RunConfig(BaseModel):
         bench: learning roles: a bench's key, an agent's name, or several roles separated by commas.
         goals: training goals.
         fingerprint: hash of the bench's chemistry, options and prices; equal tasks have equal hashes.
-        versions: versions of everything that results may depend on.
+        versions: versions of the software that results may depend on.
         background, starts, rewards: as in the arguments.
         arguments: arguments of :mod:`chemlab.agents.train.arguments` without the seed;
             None in runs before 0.3, which have them beside the others.
@@ -104,8 +105,8 @@ class CurvePoint:
 class Evaluation:
     """A line of ``evaluations.jsonl``; ``mean`` is the mean over goals.
 
-    ``sampled``: whether actions were drawn from the policy, or the most probable ones played. ``other_mean``: the same
-    mean of the policy played the other way, if both were evaluated.
+    ``sampled``: True if actions were drawn from the policy, False if the most probable ones were played.
+    ``other_mean``: mean of the policy played the other way, if both were evaluated.
     """
 
     __pydantic_config__ = _EXACT
@@ -121,7 +122,7 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class RunResult:
-    """``result.json``. ``mean`` and ``by_goal`` are the best checkpoint's, ``last_`` the last one's.
+    """Content of ``result.json``. ``mean`` and ``by_goal`` are those of the best checkpoint, ``last_...`` of the last.
 
     ``sampled`` and ``last_sampled``: see :class:`Evaluation`.
     """
@@ -163,14 +164,14 @@ def checked_result(values: Any, where: str) -> RunResult:
     Raises:
         DataError: it is malformed; the message begins with ``where``.
     """
-    found = validated(RunResult, bounded(values, where), where)
-    if set(found.by_goal) != set(found.last_by_goal) or not found.by_goal:
+    result = validated(RunResult, bounded(values, where), where)
+    if set(result.by_goal) != set(result.last_by_goal) or not result.by_goal:
         raise DataError(f"{where}: by_goal and last_by_goal must have the same goals")
-    return found
+    return result
 
 
 class RunBusy(ValueError):
-    """Another process is training this run."""
+    """Raised if another process is training the run."""
 
     exit_code = 75
     """Exit code of the command: a retry may succeed (``EX_TEMPFAIL``)."""
@@ -255,19 +256,19 @@ class Run:
 
     def checkpoint(self, kind: str) -> Path | None:
         """Return the folder of the newest complete ``last``, ``best`` or ``first`` checkpoint, or None."""
-        found = {p.name.rpartition("-")[2]: p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()}
-        steps = [step for step in found if step.isdecimal() and len(step) < 20]
-        return found[max(steps, key=int)] if steps else None
+        folders = {p.name.rpartition("-")[2]: p for p in self.checkpoints.glob(f"{kind}-*") if p.is_dir()}
+        steps = [step for step in folders if step.isdecimal() and len(step) < 20]
+        return folders[max(steps, key=int)] if steps else None
 
     @contextmanager
     def locked(self, patience: float = 1.0) -> Iterator[None]:
         """Lock the run; the system releases the lock when the process ends.
 
         Args:
-            patience: seconds to wait for the lock, because :meth:`busy` holds it for a moment.
+            patience: seconds to wait for the lock, because :meth:`busy` holds it briefly.
 
         Raises:
-            RunBusy: another process holds it.
+            RunBusy: another process holds the lock.
         """
         self.checkpoints.mkdir(parents=True, exist_ok=True)
         with (self.checkpoints / "lock").open("a+") as handle:
@@ -298,11 +299,11 @@ def _lines(path: Path, kind: type[Line]) -> Iterator[Line]:
 
 
 def differences(saved: Mapping[str, Any], expected: Mapping[str, Any]) -> dict[str, str]:
-    """Describe where a run's ``config.json`` differs from another, by field; versions may differ.
+    """Return descriptions of the differences between two configurations, by field; versions are not compared.
 
     Args:
-        saved: the file's content.
-        expected: what the file should have.
+        saved: content of a ``config.json``.
+        expected: the configuration to compare with.
     """
 
     def fields(config: Mapping[str, Any]) -> dict[str, Any]:
@@ -323,10 +324,10 @@ def to_text(values: Any) -> str:
 
 
 def versions() -> dict[str, str]:
-    """Return versions of everything that results may depend on."""
+    """Return the versions of the software that results may depend on."""
     return {"chemlab": chemlab.__version__, "numpy": np.__version__, "python": platform.python_version()}
 
 
 def find_runs(folder: Path) -> list[Run]:
-    """Return every run below a folder, in order of its path."""
+    """Return every run below a folder, sorted by path."""
     return [Run(file.parent) for file in sorted(folder.rglob("config.json")) if "checkpoints" not in file.parts]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from chemlab.envs.players import Policy, as_policy
 from chemlab.roles.base import Workplace
@@ -21,42 +21,33 @@ class Saved:
     """Stored policies of one path.
 
     Attributes:
-        load: by role (a bench's key, or ``manager``): a function of a workplace and a seed that makes the policy, or
-            raises ValueError if it does not fit.
-        background: policies of the roles that did not learn.
+        load: loaders by role (a bench's key, or ``manager``). A loader is called with a workplace and a seed; it
+            returns the policy, or raises ValueError if the policy does not fit.
+        background: policy of the roles that did not learn.
     """
 
     load: dict[str, Callable[..., Policy]]
     background: str = "scripted"
 
 
-def _exported(name_or_path: str | Path, way: str | None) -> Callable[..., Policy]:
-    def load(workplace: Workplace, seed: Seed = None) -> Policy:
-        return fitted(load_pretrained(name_or_path).as_played(way, seed), workplace)
-
-    return load
+def _load_exported(name_or_path: str | Path, way: str | None, workplace: Workplace, seed: Seed = None) -> Policy:
+    return fitted(load_pretrained(name_or_path).as_played(way, seed), workplace)
 
 
-def _learner(folder: Path, algo: str, path: Path, way: str | None) -> Callable[..., Policy]:
-    """Return a loader of a Stable-Baselines3 learner; it is masked only if trained with masks."""
-
-    def load(workplace: Workplace, seed: Seed = None) -> Policy:
-        from .learners import load_learner  # Stable-Baselines3 is optional
-
-        return _fitting(load_learner(folder, algo), path, workplace, way)
-
-    return load
-
-
-def _fitting(model: Any, path: Path, workplace: Workplace, way: str | None) -> Policy:
-    """Return a learner as a policy.
+def _load_learner(
+    folder: Path, algo: str, path: Path, way: str | None, workplace: Workplace, seed: Seed = None
+) -> Policy:
+    """Load a Stable-Baselines3 learner; it is masked only if trained with masks.
 
     Raises:
         ValueError: the learner was trained for other spaces, or is to be sampled.
     """
+    from .learners import load_learner  # Stable-Baselines3 is optional
+
+    model = load_learner(folder, algo)
     if way == SAMPLED:
         raise ValueError(f"policy: {path}:{way}: only exported policies are sampled; export it, or leave out :{way}")
-    trained, needed = ((having.observation_space, having.action_space) for having in (model, workplace))
+    trained, needed = ((owner.observation_space, owner.action_space) for owner in (model, workplace))
     if trained != needed:
         raise ValueError(
             f"policy: {path}: was trained for {trained[0]} and {trained[1]}; "
@@ -65,10 +56,10 @@ def _fitting(model: Any, path: Path, workplace: Workplace, way: str | None) -> P
     return as_policy(model)
 
 
-def _cards(folder: Path, way: str | None) -> dict[str, Callable[..., Policy]]:
+def _exported_in(folder: Path, way: str | None) -> dict[str, Callable[..., Policy]]:
     """Return loaders of a folder's exported policies by role."""
     return {
-        load_pretrained(file).card.bench: _exported(file, way)
+        load_pretrained(file).card.bench: partial(_load_exported, file, way)
         for file in sorted(folder.glob("*.safetensors"))
         if file.with_suffix(".json").exists()
     }
@@ -77,13 +68,7 @@ def _cards(folder: Path, way: str | None) -> dict[str, Callable[..., Policy]]:
 def is_saved(name: str) -> bool:
     """Return True if a policy's name is a path or the name of a bundled policy; ``:sampled`` may follow it."""
     name, _ = split_way(name)
-    path = Path(name)
-    return (
-        name in pretrained_names()
-        or path.exists()
-        or path.suffix in (".safetensors", ".json")
-        or Path(f"{name}.safetensors").exists()
-    )
+    return name in pretrained_names() or Path(name).exists() or _is_exported(Path(name))
 
 
 def _is_exported(path: Path) -> bool:
@@ -120,25 +105,27 @@ def find_saved(name: str) -> Saved:
     """
     name, way = split_way(name)
     if name in pretrained_names():
-        return Saved({load_pretrained(name).card.bench: _exported(name, way)})
+        return Saved({load_pretrained(name).card.bench: partial(_load_exported, name, way)})
     path = Path(name).resolve()
     if _is_exported(path):
         card = load_pretrained(path).card
-        return Saved({card.bench: _exported(path, way)}, card.background or "scripted")
+        return Saved({card.bench: partial(_load_exported, path, way)}, card.background or "scripted")
     run, folder = _run_of(path)
     config = run.config()
     if config is None:
-        cards = _cards(path, way) if path.is_dir() else {}
-        if cards:
-            return Saved(cards)
+        exported = _exported_in(path, way) if path.is_dir() else {}
+        if exported:
+            return Saved(exported)
     if config is None or folder is None:
-        what = run.config_file if config is None else run.checkpoints
-        raise ValueError(f"policy: {name}: neither a training run nor a checkpoint of one ({what} is missing or empty)")
+        lacking = run.config_file if config is None else run.checkpoints
+        raise ValueError(
+            f"policy: {name}: neither a training run nor a checkpoint of one ({lacking} is missing or empty)"
+        )
     background = str(config.get("background") or "scripted")
-    cards = _cards(folder, way)
-    if cards:
-        return Saved(cards, background)
+    exported = _exported_in(folder, way)
+    if exported:
+        return Saved(exported, background)
     if (folder / "model.zip").exists():
         role = role_of(str(config.get("bench", "")))
-        return Saved({role: _learner(folder, str(config.get("algo")), path, way)}, background)
+        return Saved({role: partial(_load_learner, folder, str(config.get("algo")), path, way)}, background)
     raise ValueError(f"policy: {name}: was trained by a version with other learners; train it again")

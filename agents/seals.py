@@ -2,7 +2,7 @@
 
 Unpickling executes code. Training writes pickles (``state.pkl``, Stable-Baselines3's ``model.zip``), and run folders
 are exchanged between users. Each pickle therefore has a signature beside it, ``FILE.seal``, a keyed hash of its
-content. The random key is made on first use and stored in a folder of the user outside run folders:
+content. The random key is created on first use and stored in a folder of the user outside run folders:
 ``CHEMLAB_STATE_DIR``, else ``XDG_STATE_HOME/chemlab``, else ``~/.local/state/chemlab`` (``LOCALAPPDATA/chemlab`` on
 Windows). A file that was changed, has another user's signature or has none is loaded only inside
 ``strangers_code(True)`` (:mod:`chemlab.config.parts`), which ``--trust`` sets.
@@ -58,13 +58,13 @@ def _key(folder: Path) -> bytes:
         key = read_bytes(file, _SEAL_BYTES)
     except OSError as error:
         warnings.warn(
-            f"{file}: no key for seals ({error.strerror}): other processes load this one's files only with "
-            "--trust; set CHEMLAB_STATE_DIR to a writable folder",
+            f"{file}: no key for signatures ({error.strerror}): other processes need --trust to load the files of this "
+            "one; set CHEMLAB_STATE_DIR to a writable folder",
             stacklevel=3,
         )
         return secrets.token_bytes(_KEY_BYTES)
     if len(key) != _KEY_BYTES:
-        raise ValueError(f"{file}: must have {_KEY_BYTES} bytes, has {len(key)}; delete it to have a new one made")
+        raise ValueError(f"{file}: must have {_KEY_BYTES} bytes, has {len(key)}; delete it, and a new one is created")
     return key
 
 
@@ -77,7 +77,7 @@ def _seal_beside(path: Path) -> Path:
 
 
 def seal_file(path: Path) -> None:
-    """Sign a finished file as written by this user."""
+    """Write the signature of this user for a finished file."""
     write_text(_seal_beside(path), _seal_of(read_bytes(path, _MOST_BYTES)) + "\n")
 
 
@@ -87,19 +87,19 @@ def read_sealed(path: Path) -> bytes:
     Raises:
         DataError: the signature is missing or invalid; the message names the flag.
         FileNotFoundError: the file does not exist.
-        OSError: it is not a regular file, or too large.
+        OSError: the file is not a regular file, or too large.
     """
     content = read_bytes(path, _MOST_BYTES)
     try:
-        found = read_bytes(_seal_beside(path), _SEAL_BYTES).decode("utf-8", errors="replace").strip()
+        seal = read_bytes(_seal_beside(path), _SEAL_BYTES).decode("utf-8", errors="replace").strip()
     except FileNotFoundError:
-        found = ""
+        seal = ""
     # compare_digest rejects non-ASCII text, which is never a signature.
-    sealed = found.isascii() and hmac.compare_digest(found, _seal_of(content))
-    if not sealed and not may_run(otherwise=False):
-        what = "was changed, or was written by another user" if found else "has no signature of this user"
+    valid = seal.isascii() and hmac.compare_digest(seal, _seal_of(content))
+    if not valid and not may_run(otherwise=False):
+        reason = "was changed, or was written by another user" if seal else "has no signature of this user"
         raise DataError(
-            f"{shlex.quote(str(path))}: {what}: loading this file can run any code; if you trust its author, "
+            f"{shlex.quote(str(path))}: {reason}: loading this file can run any code; if you trust its author, "
             "give --trust (in Python: with chemlab.config.parts.strangers_code(True))"
         )
     return content

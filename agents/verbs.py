@@ -1,10 +1,11 @@
-"""The verbs of a role: its actions as functions of a few named arguments, built from the scenario."""
+"""Verbs of a role: its actions as functions with named arguments, generated from the scenario."""
 
 from __future__ import annotations
 
+import functools
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,26 +16,28 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.operation_bench import OperationBench
 from chemlab.roles.operations import OPERATIONS
 
+from .random_policy import action_size
+
 _MOST_TEXT = 60
-"""Characters of a given value that an error repeats."""
+"""Maximum length of a given value in an error message."""
 
 
 class ToolError(ValueError):
-    """A call that was refused: nothing has changed, and the message says what can be called instead."""
+    """A call was refused and has changed nothing; the message names the accepted calls."""
 
 
 def plain(value: Any, most: int = _MOST_TEXT) -> str:
-    """A value from outside as printable text of bounded length."""
+    """Return a value as printable text of at most ``most`` characters."""
     try:
         text = value if isinstance(value, str) else repr(value)
-    except Exception:  # the repr of somebody else's object
+    except Exception:  # a class of the caller may raise anything
         text = f"<{type(value).__name__}>"
-    text = "".join(mark if mark.isprintable() else " " for mark in text[: most + 1])
+    text = "".join(character if character.isprintable() else " " for character in text[: most + 1])
     return text if len(text) <= most else text[: most - 3] + "..."
 
 
 def number_of(value: Any) -> float | None:
-    """A finite number given as such or as text; None for anything else."""
+    """Return a finite number that is given as a number or as text; None for anything else."""
     if isinstance(value, bool) or not isinstance(value, (int, float, str)):
         return None
     try:
@@ -45,22 +48,22 @@ def number_of(value: Any) -> float | None:
 
 
 def amount_of(value: Any) -> str:
-    """Describe the length of a text for an error, or the value if it is no text."""
+    """Describe a value in an error message about text: its length, or the value if it is not text."""
     return f"{len(value)} characters" if isinstance(value, str) else plain(value)
 
 
 @dataclass(frozen=True)
 class Argument:
-    """An argument of a verb: one of some options, or a number from ``low`` to ``high``.
+    """An argument of a verb: one of several options, a number from ``low`` to ``high``, or a text.
 
     Attributes:
-        name: the name.
-        meaning: a description for people and models.
-        options: the accepted values, strings or integers; empty: any number in the range.
+        name: name of the argument.
+        meaning: description for people and models.
+        options: accepted values, strings or integers; empty: any number in the range.
         low: smallest number.
         high: largest number.
-        default: the value where none is given; None: it must be given.
-        longest: characters of a text; 0: it is no text.
+        default: default value; None: the argument is required.
+        longest: maximum length of a text; 0: the argument is not a text.
     """
 
     name: str
@@ -72,10 +75,10 @@ class Argument:
     longest: int = 0
 
     def checked(self, verb: str, value: Any) -> str | int | float:
-        """The accepted value that ``value`` stands for: ``"1"`` for 1, ``10`` for ``"10"``.
+        """Return the accepted value that is equal to ``value`` as a number or as text: 1 for ``"1"``, for example.
 
         Raises:
-            ToolError: there is none.
+            ToolError: the value is not accepted.
         """
         if self.longest:
             if isinstance(value, str) and value.strip() and len(value) <= self.longest:
@@ -90,8 +93,10 @@ class Argument:
                 return option
         if not self.options and number is not None and self.low <= number <= self.high:
             return number
-        known = ", ".join(map(str, self.options)) or f"a number from {self.low:g} to {self.high:g}"
-        raise ToolError(f"{verb}: {self.name} must be {'one of ' if self.options else ''}{known}; given {plain(value)}")
+        accepted = f"a number from {self.low:g} to {self.high:g}"
+        if self.options:
+            accepted = f"one of {', '.join(map(str, self.options))}"
+        raise ToolError(f"{verb}: {self.name} must be {accepted}; given {plain(value)}")
 
 
 @dataclass(frozen=True)
@@ -99,62 +104,56 @@ class Verb:
     """A verb of a role.
 
     Attributes:
-        name: as it is called.
-        meaning: one sentence.
-        arguments: in order.
-        action: the action that checked arguments stand for; it raises :class:`ToolError` where there is none. None: the
-            verb is no action of the laboratory.
-        settled: arguments of one possible value, which need not be given.
+        name: name of the verb.
+        meaning: description in one sentence.
+        arguments: arguments in order.
+        action: function of the checked arguments that returns the action, or raises :class:`ToolError` if the
+            combination does not exist. None: the verb is not an action of the laboratory.
+        fixed: arguments with one possible value, which may be omitted.
     """
 
     name: str
     meaning: str
     arguments: tuple[Argument, ...] = ()
     action: Callable[[Mapping[str, Any]], Any] | None = None
-    settled: tuple[Argument, ...] = ()
+    fixed: tuple[Argument, ...] = ()
+
+    @classmethod
+    def of(cls, name: str, meaning: str, arguments: Sequence[Argument], action: Callable[..., Any]) -> Verb:
+        """Return a verb whose arguments with one possible value may be omitted."""
+        free = tuple(argument for argument in arguments if len(argument.options) != 1)
+        return cls(name, meaning, free, action, tuple(argument for argument in arguments if argument not in free))
 
     @property
     def takes(self) -> str:
-        """Number and names of its arguments, as the end of a sentence."""
+        """Number and names of the arguments, as the predicate of a sentence."""
         names = [argument.name for argument in self.arguments]
         if not names:
             return "takes no arguments"
         return f"takes {len(names)} argument{'' if len(names) == 1 else 's'} ({', '.join(names)})"
 
     def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
-        """All arguments, checked, with defaults.
+        """Return the values of all arguments, checked, with defaults.
 
         Raises:
-            ToolError: one is unknown, missing or wrong.
+            ToolError: an argument is unknown, missing or wrong.
         """
-        names = [argument.name for argument in self.arguments]
-        takes = f"takes {', '.join(names)}" if names else "takes no arguments"
-        for argument in self.settled:
+        for argument in self.fixed:
             if argument.name in given:
                 argument.checked(self.name, given[argument.name])
-        given = {key: value for key, value in given.items() if key not in [one.name for one in self.settled]}
-        unknown = [plain(key) for key in given if key not in names]
+        known = {argument.name for argument in (*self.arguments, *self.fixed)}
+        unknown = [plain(key) for key in given if key not in known]
         if unknown:
-            raise ToolError(f"{self.name}: unknown argument {unknown[0]}; it {takes}")
-        found = {}
+            raise ToolError(f"{self.name}: unknown argument {unknown[0]}; it {self.takes}")
+        values = {}
         for argument in self.arguments:
             if argument.name in given:
-                found[argument.name] = argument.checked(self.name, given[argument.name])
+                values[argument.name] = argument.checked(self.name, given[argument.name])
             elif argument.default is not None:
-                found[argument.name] = argument.default
+                values[argument.name] = argument.default
             else:
-                raise ToolError(f"{self.name}: {argument.name} is missing; it {takes}")
-        return found
-
-
-def _several(arguments: Iterable[Argument]) -> tuple[Argument, ...]:
-    """The arguments that leave a choice."""
-    return tuple(argument for argument in arguments if len(argument.options) != 1)
-
-
-def _settled(arguments: Iterable[Argument]) -> tuple[Argument, ...]:
-    """The arguments of one possible value."""
-    return tuple(argument for argument in arguments if len(argument.options) == 1)
+                raise ToolError(f"{self.name}: {argument.name} is missing; it {self.takes}")
+        return values
 
 
 # -- the manager ------------------------------------------------------------------------------------------------------
@@ -172,10 +171,10 @@ _MANAGER = {
 
 
 def manager_verbs(labs: Laboratories, name: Callable[[str], str]) -> list[Verb]:
-    """The manager's verbs; ``name`` gives the names that materials have in them."""
+    """Return the manager's verbs; ``name`` returns the name that the seat uses for a material."""
     actions, scenario = labs.actions, labs.scenario
-    own = {name(goal): goal for goal in scenario.goals}
-    goals = tuple(sorted(own) if name is not str else own)
+    goal_of = {name(goal): goal for goal in scenario.goals}
+    goals = tuple(sorted(goal_of) if name is not str else goal_of)
     bench = Argument("bench", "the bench", tuple(actions.bench_agents))
     slot = Argument("slot", "the slot of the shelf", tuple(range(actions.slots)))
     arguments = {
@@ -198,15 +197,12 @@ def manager_verbs(labs: Laboratories, name: Callable[[str], str]) -> list[Verb]:
     }
     kinds = {str(actions.decode(action)[0]) for action in range(len(actions))}
 
-    def encoder(kind: str) -> Callable[[Mapping[str, Any]], int]:
-        def encode(given: Mapping[str, Any]) -> int:
-            values = [given.get(a.name, a.options[0]) for a in arguments[kind]]
-            return actions.encode(kind, *(own.get(v, v) for v in values))
-
-        return encode
+    def encode(kind: str, given: Mapping[str, Any]) -> int:
+        values = [given.get(a.name, a.options[0]) for a in arguments[kind]]
+        return actions.encode(kind, *(goal_of.get(value, value) for value in values))
 
     return [
-        Verb(kind, meaning, _several(arguments[kind]), encoder(kind), _settled(arguments[kind]))
+        Verb.of(kind, meaning, arguments[kind], functools.partial(encode, kind))
         for kind, meaning in _MANAGER.items()
         if kind in kinds
     ]
@@ -228,7 +224,7 @@ _OPERATIONS = {
 
 
 def bench_verbs(bench: Bench, name: Callable[[str], str]) -> list[Verb]:
-    """The verbs of a bench's agent; ``name`` gives the names that materials have in them."""
+    """Return the verbs of a bench's agent; ``name`` returns the name that the seat uses for a material."""
     if isinstance(bench, OperationBench):
         return _operation_verbs(bench, name)
     if bench.action_count:
@@ -239,73 +235,69 @@ def bench_verbs(bench: Bench, name: Callable[[str], str]) -> list[Verb]:
 
 
 def _renamed(bench: Bench, words: str, name: Callable[[str], str]) -> str:
+    """Return an action's description with the names that the seat uses for materials."""
     if name is str:
         return words
-    known = sorted(bench.scenario.materials, key=len, reverse=True)
-    pattern = "|".join(rf"(?<![\w-]){re.escape(one)}(?![\w-])" for one in known)
+    materials = sorted(bench.scenario.materials, key=len, reverse=True)
+    pattern = "|".join(rf"(?<![\w-]){re.escape(material)}(?![\w-])" for material in materials)
     return re.sub(pattern, lambda match: name(match[0]), words)
 
 
 def _operation_verbs(bench: OperationBench, name: Callable[[str], str]) -> list[Verb]:
+    """Return a verb for each kind of process in the bench's table, and ``end``."""
     rows: dict[str, dict[tuple[Any, ...], int]] = {}
     units: dict[str, str] = {}
     actions = [(process, magnitude) for process in bench.options.process for magnitude in process.magnitudes]
-    for at, ((process, magnitude), words) in enumerate(zip(actions, bench.action_meanings, strict=False)):
+    for index, ((process, magnitude), words) in enumerate(zip(actions, bench.action_meanings, strict=False)):
         kind = process.kind.rpartition(":")[2].lower()
         material = process.material and name(process.material)
-        rows.setdefault(kind, {})[process.vessel, process.target, material, f"{magnitude:g}"] = at
+        rows.setdefault(kind, {})[process.vessel, process.target, material, f"{magnitude:.15g}"] = index
         units[kind] = OPERATIONS[kind].unit if kind in OPERATIONS else words.rpartition(" ")[2]
-    verbs = [_operation_verb(kind, own, units[kind]) for kind, own in rows.items()]
+    verbs = [_operation_verb(kind, table, units[kind]) for kind, table in rows.items()]
     return [*verbs, Verb("end", "End the experiment.", (), lambda given: bench.end_action)]
 
 
-def _operation_verb(kind: str, own: Mapping[tuple[Any, ...], int], unit: str) -> Verb:
-    parts = ("vessel", "target", "material", "amount")
-    meanings = ("the vessel", "the vessel that receives", "the material", f"how much ({unit})")
-    arguments = []
-    for k, (part, meaning) in enumerate(zip(parts, meanings, strict=True)):
-        values = list(dict.fromkeys(key[k] for key in own if key[k] is not None))
+def _operation_verb(kind: str, rows: Mapping[tuple[Any, ...], int], unit: str) -> Verb:
+    """Return the verb of one kind of process; ``rows`` are actions by (vessel, target, material, amount)."""
+    parts = {"vessel": "the vessel", "target": "the vessel that receives", "material": "the material"}
+    arguments: list[Argument | None] = []
+    for k, (part, meaning) in enumerate({**parts, "amount": f"how much ({unit})"}.items()):
+        values = list(dict.fromkeys(row[k] for row in rows if row[k] is not None))
         integers = part == "amount" and all(float(value).is_integer() for value in values)
-        arguments.append(Argument(part, meaning, tuple(int(value) if integers else value for value in values)))
+        options = tuple(int(value) if integers else value for value in values)
+        arguments.append(Argument(part, meaning, options) if options else None)
 
     def action(given: Mapping[str, Any]) -> int:
-        chosen = tuple(
-            str(given[a.name]) if a.name in given else (str(a.options[0]) if a.options else None) for a in arguments
-        )
-        if chosen not in own:
-            ways = dict.fromkeys(tuple(str(v) for v in key[:3] if v is not None) for key in own)
+        chosen = tuple(None if a is None else str(given.get(a.name, a.options[0])) for a in arguments)
+        if chosen not in rows:
+            ways = dict.fromkeys(tuple(str(part) for part in row[:3] if part is not None) for row in rows)
             raise ToolError(f"{kind}: these do not go together; possible: {'; '.join(' '.join(way) for way in ways)}")
-        return own[chosen]
+        return rows[chosen]
 
-    return Verb(
-        kind,
-        _OPERATIONS.get(kind, f"{kind.capitalize()}."),
-        tuple(a for a in arguments if len(a.options) > 1),
-        action,
-        _settled(arguments),
-    )
+    known = [argument for argument in arguments if argument is not None]
+    return Verb.of(kind, _OPERATIONS.get(kind, f"{kind.capitalize()}."), known, action)
 
 
 def _continuous_verb(bench: Bench, name: Callable[[str], str]) -> Verb:
-    """All numbers of a continuous action in their own units; what is left out stays as it is."""
+    """Return the verb of a continuous bench, with its numbers in physical units. The default is no change."""
     reagents: Sequence[str] = getattr(bench, "reagent_names", ())
-    size = int((bench.action_space.shape or (0,))[0])
     if not reagents:
         numbers = [Argument(f"number_{i}", words, default=0.5) for i, words in enumerate(bench.action_meanings)]
         return Verb("step", "Take one step.", tuple(numbers), lambda given: np.array([given[n.name] for n in numbers]))
     steps = [bench.options.temperature_k.step, bench.options.volume_l.step]
-    moves = [
+    changes = [
         Argument("temperature_change", f"K, from {-steps[0]:g} to {steps[0]:g}", (), -steps[0], steps[0], 0.0),
         Argument("volume_change", f"L, from {-steps[1]:g} to {steps[1]:g}", (), -steps[1], steps[1], 0.0),
     ]
-    adding = [
+    additions = [
         Argument("add_" + re.sub(r"\W", "_", name(one)), f"share of the {name(one)} that is left, 0 to 1", default=0.0)
         for one in reagents
     ]
 
     def action(given: Mapping[str, Any]) -> Any:
-        moved = [0.5 + 0.5 * float(given[move.name]) / step for move, step in zip(moves, steps, strict=True)]
-        return np.array([*moved, *(float(given[one.name]) for one in adding)][:size])
+        changed = [0.5 + 0.5 * float(given[one.name]) / step for one, step in zip(changes, steps, strict=True)]
+        added = [float(given[one.name]) for one in additions]
+        return np.array([*changed, *added][: action_size(bench.action_space)])
 
-    listed = sorted(adding, key=lambda one: one.name) if name is not str else adding
-    return Verb("step", "Take one step; what is left out stays as it is.", (*moves, *listed), action)
+    listed = sorted(additions, key=lambda one: one.name) if name is not str else additions
+    return Verb("step", "Take one step; what is left out stays as it is.", (*changes, *listed), action)

@@ -113,7 +113,7 @@ MISTAKES = {
     "play fictitious --goal gold --record x.jsonl": ["gold"],
     "replay a.jsonl -o a.mov": ["unknown suffix .mov; choose from .html, .gif"],
     "new My-Lab --reactions fischer": ["lower-case letters, digits and _", "given 'My-Lab'"],
-    "run wurtz_dodecane --policy scripted,rxn=wurtz_ext": ["rxn=wurtz_ext: has no policy of its own", "but for ext"],
+    "run wurtz_dodecane --policy scripted,rxn=wurtz_ext": ["rxn=wurtz_ext: has policies for ext only", "rxn=scripted"],
     "train rush --roles rxn_7 --algo ippo": ["rush has manager, rxn; given rxn_7"],
     "replay a.jsonl b -o a.gif": ["an animation or a protocol one"],
     "replay a.jsonl b c -o a.html": ["at most two"],

@@ -1,7 +1,7 @@
 """Adversarial learners of an audit: PPO of all roles, without memory, with or without instruments.
 
-What they reach without instruments is what can be learned without paying for a measurement, from any channel that the
-scenario has. They are feed-forward: what earlier observations told is lost unless the scenario shows it again.
+Their score without instruments is what can be learned without paid measurements, from any channel of the scenario. The
+networks are feed-forward, so information of earlier observations is lost unless the scenario shows it again.
 """
 
 from __future__ import annotations
@@ -28,8 +28,9 @@ if TYPE_CHECKING:
     from ..train.ppo import PPOTeam
 
 _DONORS = 16
-"""Episodes of every context that are cloned."""
+"""Number of cloned episodes of every context."""
 _CHECK_SEED = 4_600_000
+"""Seed of the first episode of evaluations during training."""
 
 
 def learned_scores(
@@ -41,15 +42,18 @@ def learned_scores(
 ) -> list[float]:
     """Train a team as ``chemlab train SCENARIO --roles all --no-notes`` does, and score it.
 
-    Every agent's reward is the team's result. The best evaluation in ``validation``, greedy or sampled, is scored; that
-    of the clone counts, too.
+    Every agent's reward is the team's result. The networks with the best evaluation in ``validation``, greedy or
+    sampled, are scored; the clone before training is evaluated as well.
 
     Args:
-        scenario: where.
-        turns: turns of all agents together that are learned from.
-        episodes: episode i has seed + i.
-        seed: of the first.
+        scenario: the scenario.
+        turns: number of training turns of all agents together.
+        episodes: number of scored episodes; episode i has seed + i.
+        seed: seed of the first scored episode.
         begin: open-loop policies by context that are cloned first; None: training starts from nothing.
+
+    Returns:
+        [episodes] scores in worlds of ``test``.
     """
     import torch
 
@@ -57,8 +61,7 @@ def learned_scores(
     from ..train.ppo import PPOTeam
 
     spec = scenario.configured(rewards="cooperative")
-    # Without notes, which are memory. A team that begins from a policy has no help. Other values are those of the
-    # stored audits.
+    # Notes are a memory. A team that begins from a policy has no teacher. Other settings are those of stored audits.
     start = None if begin is None else "open loop"
     settings = IPPO(notes=False, rollout=128, batch_size=1024, begin_from=start)
     team = PPOTeam(spec, [MANAGER_ROLE, *spec.benches], settings, "scripted")
@@ -73,17 +76,17 @@ def learned_scores(
         for sampled in (False, True):
             score = float(np.mean(_score(team, spec, settings.eval_episodes, _CHECK_SEED, "validation", sampled)))
             if score > best[0]:
-                states = {role: copy.deepcopy(own.network.state_dict()) for role, own in team.learners.items()}
+                states = {role: copy.deepcopy(one.network.state_dict()) for role, one in team.learners.items()}
                 best = score, states, sampled
-    for role, own in team.learners.items():
-        own.network.load_state_dict(best[1][role])
-        own.network.eval()
+    for role, learner in team.learners.items():
+        learner.network.load_state_dict(best[1][role])
+        learner.network.eval()
     torch.manual_seed(seed)
     return _score(team, spec, episodes, seed, "test", best[2])
 
 
 class _Learned:
-    """A role of a team as a policy."""
+    """Network of one role of a team as a policy."""
 
     def __init__(self, team: PPOTeam, role: str, sampled: bool) -> None:
         self._learner, self._sampled = team.learners[role], sampled and role not in team.fixed
@@ -95,6 +98,7 @@ class _Learned:
 
 
 def _score(team: PPOTeam, spec: Scenario, episodes: int, seed: int, split: str, sampled: bool) -> list[float]:
+    """Return the scores of a team in episodes with seeds from ``seed`` on."""
     labs = Laboratories(spec, episodes, split=split)
     policies = {agent: _Learned(team, role_of(agent), sampled) for agent in labs.agents}
     scores: list[float] = play_laboratory(labs, policies, None, seed).returns.tolist()
@@ -102,7 +106,7 @@ def _score(team: PPOTeam, spec: Scenario, episodes: int, seed: int, split: str, 
 
 
 class _Recorded(Watching):
-    """Plays as another policy does, and keeps observations, masks, actions and environment indices."""
+    """Plays as another policy does, and records observations, masks, actions and environment indices."""
 
     def __init__(self, policy: Policy) -> None:
         super().__init__(policy, self._note)
@@ -116,7 +120,7 @@ class _Recorded(Watching):
 
 
 def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan], least_std: float) -> None:
-    """Fit the networks to what open-loop policies play in training worlds, and to what that came to."""
+    """Fit the networks to the actions of open-loop policies in training worlds, and to the scores of the episodes."""
     from ..train.ppo import joined
 
     turns: dict[str, list[dict[str, npt.NDArray[Any] | None]]] = {}
@@ -126,11 +130,11 @@ def _clone(team: PPOTeam, spec: Scenario, begin: Mapping[Context, TeamPlan], lea
             _Recorded(policy) for policy in trials.team_policies([plan], make_policies("scripted", trials.labs))
         ]
         scores = trials.play(recorded, 1)[0].astype(np.float32)
-        for agent, each in zip(trials.labs.agents, recorded, strict=True):
-            shown = [{**turn, "target": scores[turn["members"]]} for turn in each.turns]
-            turns.setdefault(role_of(agent), []).extend(shown)
-    for role, own in turns.items():
-        learner, batch = team.learners[role], joined(own)
+        for agent, recorder in zip(trials.labs.agents, recorded, strict=True):
+            targets = [{**turn, "target": scores[turn["members"]]} for turn in recorder.turns]
+            turns.setdefault(role_of(agent), []).extend(targets)
+    for role, role_turns in turns.items():
+        learner, batch = team.learners[role], joined(role_turns)
         observed = batch["observed"]
         assert observed is not None
         batch["observed"], batch["seen"] = learner.seen(observed), None

@@ -64,12 +64,12 @@ from ..runs import versions
 from . import statistics
 from .contention import CONTENDED
 from .informed import openings
-from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
+from .jobs import AUDIT_SEED, AuditBudget, Job, JobRunner, budget_of, foreseen, planner_jobs
 from .scale import Scale, interval, missing
 from .search import scripted_names
 
 _CHOICE_SEED = 4_500_000
-"""Of the first episode that policies are chosen on."""
+"""Seed of the first episode on which policies are chosen."""
 _CAREFUL = ("scripted", "scripted:unsafe")
 _TRAINED = ("pretrained", "trained")
 _REPLACED = {"random": "random", "unsafe": "scripted:unsafe", "other": "trained"}
@@ -98,33 +98,33 @@ def audit(
     watch: Callable[[str], None] | None = None,
     turns: int | None = None,
 ) -> dict[str, Any]:
-    """Measure what a scenario asks of its agents.
+    """Measure what a scenario requires of its agents.
 
     Args:
-        scenario: a shipped name, a path, or a loaded scenario.
-        budget: one of :data:`~chemlab.agents.evaluate.jobs.BUDGETS`, or numbers of one's own.
-        keep: folder in which results of finished parts are kept, from which an interrupted audit resumes.
-        executor: plays the parts, see :mod:`chemlab.agents.executors`; None: this process.
-        watch: called with the name of each part that has been played.
-        turns: that each learner learns from; default: the budget's.
+        scenario: a bundled name, a path, or a loaded scenario.
+        budget: a name in :data:`~chemlab.agents.evaluate.jobs.BUDGETS`, or a budget.
+        keep: folder of cached results, from which an interrupted audit resumes.
+        executor: executor of the jobs, see :mod:`chemlab.agents.executors`; None: this process.
+        watch: called with the name of each finished job.
+        turns: training turns of each learner; default: the budget's.
 
     Returns:
         Plain data: the measures of this module's table, each with ``value``, ``low`` and ``high`` (or null and a
-        ``reason``), ``criteria`` by name, and how it was made.
+        ``reason``), ``criteria`` by name, and the settings and versions.
 
     Raises:
-        DataError: no such scenario.
-        ValueError: unknown budget.
-        WorkerLost: a part lost its worker in every attempt.
+        DataError: the scenario is unknown.
+        ValueError: the budget is unknown.
+        WorkerLost: a job lost its worker in every attempt.
     """
     spec = load_scenario(scenario)
     chosen = budget_of(budget, turns)
-    crew = Crew(spec, chosen, keep, executor, watch)
-    found = crew.run(choosing_jobs(spec))
+    runner = JobRunner(spec, chosen, keep, executor, watch)
+    found = runner.run(choosing_jobs(spec))
     scripted = scripted_names(spec)
     reference, best = _best(found, scripted), _best(found, [*scripted, *_TRAINED])
     plans = open_loop_plans(found)
-    found |= crew.run(measuring_jobs(spec, chosen, reference, plans, best))
+    found |= runner.run(measuring_jobs(spec, chosen, reference, plans, best))
     return {
         "kind": "audit",
         "format": 2,
@@ -141,51 +141,48 @@ def audit(
 
 
 def open_loop_plans(found: Mapping[str, dict[str, Any]]) -> list[Any]:
-    """Return the open-loop policies of all contexts, [context, plan, tapes of the benches]; the better kind last."""
+    """Return open-loop policies [context, plan, tapes of the benches] of all contexts; the better kind is last."""
     kinds = {"plan": found["plan"]["plans"], "everybody": found["everybody"]["teams"]}
     ranked = sorted(kinds, key=lambda name: float(np.mean(found[name]["chosen"])))
     return [row for name in ranked for row in kinds[name]]
 
 
 def job_count(scenario: Scenario, budget: AuditBudget) -> int:
-    """Return the number of parts of an audit; a bundled best policy adds up to three."""
+    """Return the number of jobs of an audit; up to three more are added if the best policy is a bundled one."""
     return len(choosing_jobs(scenario)) + len(measuring_jobs(scenario, budget, "scripted", []))
 
 
 def choosing_jobs(spec: Scenario) -> list[Job]:
-    """Return the jobs that depend on no other: searches first, which take longest, then policies to choose from."""
+    """Return the jobs that depend on no other: searches, which take longest, and then policies to choose from."""
     jobs = [Job("everybody", "everybody", {}), Job("plan", "plan", {})]
     jobs += [Job(f"plan-without-{key}", "plan", {"without": key}) for key in spec.benches]
     for policy in [*scripted_names(spec), *_TRAINED]:
-        own = {"policy": policy, "split": "validation", "seed": _CHOICE_SEED}
-        jobs.append(Job(f"choose-{policy}", "play", own))
+        arguments = {"policy": policy, "split": "validation", "seed": _CHOICE_SEED}
+        jobs.append(Job(f"choose-{policy}", "play", arguments))
     return jobs
 
 
 def measuring_jobs(
     spec: Scenario, budget: AuditBudget, reference: str, plans: list[Any], best: str | None = None
 ) -> list[Job]:
-    """Return the jobs that depend on the best scripted policy, the plans found, and the best policy (default: the
-    scripted)."""
+    """Return the jobs that depend on the results of others.
+
+    These are the best scripted policy (``reference``), the :func:`open_loop_plans`, and the best policy of all
+    (default: the reference).
+    """
+
+    def play(name: str, policy: str, split: str = "test", **options: Any) -> Job:
+        return Job(name, "play", {"policy": policy, **options, "split": split, "seed": AUDIT_SEED})
+
     jobs = planner_jobs(budget, plans)
     jobs += [Job("idle", "idle", {}), Job("replay", "replay", {"policy": reference})]
-    test = {"split": "test", "seed": AUDIT_SEED}
-    jobs += [
-        Job("random", "play", {"policy": "random", **test}),
-        Job("test", "play", {"policy": reference, "contended": True, **test}),
-    ]
-    jobs.append(Job("memoryless", "play", {"policy": "scripted:memoryless", **test}))
-    jobs.append(Job("train", "play", {"policy": reference, "split": "train", "seed": AUDIT_SEED}))
+    jobs += [play("random", "random"), play("test", reference, contended=True)]
+    jobs += [play("memoryless", "scripted:memoryless"), play("train", reference, "train")]
     for policy in _CAREFUL:
-        jobs.append(Job(f"blindfold-{policy}", "play", {"policy": policy, "instruments": False, **test}))
-        jobs += [
-            Job(f"without-{key}-{policy}", "play", {"policy": policy, "without": key, **test}) for key in spec.benches
-        ]
+        jobs.append(play(f"blindfold-{policy}", policy, instruments=False))
+        jobs += [play(f"without-{key}-{policy}", policy, without=key) for key in spec.benches]
     for agent in _members(spec):
-        jobs += [
-            Job(f"role-{agent}-{name}", "play", {"policy": f"{reference},{agent}={other}", **test})
-            for name, other in _REPLACED.items()
-        ]
+        jobs += [play(f"role-{agent}-{name}", f"{reference},{agent}={other}") for name, other in _REPLACED.items()]
     if budget.turns:
         learners = {"learner-nothing": (False, []), "learner-plan": (False, plans), _WITH_INSTRUMENTS: (True, [])}
         jobs += [
@@ -195,19 +192,13 @@ def measuring_jobs(
     if budget.worlds and spec.world.draws:
         jobs += [Job(f"central-{one}", "inform", {"opening": one, "plans": plans}) for one in openings(spec)]
     if best in _TRAINED:
-        jobs.append(Job("best", "play", {"policy": best, **test}))
-        jobs += [
-            Job(
-                f"blindfold-{best}-{manager}",
-                "play",
-                {"policy": f"{best},manager={manager}", "instruments": False, **test},
-            )
-            for manager in _CAREFUL
-        ]
+        jobs.append(play("best", best))
+        for manager in _CAREFUL:
+            jobs.append(play(f"blindfold-{best}-{manager}", f"{best},manager={manager}", instruments=False))
     if any(bench.report is not None for bench in spec.benches.values()):
-        jobs.append(Job("mute", "play", {"policy": reference, "reports": False, **test}))
+        jobs.append(play("mute", reference, reports=False))
     if spec.demand.order:
-        jobs.append(Job("apart", "play", {"policy": "scripted:fifo", **test}))
+        jobs.append(play("apart", "scripted:fifo"))
     elif spec.orders > 1:
         jobs.append(Job("apart", "apart", {"policy": reference}))
     return jobs
@@ -219,57 +210,61 @@ def _members(spec: Scenario) -> list[str]:
 
 
 def _best(found: Mapping[str, dict[str, Any]], policies: Sequence[str]) -> str:
-    """Return the policy with the best mean on the episodes for choices."""
+    """Return the policy with the best mean on the episodes for the choice."""
     return _greatest({policy: _scores(found, f"choose-{policy}") for policy in policies})[0]
 
 
 def _scores(found: Mapping[str, dict[str, Any]], name: str) -> FloatArray | None:
+    """Return the scores [E] of a job; None if it was not played or no policy fits."""
     scores = found[name]["scores"] if name in found else None
     return None if scores is None else np.array(scores)
 
 
 def _greatest(candidates: Mapping[str, FloatArray | None]) -> tuple[str, FloatArray]:
-    """Return the candidate with the best mean."""
-    there = {name: scores for name, scores in candidates.items() if scores is not None}
-    name = max(there, key=lambda one: there[one].mean())
-    return name, there[name]
+    """Return the name and the scores of the candidate with the best mean."""
+    played = {name: scores for name, scores in candidates.items() if scores is not None}
+    return max(played.items(), key=lambda item: item[1].mean())
 
 
 def _named(found: Mapping[str, dict[str, Any]], *starts: str) -> dict[str, FloatArray | None]:
-    """Return the scores of all parts whose names begin so."""
+    """Return the scores of all jobs whose names have one of the prefixes."""
     return {name: _scores(found, name) for name in found if name.startswith(starts)}
 
 
 def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, chosen: str) -> dict[str, Any]:
+    """Return all measures and criteria from results of jobs; ``policy`` is the reference, ``chosen`` the best one."""
     test, plan, random = (np.array(found[name]["scores"]) for name in ("test", "plan", "random"))
-    ways = {name: _scores(found, name) for name in ("idle", "replay", "plan", "everybody")}
-    ways["plan-replay"] = repeated = np.array(found["plan"]["everybody"])
-    seeing = {chosen: _scores(found, "best"), policy: test, _WITH_INSTRUMENTS: _scores(found, _WITH_INSTRUMENTS)}
-    scripted = _named(found, "blindfold-") | ways
-    learners = {name: own for name, own in _named(found, "learner-").items() if name != _WITH_INSTRUMENTS}
+    open_loop = {name: _scores(found, name) for name in ("idle", "replay", "plan", "everybody")}
+    open_loop["plan-replay"] = np.array(found["plan"]["everybody"])
+    observing = {chosen: _scores(found, "best"), policy: test, _WITH_INSTRUMENTS: _scores(found, _WITH_INSTRUMENTS)}
+    scripted = _named(found, "blindfold-") | open_loop
+    learners = {name: scores for name, scores in _named(found, "learner-").items() if name != _WITH_INSTRUMENTS}
     central = _named(found, "central-")
-    told = found.get("central-submission", {}).get("feedback")  # a look at vessels is not for the manager
-    feedback = {"feedback-submission": None if told is None else np.array(told)}
-    rows = {**seeing, **scripted, **learners, **feedback, **central}
-    elsewhere = ("choose-", "foresee-", "train", "apart")  # other episodes, or other laboratories
-    played = [*feedback.values(), *(_scores(found, name) for name in found if not name.startswith(elsewhere))]
-    others = np.maximum.reduce([repeated, *(own for own in played if own is not None)])
+    by_manager = found.get("central-submission", {}).get("feedback")  # managers do not observe looks at vessels
+    feedback = {"feedback-submission": None if by_manager is None else np.array(by_manager)}
+    rows = {**observing, **scripted, **learners, **feedback, **central}
+    others = _best_of_all(found, [*open_loop.values(), *feedback.values()])
     oracle = np.maximum(foreseen(found), others)
     idle = np.array(found["idle"]["scores"])
     if oracle.mean() <= max(random.mean(), idle.mean()) + 1e-9:
         return {"impossible": _impossible(spec, random, idle), "criteria": dict.fromkeys(CRITERIA)}
     scale = Scale(random, oracle)
-    best_name, best = _greatest(seeing)
+    best_name, best = _greatest(observing)
     reference, top = scale.mean(test), scale.mean(best)
-    memoryless, mute, apart = (_scores(found, name) for name in ("memoryless", "mute", "apart"))
+
+    def loss(name: str, reason: str) -> dict[str, Any]:
+        """Return the reference minus the policy of a job, or the reason why there is none."""
+        scores = _scores(found, name)
+        return missing(reason) if scores is None else interval(reference - scale.mean(scores))
+
     measures: dict[str, Any] = {
         "random": _row(scale, {"random": random}),
         "reference": _row(scale, {policy: test}),
         "best": _row(scale, {best_name: best}),
         "strongest": _row(scale, rows),
         "open_loop": {
-            **_row(scale, ways),
-            "ways": {name: float(scale.mean(scores)[0]) for name, scores in ways.items() if scores is not None},
+            **_row(scale, open_loop),
+            "ways": {name: float(scale.mean(scores)[0]) for name, scores in open_loop.items() if scores is not None},
         },
         "oracle": {
             **_row(scale, {"planner": oracle}),
@@ -288,25 +283,24 @@ def _measures(spec: Scenario, found: Mapping[str, dict[str, Any]], policy: str, 
             for key in spec.benches
         },
         "value_of_role": {agent: _role(found, agent, reference, scale) for agent in _members(spec)},
-        "value_of_memory": missing("the scripted manager has nothing to forget")
-        if memoryless is None
-        else interval(reference - scale.mean(memoryless)),
-        "value_of_reports": missing("benches report nothing")
-        if mute is None
-        else interval(reference - scale.mean(mute)),
-        "coordination_gain": missing(
-            "there is one order" if spec.orders == 1 else "no bundled policy takes one order at a time"
-        )
-        if apart is None
-        else interval(reference - scale.mean(apart)),
+        "value_of_memory": loss("memoryless", "the scripted manager has nothing to forget"),
+        "value_of_reports": loss("mute", "benches report nothing"),
+        "coordination_gain": loss(
+            "apart", "there is one order" if spec.orders == 1 else "no bundled policy takes one order at a time"
+        ),
         "contention": _contention(found),
         "headroom": interval(1.0 - top),
-        "generalization": interval(reference - scale.mean(np.array(found["train"]["scores"])))
-        if spec.world.draws
-        else missing("the scenario has no hidden parameters"),
+        "generalization": loss("train", "") if spec.world.draws else missing("the scenario has no hidden parameters"),
         "open_loop_deviation": interval(scale.deviation(plan)),
     }
     return {**measures, "criteria": _criteria(measures)}
+
+
+def _best_of_all(found: Mapping[str, dict[str, Any]], more: Sequence[FloatArray | None]) -> FloatArray:
+    """Return [E] the best score in each scored episode, of all jobs that play these episodes and of ``more`` scores."""
+    elsewhere = ("choose-", "foresee-", "train", "apart")  # other episodes, or other laboratories
+    scores = [*more, *(_scores(found, name) for name in found if not name.startswith(elsewhere))]
+    return np.asarray(np.maximum.reduce([own for own in scores if own is not None]))
 
 
 def _impossible(spec: Scenario, random: FloatArray, idle: FloatArray) -> str:
@@ -326,8 +320,8 @@ def _row(scale: Scale, candidates: Mapping[str, FloatArray | None]) -> dict[str,
 def _contention(found: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """Return contention counts per episode of the reference, in total and by kind."""
     counts = np.array(found["test"]["contention"])
-    told = statistics.mean([counts.sum(axis=1)]).as_dict()
-    return {**told, "kinds": dict(zip(CONTENDED, counts.mean(axis=0).tolist(), strict=True))}
+    total = statistics.mean([counts.sum(axis=1)]).as_dict()
+    return {**total, "kinds": dict(zip(CONTENDED, counts.mean(axis=0).tolist(), strict=True))}
 
 
 def _value(reference: FloatArray, scale: Scale, others: Mapping[str, FloatArray | None]) -> dict[str, Any]:
@@ -339,7 +333,7 @@ def _value(reference: FloatArray, scale: Scale, others: Mapping[str, FloatArray 
 def _information(
     spec: Scenario, best: FloatArray, scale: Scale, ways: Mapping[str, Mapping[str, FloatArray | None]]
 ) -> dict[str, Any]:
-    """Return the least value of information of all ways that were measured, and each of them."""
+    """Return the least value of information of all ways with a measurement, and the values of all ways."""
     if not spec.instruments:
         return missing("the scenario has no instruments")
     values = {
@@ -355,13 +349,13 @@ def _information(
 def _role(found: Mapping[str, dict[str, Any]], agent: str, reference: FloatArray, scale: Scale) -> dict[str, Any]:
     """Return the greatest loss when a member of the team is replaced, and the loss for each replacement."""
     teams = {name: _scores(found, f"role-{agent}-{name}") for name in _REPLACED}
-    losses = {name: interval(reference - scale.mean(own)) for name, own in teams.items() if own is not None}
+    losses = {name: interval(reference - scale.mean(scores)) for name, scores in teams.items() if scores is not None}
     worst = max(losses, key=lambda name: losses[name]["value"])
     return {**losses[worst], "without": worst, "ways": losses}
 
 
 def _criteria(measures: Mapping[str, Any]) -> dict[str, bool | None]:
-    """Return which of :data:`CRITERIA` are met; None where one does not apply."""
+    """Return True for each of :data:`CRITERIA` that is met; None if it does not apply."""
     information, deviation = measures["value_of_information"], measures["open_loop_deviation"]["value"]
     coordination, best = measures["coordination_gain"]["value"], measures["best"]["value"]
     known = [value for value in information.get("ways", {}).values() if value["value"] is not None]
@@ -377,28 +371,28 @@ def _criteria(measures: Mapping[str, Any]) -> dict[str, bool | None]:
 
 
 _SEVERAL = {"value_of_bench": "value of {}", "value_of_role": "{} replaced", "value_of_information": "information, {}"}
-"""Measures of several rows, and the names of these."""
+"""Measures with several rows, and the names of the rows."""
 
 
 def measure_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str, str]]:
-    """Yield an audit's measures: name, value with interval (or why there is none), and the policy that it is of."""
+    """Yield an audit's measures: name, value with interval (or the reason why there is none), and policy."""
     for name, measure in found.items():
         if not isinstance(measure, dict):
             continue
         if "value" in measure:
-            yield _words(name.replace("_", " "), measure)
+            yield _row_words(name.replace("_", " "), measure)
         if name in _SEVERAL:
             several = measure.get("ways", {}) if "value" in measure else measure
-            yield from (_words(_SEVERAL[name].format(key), own) for key, own in several.items())
+            yield from (_row_words(_SEVERAL[name].format(key), estimate) for key, estimate in several.items())
 
 
-def _words(name: str, measure: Mapping[str, Any]) -> tuple[str, str, str]:
-    said = measure["reason"] if measure["value"] is None else statistics.interval_text(measure)
-    return name, said, measure.get("way") or measure.get("without") or ""
+def _row_words(name: str, measure: Mapping[str, Any]) -> tuple[str, str, str]:
+    value = measure["reason"] if measure["value"] is None else statistics.interval_text(measure)
+    return name, value, measure.get("way") or measure.get("without") or ""
 
 
 def verdict(found: Mapping[str, Any]) -> str:
-    """Return an audit's criteria as a sentence."""
+    """Return a sentence on the criteria that an audit does not meet."""
     if "impossible" in found:
         return str(found["impossible"])
     failed = [name for name, met in found["criteria"].items() if met is False]

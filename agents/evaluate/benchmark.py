@@ -1,43 +1,42 @@
-"""The benchmark's protocol: ``chemlab benchmark``. What is played, on which scale, with which statistics.
+"""Protocol of ``chemlab benchmark``: policies, episodes, scale and statistics.
 
-Every row (a policy) plays the same episodes of each scenario, in worlds of the split ``test``: those of
-:mod:`~chemlab.agents.evaluate.audit`, whose scale it is, too: 0 is random legal play, 1 what a planner comes to that
-knows each episode's world. The episodes are dealt out to replications. A replication has worlds of its own, and a
-training run of its own where a row has several (a folder of runs that differ in their seeds); it is what the
-statistics are of: interquartile mean, performance profile and probability of improvement over the baseline, with
-95 % intervals (:mod:`~chemlab.agents.evaluate.statistics`). The interval of a cell is over its episodes; where
-several runs have dealt them out among themselves, it is over runs.
+Every row (a policy) plays the same episodes of each scenario, in worlds of the split ``test``. Episodes and scale are
+those of :mod:`~chemlab.agents.evaluate.audit`: 0 is random legal play, 1 the oracle. The episodes are divided into
+replications. Each replication has separate worlds, and a separate training run if a row has several (a folder of runs
+that differ in their seeds). Statistics are over replications: interquartile mean, performance profile and probability
+of improvement over the baseline, with 95 % intervals (:mod:`~chemlab.agents.evaluate.statistics`). The interval of a
+cell is over its episodes, or over runs if several runs have played them.
 
-| row | who |
+| row | policy |
 |---|---|
-| ``random`` | random legal actions of everybody: 0 |
-| ``plan`` | the best constant plan of the manager that a search finds in training worlds, over scripted benches |
+| ``random`` | random legal actions of all agents: 0 |
+| ``plan`` | the manager's best open-loop plan found in training worlds, over scripted benches |
 | ``scripted`` | the scripted agents |
-| ``pretrained``, ``trained`` | bundled policies, where one fits |
-| a path | a training run, or a folder of runs of which only the seed differs: the best checkpoint by validation, the \
-last, and the first, before training, of runs that began as clones; or records of these episodes that people \
-(``chemlab play``) or language agents (``chemlab mcp`` and the like) have played, a file or a folder of them |
-| ``oracle`` | the planner that knows the world: 1 |
+| ``pretrained``, ``trained`` | bundled policies, if one fits |
+| a path | a training run, or a folder of runs that differ only in their seed: the best checkpoint by validation, the \
+last, and, of runs that began as clones, the first, before training; or records of these episodes, a file or a folder, \
+that people (``chemlab play``) or language agents (such as ``chemlab mcp``) have played |
+| ``oracle`` | the planner that knows the hidden parameters: 1 |
 
-| file | what |
+| file | content |
 |---|---|
-| ``parts/SCENARIO/`` | what has been played: the same command goes on from there |
-| ``benchmark.json`` | :func:`benchmark`'s findings |
-| ``marl_eval.json`` | each run's scores on the scale, as marl-eval reads them |
+| ``parts/SCENARIO/`` | cached results, from which the same command resumes |
+| ``benchmark.json`` | results of :func:`benchmark` |
+| ``marl_eval.json`` | normalized scores of each run, in marl-eval's format |
 | ``leaderboard.json`` | a line for each row and scenario, with the scores of its episodes, commit, versions, \
 hardware, hours and records (:mod:`~chemlab.agents.evaluate.leaderboard`) |
-| ``records/`` | episodes of each row that ``chemlab verify`` plays again |
+| ``records/`` | episodes of each row, which ``chemlab verify`` replays |
 
-A line of the leaderboard that another command has written stays, unless it is of the same row and scenario. Where
-somebody was better than the planner, in this command or before, all lines of the same episodes are on that scale.
+Lines of other commands in the leaderboard are kept, unless they are of the same row and scenario. If a policy scored
+above the oracle, in this command or an earlier one, all lines of the same episodes get the scale with this end.
 """
 
 from __future__ import annotations
 
-import json
 import os
 import platform
 import subprocess
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -61,30 +60,30 @@ from ..former_names import current_name, split_way
 from ..ledger import ended_episodes
 from ..open_loop import ConstantPlan
 from ..policies import make_policies, policy_names
-from ..runs import Run, differences, find_runs, versions
+from ..runs import Run, differences, find_runs, to_text, versions
 from . import statistics
-from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
+from .jobs import AUDIT_SEED, AuditBudget, Job, JobRunner, budget_of, foreseen, planner_jobs
 from .leaderboard import on_scale, runs_of, write_leaderboard
 from .play import Target
 from .scale import missing
 
 DEFAULT_ROWS = ("scripted", "pretrained", "trained")
-"""Policies that are played whether or not others are asked for, besides ``random``, ``plan`` and ``oracle``."""
+"""Policies that are always played, in addition to the references."""
 REFERENCES = ("random", "plan", "oracle")
-"""Rows that are there in any case."""
-_TOLD = (
+"""Rows of every benchmark."""
+_LINE_KEYS = (
     *("value", "low", "high", "score", "episodes", "scale", "generalization", "over_baseline"),
-    *("scores", "train_scores", "seats"),
+    *("scores", "train_scores", "seats", "reason"),
 )
-"""Of a cell, what the leaderboard has, too."""
+"""Keys of a cell that are written to the leaderboard."""
 _CONDITIONS = ("condition", "names", "say", "budget")
-"""Of seats, in which the episodes of a row must agree."""
-_SPENT = ("calls", "wrong", "characters", "tokens")
-"""Of seats, what is given beside the score."""
+"""Conditions of seats, which are equal in all episodes of a row."""
+_EFFORT = ("calls", "wrong", "characters", "tokens")
+"""Measures of a seat's effort that are reported with the score."""
 _RECORD = ".jsonl"
 """Suffix of record files."""
 _THRESHOLDS = np.round(np.linspace(0.0, 1.0, 21), 2)
-"""Of performance profiles, on the scale."""
+"""Normalized scores at which performance profiles are evaluated."""
 
 
 @dataclass(frozen=True)
@@ -92,14 +91,14 @@ class Row:
     """A row of the table.
 
     Attributes:
-        name: what it is called.
-        policies: a policy's name, or path, for each of its training runs; one where it was not trained here.
-        hours: of training, all runs together; None where it is not known.
-        steps: of a run, 0 before training; None where there is none.
-        curves: for each run (step, mean score) of its evaluations.
-        scenario: what the runs were trained on; None: anything.
-        records: (scenario's name, record) of episodes that somebody has played already; who has some plays none here.
-        seats: the ledger's entries of these records, by file; empty where there is no ledger.
+        name: name of the row.
+        policies: name or path of the policy of each training run; one entry without training runs; empty with records.
+        hours: hours of training of all runs; None: unknown.
+        steps: training steps of a run, 0 before training; None: there is no run.
+        curves: (step, mean score) of each run's evaluations.
+        scenario: scenario of training; None: the row may play any scenario.
+        records: (name of the scenario, record) of episodes that have been played before; such a row plays no others.
+        seats: ledger entries of these records, by file; empty without a ledger.
     """
 
     name: str
@@ -112,30 +111,30 @@ class Row:
     seats: Mapping[Path, Mapping[str, Any]] = field(default_factory=dict)
 
     def effort(self, scenario: str) -> dict[str, Any]:
-        """Conditions of the seats in a scenario, and means over its episodes of what they have spent, all together."""
-        own = [self.seats[record.path] for name, record in self.records if name == scenario]
-        spent = [[sum(seat.get(kind, 0) for seat in entry["seats"].values()) for kind in _SPENT] for entry in own]
-        conditions = {kind: own[0][kind] for kind in _CONDITIONS}
-        return conditions | dict(zip(_SPENT, np.mean(spent, axis=0).round(3).tolist(), strict=True))
+        """Return the conditions of the seats in a scenario, and their total effort as means over episodes."""
+        entries = [self.seats[record.path] for name, record in self.records if name == scenario]
+        effort = [[sum(seat.get(kind, 0) for seat in entry["seats"].values()) for kind in _EFFORT] for entry in entries]
+        conditions = {kind: entries[0][kind] for kind in _CONDITIONS}
+        return conditions | dict(zip(_EFFORT, np.mean(effort, axis=0).round(3).tolist(), strict=True))
 
 
 def world_scenarios() -> list[str]:
-    """Shipped scenarios that draw worlds: what is benchmarked where nothing is named."""
+    """Return the bundled scenarios with hidden parameters, which are benchmarked by default."""
     return [name for name in scenario_names() if load_scenario(name).world.draws]
 
 
 def find_rows(policies: Sequence[str]) -> list[Row]:
-    """The rows that policies by name or path stand for.
+    """Return the rows of policies by name or path.
 
     Args:
-        policies: names or paths, see :func:`~chemlab.agents.policies.make_policies`. A folder of runs is one row for
-            their best checkpoints, one for their last ones, and one for clones before training; a record, or a folder
-            of records, is one row.
+        policies: names or paths, see :func:`~chemlab.agents.policies.make_policies`. A folder of runs gives a row of
+            the best checkpoints, one of the last ones, and one of clones before training; a record, or a folder of
+            records, gives one row.
 
     Raises:
-        RecordError: a file is no record.
-        ValueError: runs of one folder that differ in more than their seeds, a run without a checkpoint, or records of
-            one folder that say that different players made them.
+        RecordError: a file is not a record.
+        ValueError: runs of one folder differ in more than their seeds, a run has no checkpoint, records of one folder
+            have different players, or two rows have the same name.
     """
     rows: list[Row] = []
     for name in map(current_name, policies):
@@ -151,15 +150,15 @@ def find_rows(policies: Sequence[str]) -> list[Row]:
             rows += _trained_rows(name, runs, way)
         else:
             rows.append(_played_row(str(folder), files, seats) if files else Row(name, (name,)))
-    own = [_file_name(row.name) for row in rows]
-    doubled = sorted({row.name for row in rows if own.count(_file_name(row.name)) > 1})
+    files_of = Counter(_file_name(row.name) for row in rows)
+    doubled = sorted({row.name for row in rows if files_of[_file_name(row.name)] > 1})
     if doubled:
         raise ValueError(f"policies: {', '.join(doubled)}: given twice, or would have the same files")
     return rows
 
 
 def _played_row(name: str, files: Sequence[Path], seats: Mapping[Path, Mapping[str, Any]]) -> Row:
-    """Make a row of records; they name its players, and a ledger their conditions."""
+    """Return the row of records; check that players and, with a ledger, conditions are the same in all of them."""
     for kind in _CONDITIONS:
         values = {str(entry[kind]) for entry in seats.values()}
         if len(values) > 1:
@@ -167,12 +166,12 @@ def _played_row(name: str, files: Sequence[Path], seats: Mapping[Path, Mapping[s
                 f"policies: {name}: one row has the same {kind} everywhere, here {' and '.join(sorted(values))}: put "
                 "these into folders of their own"
             )
-    records, told = [], dict[str, tuple[str, Path]]()
+    records, players = [], dict[str, tuple[str, Path]]()
     for file in files:
         record = read_record(file)
         records.append((recorded_scenario(record).name, record))
         for agent, player in record.checked_header().policies.items():
-            other, first = told.setdefault(agent, (player, file))
+            other, first = players.setdefault(agent, (player, file))
             if other != player:
                 raise ValueError(
                     f"policies: {name}: one row has the same players everywhere; {agent} is {other} in {first}, and "
@@ -182,6 +181,7 @@ def _played_row(name: str, files: Sequence[Path], seats: Mapping[Path, Mapping[s
 
 
 def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
+    """Return the rows of the first (if any), best and last checkpoints of runs, played greedily or sampled."""
     configs = [run.config() or {} for run in runs]
     for run, config in zip(runs, configs, strict=True):
         other = differences(config, configs[0])
@@ -191,8 +191,8 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
                 f"policies: {name}: runs of one row differ in their seeds alone; {run.path} has "
                 f"{', '.join(other.values())}; give each of them with a --policy of its own"
             )
-    seconds = [curve[-1].seconds if (curve := run.curve()) else 0.0 for run in runs]
-    curves = tuple(tuple((one.step, one.mean) for one in run.evaluations()) for run in runs)
+    ends = [curve[-1] for run in runs if (curve := run.curve())]
+    evaluations = tuple(tuple((one.step, one.mean) for one in run.evaluations()) for run in runs)
     found = []
     for kind in ("first", "best", "last"):
         checkpoints = [run.checkpoint(kind) for run in runs]
@@ -202,33 +202,33 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
         if missing:
             raise ValueError(f"policies: {', '.join(missing)}: no {kind} checkpoint; train it (again)")
         paths = tuple(f"{folder}:{way}" if way else str(folder) for folder in checkpoints)
-        steps = max((run.curve()[-1].step for run in runs if run.curve()), default=0) or None
-        hours: float | None = sum(seconds) / 3600.0
+        steps = max((end.step for end in ends), default=0) or None
+        hours: float | None = sum(end.seconds for end in ends) / 3600.0
         if kind == "first":
-            hours, steps = None, 0  # how long cloning took is not known apart
-        found.append(Row(f"{name} ({kind})", paths, hours, steps, curves, str(configs[0]["scenario"])))
+            hours, steps = None, 0  # the time of cloning alone is unknown
+        found.append(Row(f"{name} ({kind})", paths, hours, steps, evaluations, str(configs[0]["scenario"])))
     return found
 
 
-# -- what is played ---------------------------------------------------------------------------------------------------
+# -- jobs -------------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class _Block:
-    """The episodes of a replication: of the first, how many, and which of a row's runs plays them."""
+    """Episodes of a replication: its index, which selects a row's run; first episode; number of episodes."""
 
     number: int
     first: int
     count: int
 
     def of(self, scores: Any) -> FloatArray:
-        """Those of everybody's that are its own."""
+        """Return the scores [count] of its episodes from those of all episodes."""
         return np.asarray(scores)[self.first : self.first + self.count]
 
 
-def _normalised(scores: Any, random: float, best: float) -> FloatArray:
-    """Scores on the scale of episodes of which these are the mean scores of random play and of the planner."""
-    return np.asarray((np.asarray(scores) - random) / (best - random))
+def _normalised(scores: Any, random: float, oracle: float) -> FloatArray:
+    """Return normalized scores; ``random`` and ``oracle`` are mean scores in the same episodes."""
+    return np.asarray((np.asarray(scores) - random) / (oracle - random))
 
 
 def _blocks(episodes: int, replications: int) -> list[_Block]:
@@ -239,37 +239,41 @@ def _blocks(episodes: int, replications: int) -> list[_Block]:
 
 
 def _file_name(text: str) -> str:
-    """A row's name as a file's."""
+    """Return the file name of a row's name."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in text)[-120:]
 
 
 def reference_jobs(split: str) -> list[Job]:
-    """Random play, and the best constant plan, in worlds of a split."""
-    test = {"split": split, "seed": AUDIT_SEED}
-    plan = {} if split == "test" else {"split": split}  # as an audit has it, which may have played it already
-    return [Job("plan", "plan", plan), Job("random", "play", {"policy": "random", **test})]
+    """Return the jobs of random play and of the best open-loop plan, in worlds of a split."""
+    plan = {} if split == "test" else {"split": split}  # equal to the job of an audit, whose result may be cached
+    random = {"policy": "random", "split": split, "seed": AUDIT_SEED}
+    return [Job("plan", "plan", plan), Job("random", "play", random)]
+
+
+def _job_name(row: Row, block: _Block) -> str:
+    return f"row-{_file_name(row.name)}-{block.first}-{block.count}"
 
 
 def _row_jobs(spec: Scenario, rows: Sequence[Row], blocks: Sequence[_Block], split: str) -> list[Job]:
+    """Return the jobs of the rows that fit a scenario; with hidden parameters, also those in training worlds."""
     jobs = []
     for row in rows:
-        for block in blocks if row.policies else ():
-            policy = row.policies[block.number % len(row.policies)]
-            own = {"policy": policy, "seed": AUDIT_SEED + block.first, "episodes": block.count}
-            name = f"row-{_file_name(row.name)}-{block.first}-{block.count}"
-            jobs.append(Job(name, "play", {**own, "split": split}))
+        for block in blocks if row.policies and _fits(row, spec) else ():
+            policy, name = row.policies[block.number % len(row.policies)], _job_name(row, block)
+            arguments = {"policy": policy, "seed": AUDIT_SEED + block.first, "episodes": block.count}
+            jobs.append(Job(name, "play", {**arguments, "split": split}))
             if spec.world.draws and split != "train":
-                jobs.append(Job(f"{name}-train", "play", {**own, "split": "train"}))
+                jobs.append(Job(f"{name}-train", "play", {**arguments, "split": "train"}))
     return jobs
 
 
 def part_count(scenarios: Sequence[Scenario], rows: Sequence[Row], budget: AuditBudget, seeds: int, split: str) -> int:
-    """Return the number of parts of a benchmark."""
+    """Return the number of jobs and records of a benchmark."""
     blocks = _blocks(budget.episodes, seeds)
     return sum(
         len(reference_jobs(split))
         + len(planner_jobs(budget, [], split))
-        + len(_row_jobs(spec, _fitting(spec, rows), blocks, split))
+        + len(_row_jobs(spec, rows, blocks, split))
         + sum(len(_records_of(row, spec)) for row in rows)
         for spec in scenarios
     )
@@ -279,25 +283,29 @@ def _records_of(row: Row, spec: Scenario) -> list[Record]:
     return [record for name, record in row.records if name == spec.name]
 
 
-def _entered(
+def _verified_records(
     row: Row, spec: Scenario, split: str, episodes: int, watch: Callable[[str], None] | None
 ) -> dict[int, tuple[float, Record]]:
-    """(score, record) of the episodes, by number, that somebody has played; every one is played again."""
+    """Replay a row's records of a scenario, and return (score, record) by the number of the episode.
+
+    Raises:
+        ValueError: a record is of other episodes or of another scenario, is wrong, or two are of one episode.
+    """
     found: dict[int, tuple[float, Record]] = {}
     for record in _records_of(row, spec):
         file, header = record.path, record.checked_header()
         number = -1 if header.seed is None else header.seed - AUDIT_SEED
         if header.options or header.split not in (None, split.partition(":")[0]) or not 0 <= number < episodes:
             raise ValueError(
-                f"policies: {file}: is none of the episodes that everybody plays: seeds {AUDIT_SEED} to "
-                f"{AUDIT_SEED + episodes - 1}, split {split}, and nothing asked for; its seed is {header.seed}, its "
-                f"split {header.split}" + (f", and it was asked for {', '.join(header.options)}" * bool(header.options))
+                f"policies: {file}: is not an episode of this benchmark: seeds {AUDIT_SEED} to "
+                f"{AUDIT_SEED + episodes - 1}, split {split}, no options; its seed is {header.seed}, its split "
+                f"{header.split}" + (f", its options {', '.join(header.options)}" * bool(header.options))
             )
         if scenario_hash(recorded_scenario(record)) != scenario_hash(spec):
             raise ValueError(f"policies: {file}: is of another {spec.name} than {spec.origin}: prices or rules differ")
         proof = verify_record(record, spec, bool(trust()), split=split if ":" in split else None)
-        # Made by another version, or on a platform that rounds otherwise, it may be right all the same. An episode that
-        # a room has ended, because there were no calls left or the agent gave up, counts as it stood.
+        # A record of another version, or of a platform that rounds differently, may still be right. Episodes of seats
+        # may end without calls left, or because the agent gave up; they count with the score at that time.
         unfinished = record.torn and record.path not in row.seats
         if proof.status not in ("ok", "other", "torn") or proof.where or proof.score is None or unfinished:
             raise ValueError(f"policies: {file}: {proof.message}")
@@ -311,28 +319,23 @@ def _entered(
     return found
 
 
-def _fitting(spec: Scenario, rows: Sequence[Row]) -> list[Row]:
-    """Return the rows that may play a scenario: trained rows play the scenario of their training."""
-    return [row for row in rows if row.scenario is None or _is_of(row.scenario, spec)]
-
-
-def _is_of(argument: str, spec: Scenario) -> bool:
-    """Return whether an argument of a run stands for a scenario: its name, or the path of its file, with its level."""
-    file, suffix, level = argument.rpartition(".toml")
-    return argument == spec.name or (
-        bool(suffix) and level == spec.level and Path(file + suffix).resolve() == Path(spec.origin).resolve()
-    )
+def _fits(row: Row, spec: Scenario) -> bool:
+    """Return True if a row has no scenario of training, or if this is the scenario, by its name or path with level."""
+    if row.scenario is None or row.scenario == spec.name:
+        return True
+    file, suffix, level = row.scenario.rpartition(".toml")
+    return bool(suffix) and level == spec.level and Path(file + suffix).resolve() == Path(spec.origin).resolve()
 
 
 def check_rows(scenarios: Sequence[Scenario], rows: Sequence[Row]) -> None:
-    """Check that each row that plays fits one of the scenarios at least.
+    """Check that each row with a policy fits at least one of the scenarios.
 
     Raises:
-        ValueError: one does not; why.
+        ValueError: a row does not fit; the message has the reason for one of the scenarios.
     """
     for row in (row for row in rows if row.policies):
         reasons = [f"was trained in {row.scenario}"] * (row.scenario is not None)
-        for spec in (spec for spec in scenarios if _fitting(spec, [row])):
+        for spec in (spec for spec in scenarios if _fits(row, spec)):
             try:
                 Target(spec).check(row.policies[0])
             except ValueError as error:
@@ -354,28 +357,28 @@ def benchmark(
     executor: Executor | None = None,
     watch: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Play every row in every scenario, and compare.
+    """Play and compare all rows in all scenarios.
 
     Args:
-        scenarios: shipped names, paths, or loaded scenarios.
-        rows: who plays, besides ``random``, ``plan`` and ``oracle``.
-        budget: of the audit: how many episodes, and how long plans are searched for.
-        seeds: replications.
-        split: worlds.
-        baseline: the row that improvement is measured over.
-        keep: folder in which results of finished parts are kept, by scenario.
-        executor: plays the parts, see :mod:`chemlab.agents.executors`; None: this process.
-        watch: called with the name of each part that has been played.
+        scenarios: bundled names, paths, or loaded scenarios.
+        rows: rows in addition to ``random``, ``plan`` and ``oracle``.
+        budget: the audit's budget: numbers of episodes and of plans in searches.
+        seeds: number of replications.
+        split: split of the worlds.
+        baseline: row with which the others are compared.
+        keep: folder of cached results, by scenario.
+        executor: executor of the jobs, see :mod:`chemlab.agents.executors`; None: this process.
+        watch: called with the name of each finished job or verified record.
 
     Returns:
-        Plain data: ``scenarios`` (by name: the scale, and for each row its normalised mean with interval, the same of
-        its replications, its generalization gap, what it is more than the baseline in the same episodes, or why the
-        cell is empty), ``rows`` (statistics over all scenarios), and how it was made.
+        Plain data: ``scenarios`` (by name: the scale and, for each row, the normalized mean with its interval, the
+        means of the replications, the generalization gap, and the difference to the baseline in the same episodes, or
+        the reason why the cell is empty), ``rows`` (statistics over all scenarios), settings and versions.
 
     Raises:
-        DataError: no such scenario.
-        ValueError: unknown budget or baseline, more replications than episodes, or a record that is of none of these
-            episodes, or not what happens.
+        DataError: a scenario is unknown.
+        ValueError: the budget or the baseline is unknown, there are more replications than episodes, or a record is
+            wrong or of other episodes.
     """
     chosen = budget_of(budget)
     specs = [load_scenario(scenario) for scenario in scenarios]
@@ -383,7 +386,7 @@ def benchmark(
     if baseline not in names:
         raise ValueError(f"baseline: known: {', '.join(names)}; given {baseline!r}")
     if _row_named(rows, baseline).records:
-        raise ValueError(f"baseline: {baseline}: must have played all episodes, which people need not; give a policy")
+        raise ValueError(f"baseline: {baseline}: must play all episodes, and records need not have all; give a policy")
     blocks = _blocks(chosen.episodes, seeds)
     for row in rows:
         if len(row.policies) > seeds:
@@ -392,20 +395,16 @@ def benchmark(
                 f"least as many, given {seeds}"
             )
     found = {}
-    entered = {
-        (spec.name, row.name): _entered(row, spec, split, chosen.episodes, watch)
+    # All records are verified before any job is executed.
+    recorded = [
+        {row.name: _verified_records(row, spec, split, chosen.episodes, watch) for row in rows if row.records}
         for spec in specs
-        for row in rows
-        if row.records
-    }
-    for spec in specs:
-        folder = None if keep is None else keep / spec.name
-        crew = Crew(spec, chosen, folder, executor, watch)
-        fitting = _fitting(spec, rows)
-        played = crew.run([*reference_jobs(split), *_row_jobs(spec, fitting, blocks, split)])
-        planned = crew.run(planner_jobs(chosen, played["plan"]["plans"], split))
-        own = {row: games for (name, row), games in entered.items() if name == spec.name}
-        found[spec.name] = _cells(spec, played, planned, rows, fitting, own, blocks, split, baseline)
+    ]
+    for spec, games in zip(specs, recorded, strict=True):
+        runner = JobRunner(spec, chosen, None if keep is None else keep / spec.name, executor, watch)
+        results = runner.run([*reference_jobs(split), *_row_jobs(spec, rows, blocks, split)])
+        results |= runner.run(planner_jobs(chosen, results["plan"]["plans"], split))
+        found[spec.name] = _cells(spec, results, rows, games, blocks, baseline)
     return {
         "kind": "benchmark",
         "format": 1,
@@ -422,107 +421,115 @@ def _row_named(rows: Sequence[Row], name: str) -> Row:
     return next((row for row in rows if row.name == name), Row(name, ()))
 
 
+def _row_scores(
+    row: Row,
+    spec: Scenario,
+    results: Mapping[str, dict[str, Any]],
+    games: Mapping[str, Mapping[int, tuple[float, Record]]],
+    blocks: Sequence[_Block],
+) -> tuple[FloatArray | str, FloatArray | None]:
+    """Return a row's scores [E] (NaN: not played), or the reason why there are none, and those in training worlds."""
+    if row.records:
+        scores = np.full(sum(block.count for block in blocks), np.nan)
+        scores[list(games[row.name])] = [score for score, _ in games[row.name].values()]
+        return scores if games[row.name] else "has not been played yet", None
+    if not _fits(row, spec):
+        return f"was trained in {row.scenario}", None
+    names = [_job_name(row, block) for block in blocks]
+    refused = next((results[name]["reason"] for name in names if results[name]["scores"] is None), None)
+    if refused is not None:
+        return refused, None
+    scores = np.concatenate([results[name]["scores"] for name in names])
+    train = [results[f"{name}-train"]["scores"] for name in names if f"{name}-train" in results]
+    return scores, np.concatenate(train) if train else None
+
+
 def _cells(
     spec: Scenario,
-    played: Mapping[str, dict[str, Any]],
-    planned: Mapping[str, dict[str, Any]],
+    results: Mapping[str, dict[str, Any]],
     rows: Sequence[Row],
-    fitting: Sequence[Row],
-    entered: Mapping[str, Mapping[int, tuple[float, Record]]],
+    games: Mapping[str, Mapping[int, tuple[float, Record]]],
     blocks: Sequence[_Block],
-    split: str,
     baseline: str,
 ) -> dict[str, Any]:
-    """Return the cells of one scenario; rows without all episodes are scored on the episodes that they have."""
-    scores: dict[str, FloatArray | str] = {
-        "random": np.array(played["random"]["scores"]),
-        "plan": np.array(played["plan"]["scores"]),
+    """Return the cells of one scenario from results of jobs and verified records (``games``) by name.
+
+    Rows without all episodes are scored on the episodes that they have.
+    """
+    random = np.array(results["random"]["scores"])
+    by_name: dict[str, tuple[FloatArray | str, FloatArray | None]] = {
+        "random": (random, None),
+        "plan": (np.array(results["plan"]["scores"]), None),
+        **{row.name: _row_scores(row, spec, results, games, blocks) for row in rows},
     }
-    gaps: dict[str, FloatArray] = {}
-    for row in rows:
-        if row.records:
-            games = entered[row.name]
-            entries = np.full(len(played["random"]["scores"]), np.nan)
-            entries[list(games)] = [score for score, _ in games.values()]
-            scores[row.name] = entries if games else "nobody has played it yet"
-            continue
-        if row not in fitting:
-            scores[row.name] = f"was trained in {row.scenario}"
-            continue
-        test = [played[f"row-{_file_name(row.name)}-{block.first}-{block.count}"] for block in blocks]
-        refused = next((part["reason"] for part in test if part["scores"] is None), None)
-        scores[row.name] = refused if refused is not None else np.concatenate([part["scores"] for part in test])
-        if refused is None and spec.world.draws and split != "train":
-            train = [played[f"row-{_file_name(row.name)}-{block.first}-{block.count}-train"] for block in blocks]
-            gaps[row.name] = np.concatenate([part["scores"] for part in train])
-    # Whoever knows the world can do what the others did there.
-    known = [values for values in scores.values() if not isinstance(values, str)]
-    random, best = scores["random"], np.fmax.reduce([foreseen(planned), *known])
-    assert not isinstance(random, str)
-    scores["oracle"] = best
-    # A replication is on the scale of its own worlds, so that it is not better for having had easy ones.
-    scales = [
-        {"first": b.first, "count": b.count}
-        | {"random": float(b.of(random).mean()), "oracle": float(b.of(best).mean())}
-        for b in blocks
-    ]
+    # A planner that knows the hidden parameters could play what any other policy played.
+    known = [scores for scores, _ in by_name.values() if not isinstance(scores, str)]
+    oracle = np.fmax.reduce([foreseen(results), *known])
+    by_name["oracle"] = oracle, None
+    other = by_name[baseline][0]
     cells: dict[str, Any] = {}
-    for name, values in scores.items():
-        if isinstance(values, str):
-            cells[name] = missing(values)
+    for name, (scores, train) in by_name.items():
+        if isinstance(scores, str):
+            cells[name] = missing(scores)
             continue
-        there = np.isfinite(values)
-        other, runs = scores[baseline], len(_row_named(rows, name).policies)
-        beside = None if name == baseline or isinstance(other, str) else other
-        measured = on_scale(values, random, best, runs_of(runs, len(blocks), len(values)), beside, gaps.get(name))
+        row, played = _row_named(rows, name), np.isfinite(scores)
+        compared = None if name == baseline or isinstance(other, str) else other
+        run_of = runs_of(len(row.policies), len(blocks), len(scores))
+        measured = on_scale(scores, random, oracle, run_of, compared, train)
         if measured is None:
             cells[name] = missing("no policy scores above random play in these episodes: there is no scale")
             continue
-        blockwise = [block.first + np.flatnonzero(block.of(there)) for block in blocks]
-        # Where nobody is above random play there is no scale, and no replication.
-        parts = [own for own in blockwise if len(own) and best[own].mean() > random[own].mean()]
+        # A replication without a score above random play has no scale and is omitted.
+        blockwise = [block.first + np.flatnonzero(block.of(played)) for block in blocks]
+        parts = [part for part in blockwise if len(part) and oracle[part].mean() > random[part].mean()]
         cells[name] = {
             **measured,
-            "replications": _replications(values, random, best, parts),
-            "scores": [score if there[k] else None for k, score in enumerate(values.tolist())],
+            "replications": _replications(scores, random, oracle, parts),
+            "scores": [score if played[k] else None for k, score in enumerate(scores.tolist())],
         }
-        if (own_row := _row_named(rows, name)).seats:
-            cells[name]["seats"] = own_row.effort(spec.name)
-        if name in gaps:
-            cells[name]["train_scores"] = gaps[name].tolist()
-        if beside is not None and not there.all():  # in the other episodes worlds are easier, or harder
-            cells[name]["baseline"] = _replications(beside, random, best, parts)
+        if row.seats:
+            cells[name]["seats"] = row.effort(spec.name)
+        if train is not None:
+            cells[name]["train_scores"] = train.tolist()
+        if compared is not None and not played.all():  # the other episodes may be easier or harder
+            cells[name]["baseline"] = _replications(compared, random, oracle, parts)
+    # The scale of a replication is that of its own worlds, so that easy worlds do not raise its scores.
+    scales = [
+        {"first": b.first, "count": b.count}
+        | {"random": float(b.of(random).mean()), "oracle": float(b.of(oracle).mean())}
+        for b in blocks
+    ]
     return {
         "scenario_hash": scenario_hash(spec),
         "replications": scales,
-        "plans": played["plan"]["plans"],
+        "plans": results["plan"]["plans"],
         "cells": cells,
     }
 
 
 def _replications(
-    scores: FloatArray, random: FloatArray, best: FloatArray, parts: Sequence[npt.NDArray[np.intp]]
+    scores: FloatArray, random: FloatArray, oracle: FloatArray, parts: Sequence[npt.NDArray[np.intp]]
 ) -> list[float]:
-    """The mean of each part of the episodes, on that part's own scale."""
-    return [float(_normalised(scores[own].mean(), random[own].mean(), best[own].mean())) for own in parts]
+    """Return the mean score in each part of the episodes, normalized on the scale of this part."""
+    return [float(_normalised(scores[part].mean(), random[part].mean(), oracle[part].mean())) for part in parts]
 
 
 def _summary(name: str, found: Mapping[str, Any], baseline: str, row: Row) -> dict[str, Any]:
-    """A row over all scenarios in which it and the baseline have a cell."""
-    there = [
+    """Return statistics of a row over all scenarios in which both the row and the baseline have a cell."""
+    common = [
         one["cells"]
         for one in found.values()
         if one["cells"][name]["value"] is not None and one["cells"][baseline]["value"] is not None
     ]
     effort = {"runs": len(row.policies), "hours": row.hours, "steps": row.steps}
-    told: dict[str, Any] = {"policy": name, "scenarios": len(there), **effort}
-    if not there:
-        return {**told, "interquartile_mean": None, "mean": None, "improvement": None, "profile": None}
-    own = [cells[name]["replications"] for cells in there]
-    other = [cells[name].get("baseline", cells[baseline]["replications"]) for cells in there]
+    summary: dict[str, Any] = {"policy": name, "scenarios": len(common), **effort}
+    if not common:
+        return {**summary, "interquartile_mean": None, "mean": None, "improvement": None, "profile": None}
+    own = [cells[name]["replications"] for cells in common]
+    other = [cells[name].get("baseline", cells[baseline]["replications"]) for cells in common]
     profile = statistics.performance_profile(own, _THRESHOLDS)
     return {
-        **told,
+        **summary,
         "interquartile_mean": statistics.interquartile_mean(own).as_dict(),
         "mean": statistics.mean(own).as_dict(),
         "improvement": None if name == baseline else statistics.probability_of_improvement(own, other).as_dict(),
@@ -531,12 +538,12 @@ def _summary(name: str, found: Mapping[str, Any], baseline: str, row: Row) -> di
 
 
 def provenance(budget: str | AuditBudget, chosen: AuditBudget, split: str) -> dict[str, Any]:
-    """Return how results were made: worlds, episodes, statistics, versions, machine.
+    """Return settings, versions and hardware for a file of results.
 
     Args:
-        budget: as it was given.
-        chosen: what that is.
-        split: worlds.
+        budget: name of the budget, or a budget without a name.
+        chosen: the budget.
+        split: split of the worlds.
     """
     return {
         "split": split,
@@ -551,7 +558,7 @@ def provenance(budget: str | AuditBudget, chosen: AuditBudget, split: str) -> di
 
 
 def _commit() -> str | None:
-    """The commit of the source tree that plays, with ``+`` where files have been changed since; None elsewhere."""
+    """Return the commit of this source tree, with ``+`` if files have been changed; None outside a repository."""
     here = Path(__file__).resolve().parent
     try:
         commit, changed = (
@@ -563,78 +570,80 @@ def _commit() -> str | None:
     return commit.strip() + ("+" if changed.strip() else "")
 
 
-# -- what is written --------------------------------------------------------------------------------------------------
+# -- files ------------------------------------------------------------------------------------------------------------
 
 
 def write_benchmark(
     folder: Path, found: Mapping[str, Any], scenarios: Sequence[Scenario], rows: Sequence[Row], records: int = 1
 ) -> None:
-    """Write a benchmark's findings into a folder; see this module's documentation for the files.
+    """Write the results of a benchmark to a folder; this module's documentation lists the files.
 
     Args:
-        folder: where.
-        found: :func:`benchmark`'s findings.
-        scenarios, rows: what they are of.
-        records: episodes of each row that are recorded, in each scenario.
+        folder: output folder.
+        found: results of :func:`benchmark`.
+        scenarios, rows: scenarios and rows of the benchmark.
+        records: number of recorded episodes for each row and scenario.
 
     Raises:
-        DataError: a leaderboard that is there already is none.
+        DataError: the existing ``leaderboard.json`` is not a leaderboard.
     """
-    write_text(folder / "benchmark.json", json.dumps(found, indent=1) + "\n")
-    write_text(folder / "marl_eval.json", json.dumps(marl_eval(found, rows), indent=1) + "\n")
-    written = _recorded(folder, found, scenarios, rows, records)
+    write_text(folder / "benchmark.json", to_text(found))
+    write_text(folder / "marl_eval.json", to_text(marl_eval(found, rows)))
+    written = _write_records(folder, found, scenarios, rows, records)
     write_leaderboard(folder / "leaderboard.json", _lines(found, written))
 
 
 def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
-    """The findings as marl-eval reads them: {environment: {task: {algorithm: {seed: steps and absolute metrics}}}}.
+    """Return results in marl-eval's format: {environment: {task: {algorithm: {seed: steps and absolute metrics}}}}.
 
-    ``return`` is on the scale from 0 to 1; of training runs, the steps before the last are their evaluations.
+    ``return`` is the normalized score. For training runs, all steps but the last are evaluations during training.
     """
     tasks: dict[str, Any] = {}
     for scenario, one in found["scenarios"].items():
         tasks[scenario] = {}
         for name, cell in one["cells"].items():
-            if cell["value"] is None or None in cell["scores"]:  # runs of marl-eval's are equally many of everybody
+            if (
+                cell["value"] is None or None in cell["scores"]
+            ):  # marl-eval requires equally many runs of all algorithms
                 continue
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
             for k, scale in enumerate(one["replications"]):
                 if scale["oracle"] <= scale["random"]:
                     continue
-                first, count = scale["first"], scale["count"]
-                returns = _normalised(cell["scores"][first : first + count], scale["random"], scale["oracle"])
+                first, count, ends = scale["first"], scale["count"], (scale["random"], scale["oracle"])
+                returns = _normalised(cell["scores"][first : first + count], *ends)
                 curve = row.curves[k % len(row.curves)] if row.curves else ()
-                steps = {}
-                for i, (step, mean) in enumerate(curve):
-                    reached = float(_normalised(mean, scale["random"], scale["oracle"]))
-                    steps[f"step_{i}"] = {"step_count": step, "return": [reached]}
+                steps = {
+                    f"step_{i}": {"step_count": step, "return": [float(_normalised(mean, *ends))]}
+                    for i, (step, mean) in enumerate(curve)
+                }
                 steps[f"step_{len(curve)}"] = {"step_count": row.steps or 0, "return": returns.tolist()}
                 algorithm[f"seed_{k}"] = {**steps, "absolute_metrics": {"return": [float(returns.mean())]}}
     return {"chemlab": tasks}
 
 
-def _recorded(
+def _write_records(
     folder: Path, found: Mapping[str, Any], scenarios: Sequence[Scenario], rows: Sequence[Row], count: int
 ) -> dict[tuple[str, str], list[dict[str, Any]]]:
-    """Record the first episodes of every row, by scenario and row; given records are all copied."""
+    """Record the first ``count`` episodes of every row, copy given records, and return entries by scenario and row."""
     written: dict[tuple[str, str], list[dict[str, Any]]] = {}
     for spec in scenarios:
         cells = found["scenarios"][spec.name]["cells"]
         for row in (Row("plan", ("scripted",)), *rows):
             if cells[row.name]["value"] is None:
                 continue
-            own = written[spec.name, row.name] = []
-            place = folder / "records" / spec.name / _file_name(row.name)
-            for record in _records_of(row, spec):  # all of them: nobody plays them again
+            entries = written[spec.name, row.name] = []
+            row_folder = folder / "records" / spec.name / _file_name(row.name)
+            for record in _records_of(row, spec):
                 seed = record.checked_header().seed or 0
-                path = place / f"{seed}{_RECORD}"
+                path = row_folder / f"{seed}{_RECORD}"
                 write_text(path, "".join(line.decode().rstrip("\n") + "\n" for line in record.lines))
                 score = cells[row.name]["scores"][seed - AUDIT_SEED]
-                own.append({"file": path.relative_to(folder).as_posix(), "seed": seed, "score": score})
+                entries.append({"file": path.relative_to(folder).as_posix(), "seed": seed, "score": score})
             for episode in range(min(count, found["budget_episodes"]) if not row.records else 0):
                 seed = AUDIT_SEED + episode
-                path = place / f"{seed}{_RECORD}"
+                path = row_folder / f"{seed}{_RECORD}"
                 env = raw_env(spec, split=found["split"])
                 labs = env.laboratories
                 policies = make_policies(row.policies[0], labs)
@@ -642,19 +651,19 @@ def _recorded(
                     plans = {tuple(c): tuple(p) for c, p in found["scenarios"][spec.name]["plans"]}
                     policies[MANAGER_AGENT] = ConstantPlan(spec, labs.channels, labs.actions, plans)
                 score = record_episode(path, env, policies, seed, force=True).score
-                own.append({"file": path.relative_to(folder).as_posix(), "seed": seed, "score": score})
+                entries.append({"file": path.relative_to(folder).as_posix(), "seed": seed, "score": score})
     return written
 
 
 def _lines(found: Mapping[str, Any], written: Mapping[tuple[str, str], list[dict[str, Any]]]) -> list[dict[str, Any]]:
-    """The leaderboard's lines of a benchmark's findings, with the records that were written."""
+    """Return the leaderboard's lines of a benchmark's results; ``written`` are the entries of the records."""
     lines = []
     summaries = {row["policy"]: row for row in found["rows"]}
     common = {name: found[name] for name in ("split", "seeds", "budget", "baseline", "commit", "versions", "hardware")}
     for scenario, one in found["scenarios"].items():
         for name, cell in one["cells"].items():
-            own = {key: cell.get(key) for key in (*_TOLD, "reason") if key != "seats" or key in cell}
+            row = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
+            own = {key: cell.get(key) for key in _LINE_KEYS if key != "seats" or key in cell}
             effort = {key: summaries[name][key] for key in ("runs", "hours", "steps")}
-            told = {"scenario": scenario, "scenario_hash": one["scenario_hash"], "policy": name}
-            lines.append({**told, **own, **effort, "records": written.get((scenario, name), []), **common})
+            lines.append({**row, **own, **effort, "records": written.get((scenario, name), []), **common})
     return lines

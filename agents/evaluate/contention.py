@@ -1,4 +1,4 @@
-"""Count contention between the orders of a laboratory during play."""
+"""Count contention between the orders of a laboratory during an episode."""
 
 from __future__ import annotations
 
@@ -12,21 +12,27 @@ from chemlab.roles.manager_state import ARRIVES, INSTRUMENTS, WITHIN
 from chemlab.roles.reaction_bench import ReactionBench
 
 CONTENDED = ("bench", "stock", "slot", "instrument", "deadline")
-"""Kinds of contention: a kind of bench is all busy while an order has nothing at any bench; a bottle holds less than
-an experiment may take of it; an idle bench cannot be begun on for want of free slots; the budget does not pay for a
-measurement any more; an order has passed its deadline unmet. All but the last are counted in manager's turns, over and
-over while they last; deadlines once an order, when the episode is over."""
+"""Kinds of contention:
+
+* ``bench``: all benches of a kind are busy while an open order has no experiment at any bench;
+* ``stock``: a bottle holds less than an experiment at an idle bench may take;
+* ``slot``: an idle bench cannot start because too few slots are free;
+* ``instrument``: the remaining budget is below the lowest price of a measurement;
+* ``deadline``: an order has passed its deadline unfilled.
+
+The first four are counted in each manager's turn in which they hold; deadlines once per order, at the episode's end.
+"""
 
 
 class Contention:
-    """Plays as another manager does, and counts what was contended for at its turns.
+    """Plays as another manager does, and counts contention at its turns.
 
     Args:
         policy: the other manager.
-        laboratories: where it plays.
+        laboratories: the laboratories in which it plays.
 
     Attributes:
-        counts: [N, 4] turns, of all but the last of :data:`CONTENDED`.
+        counts: [N, 4] number of turns for each kind of :data:`CONTENDED` but the last.
     """
 
     def __init__(self, policy: Policy, laboratories: Laboratories) -> None:
@@ -35,7 +41,7 @@ class Contention:
         labs = laboratories
         self._kinds = [np.flatnonzero(labs.rules.arrays.bench_of == kind) for kind in range(labs.rules.arrays.kinds)]
         self._supplies = []
-        """Of every reagent of every bench: the bench, the material, mol that an experiment may take."""
+        """(bench index, material index, mol that an experiment may take) of every reagent of every bench."""
         for b, bench in enumerate(labs.benches):
             if isinstance(bench, ReactionBench):
                 rules = bench.rules.arrays
@@ -59,7 +65,7 @@ class Contention:
         return self._policy.act(observation, mask, step, members)
 
     def _open(self, members: IntArray) -> BoolArray:
-        """[B, O] orders that the manager knows of and that can still be met."""
+        """Return [B, O] True for orders that have arrived and can still be fulfilled."""
         state = self._labs.state
         known = ~state.filled[members]
         if state.terms.shape[1]:
@@ -68,7 +74,7 @@ class Contention:
         return np.asarray(known)
 
     def events(self) -> FloatArray:
-        """[N, 5] of each kind, once the episodes are over."""
+        """Return [N, 5] the counts of all kinds; call it when the episodes are over."""
         state = self._labs.state
         missed = np.zeros(len(self.counts))
         if state.terms.shape[1]:

@@ -1,10 +1,10 @@
 """Zero-shot coordination with unseen partners (``chemlab crossplay``): every manager plays with every set of benches.
 
-A policy trained with others may have adapted to them rather than to the laboratory. So each is scored with its partners
-of training and with unseen ones: scripted, unsafe, epsilon-random, or trained with other seeds and algorithms. The gap
-is the score with its own partners minus the mean over the others (the focal and background populations of Melting Pot:
-Leibo et al. 2021, Agapiou et al. 2022). Weak partners lower every score; the gap of the scripted agents, which were
-written for one another, is given for comparison.
+A policy may adapt to the partners of its training rather than to the laboratory. Each policy is therefore scored with
+these partners and with unseen ones: scripted, unsafe, epsilon-random, or trained with other seeds and algorithms. The
+gap is the score with the partner of training minus the mean score with unseen partners (the focal and background
+populations of Melting Pot: Leibo et al. 2021, Agapiou et al. 2022). Weak partners lower every score; the gap of the
+scripted agents, which were written for one another, is a reference.
 
 Episodes, worlds and scale are those of :mod:`~chemlab.agents.evaluate.benchmark`: 0 is random legal play, 1 the
 best score of each episode, usually the oracle's.
@@ -13,7 +13,7 @@ best score of each episode, usually the oracle's.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,16 +33,16 @@ from ..roles import MANAGER_ROLE
 from ..runs import Run, find_runs
 from ..saved import find_saved, is_saved
 from .benchmark import provenance, reference_jobs
-from .jobs import AUDIT_SEED, AuditBudget, Crew, Job, budget_of, foreseen, planner_jobs
+from .jobs import AUDIT_SEED, AuditBudget, Job, JobRunner, budget_of, foreseen, planner_jobs
 from .scale import Scale, interval
 
 PARTNERS = ("scripted", "scripted:unsafe", "scripted@0.1")
 """Default policies of a side: scripted, unsafe, epsilon-random."""
-_ELSEWHERE = {
+_EQUIVALENT = {
     MANAGER_ROLE: dict.fromkeys(("pretrained", "pretrained-isolated"), "scripted"),
     "benches": dict.fromkeys(("scripted:no-extraction", "scripted:memoryless", "scripted:fifo", "plan"), "scripted"),
 }
-"""By side, names that are about the other one, and whom they stand for here."""
+"""Names of policies that differ on the other side only, and the equal policy of this side, by side."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,9 @@ class Player:
     """A policy of one side of the laboratory.
 
     Attributes:
-        name: what it is called.
-        policy: what is played: a name, or a checkpoint's path.
-        partner: the policy that had the other side when it learned, or for which it was written; None where there was
-            none.
+        name: name of the policy.
+        policy: name of the policy that is played, or path of its checkpoint.
+        partner: policy of the other side in training, or for which the policy was written; None: there is none.
     """
 
     name: str
@@ -61,22 +60,21 @@ class Player:
     partner: str | None = None
 
 
-# -- who plays --------------------------------------------------------------------------------------------------------
+# -- players ----------------------------------------------------------------------------------------------------------
 
 
 def find_players(
     scenario: Scenario, managers: Sequence[str], benches: Sequence[str]
 ) -> tuple[list[Player], list[Player]]:
-    """The managers, and the sets of benches, that policies by name or path stand for; and the partners with whom those
-    of the other side have learned, where they are not named.
+    """Return the managers and the sets of benches of policies by name or path, and the partners of their training.
 
     Args:
-        scenario: where they are to play.
-        managers, benches: names or paths, see :func:`~chemlab.agents.policies.make_policies`; a folder of runs is all
-            of them.
+        scenario: the scenario.
+        managers, benches: names or paths, see :func:`~chemlab.agents.policies.make_policies`; a folder of runs stands
+            for all runs in it.
 
     Raises:
-        ValueError: unknown, given twice, without a policy for its side, or one that does not fit the scenario.
+        ValueError: a policy is unknown, given twice, has none for its side, or does not fit the scenario.
     """
     labs = Laboratories(scenario)
     names = {MANAGER_ROLE: managers, "benches": benches}
@@ -87,7 +85,7 @@ def find_players(
             if any(_origin(player.policy) == _origin(other.policy) for other in sides[side]):
                 raise ValueError(f"{side}: {name}: given twice")
             sides[side].append(player)
-    # Partners may have learned with others in turn.
+    # Partners of training are added until no partner is missing, because they have partners in turn.
     missing = True
     while missing:
         missing = False
@@ -97,25 +95,30 @@ def find_players(
                     sides[side].append(_player(name, labs, side))
                     missing = True
     for manager in sides[MANAGER_ROLE]:
-        for crew in sides["benches"]:
-            make_policies(_together(manager, crew), labs)
+        for team in sides["benches"]:
+            make_policies(_team_policy(manager, team), labs)
     return sides[MANAGER_ROLE], sides["benches"]
 
 
 def _runs_of(name: str) -> list[str]:
-    """A folder's runs; whatever else it is, itself."""
+    """Return the paths of the runs in a folder; any other name is returned as it is."""
     folder = Path(name)
     runs = find_runs(folder) if folder.is_dir() and folder.parent.name != "checkpoints" else []
     return [str(run.path) for run in runs] or [name]
 
 
 def _player(name: str, labs: Laboratories, side: str) -> Player:
+    """Return the player of a policy by name.
+
+    Raises:
+        ValueError: the policy is unknown, has no policy for this side, or does not fit.
+    """
     if side == MANAGER_ROLE and "," in name:
         raise ValueError(f"{side}: {name!r}: give one policy; benches are given with --benches")
     policies = _policies(name, labs, side)
-    meant = _on_side(name, labs, side)
-    if meant != name:
-        raise ValueError(f"{side}: {name} has none of its own: there it stands for {meant!r}; give that")
+    equivalent = _on_side(name, labs, side)
+    if equivalent != name:
+        raise ValueError(f"{side}: {name} has no policy for this side: it plays as {equivalent!r}; give this name")
     run = Run(Path(name))
     checkpoint = None if run.config() is None else run.checkpoint("best") or run.checkpoint("last")
     backgrounds = {policy.card.background for policy in policies if hasattr(policy, "card")}
@@ -123,17 +126,17 @@ def _player(name: str, labs: Laboratories, side: str) -> Player:
 
 
 def _policies(name: str, labs: Laboratories, side: str) -> list[Policy]:
-    """Those of a side's agents.
+    """Return the policies of a side's agents.
 
     Raises:
-        ValueError: there are none of that name, or they do not fit.
+        ValueError: the name is unknown, or the policies do not fit.
     """
     numbers = [role.index for role in ([labs.manager] if side == MANAGER_ROLE else labs.bench_roles)]
     return [agent_policy(name, labs, number) for number in numbers]
 
 
 def _partner(name: str, backgrounds: set[str | None], labs: Laboratories, side: str) -> str | None:
-    """Return the policy of the other side during training; ``backgrounds`` are those of the policies' cards."""
+    """Return the partner of training, or None; ``backgrounds`` are those of the policies' cards."""
     other = "benches" if side == MANAGER_ROLE else MANAGER_ROLE
     if name == "scripted":
         return name
@@ -143,42 +146,42 @@ def _partner(name: str, backgrounds: set[str | None], labs: Laboratories, side: 
     if saved is not None and not backgrounds:
         backgrounds = {saved.background}
     known = sorted(background for background in backgrounds if background is not None)
-    # An epsilon-random one, or one with exceptions, is not what has learned.
-    whole = saved is not None or name in policy_names()
-    if not whole or len(known) != 1:
+    # Epsilon-random policies, and policies with exceptions, differ from the trained ones.
+    trained = saved is not None or name in policy_names()
+    if not trained or len(known) != 1:
         return None
-    _policies(known[0], labs, other)  # which ends: a run may name itself as its own background
+    _policies(known[0], labs, other)  # raises an error if a run is its own background, instead of endless recursion
     return _on_side(known[0], labs, other)
 
 
 def _on_side(name: str, labs: Laboratories, side: str) -> str:
-    """Return the policy of one side if ``name`` is given for all roles."""
+    """Return the name of the policy that plays on one side if ``name`` is given for all roles."""
     general, *exceptions = name.split(",")
     of_manager = [text for text in exceptions if text.partition("=")[0] in (MANAGER_ROLE, MANAGER_AGENT)]
     if side == MANAGER_ROLE:
-        own, kept = of_manager[-1].partition("=")[2] if of_manager else general, []
+        chosen, kept = of_manager[-1].partition("=")[2] if of_manager else general, []
     else:
-        own, kept = general, [text for text in exceptions if text not in of_manager]
-    steady, at, share = own.rpartition("@")
-    if at and not is_saved(own):
-        own = f"{_on_side(steady, labs, side)}@{share}"
-    elif own in policy_names():
-        if own == "trained" and side == "benches":
-            own = agent_policy(own, labs, 0).card.background or "scripted"  # type: ignore[attr-defined]
-        own = _ELSEWHERE[side].get(own, own)
-    elif is_saved(own):
-        saved = find_saved(own)
-        own = own if _has(saved.load, labs, side) else _on_side(saved.background, labs, side)
-    return ",".join([own, *kept])
+        chosen, kept = general, [text for text in exceptions if text not in of_manager]
+    base, at, share = chosen.rpartition("@")
+    if at and not is_saved(chosen):
+        chosen = f"{_on_side(base, labs, side)}@{share}"
+    elif chosen in policy_names():
+        if chosen == "trained" and side == "benches":
+            chosen = agent_policy(chosen, labs, 0).card.background or "scripted"  # type: ignore[attr-defined]
+        chosen = _EQUIVALENT[side].get(chosen, chosen)
+    elif is_saved(chosen):
+        saved = find_saved(chosen)
+        chosen = chosen if _has(saved.load, labs, side) else _on_side(saved.background, labs, side)
+    return ",".join([chosen, *kept])
 
 
-def _has(roles: Any, labs: Laboratories, side: str) -> bool:
-    """Return whether any of the roles is on that side."""
+def _has(roles: Collection[str], labs: Laboratories, side: str) -> bool:
+    """Return True if any of the roles is on a side."""
     return MANAGER_ROLE in roles if side == MANAGER_ROLE else any(key in roles for key in labs.scenario.benches)
 
 
 def _origin(policy: str) -> str:
-    """Return the identity of a player: the run for any of its checkpoints."""
+    """Return the identity of a policy: its name, or the path of its run for all checkpoints of the run."""
     policy, _ = split_way(policy)
     path = Path(policy)
     if not path.exists():
@@ -187,12 +190,12 @@ def _origin(policy: str) -> str:
     return str(next((parent.parent for parent in (path, *path.parents) if parent.name == "checkpoints"), path))
 
 
-def _together(manager: Player, benches: Player) -> str:
-    """A cell's policy, as :func:`~chemlab.agents.policies.make_policies` knows it."""
+def _team_policy(manager: Player, benches: Player) -> str:
+    """Return the name of a cell's policy for :func:`~chemlab.agents.policies.make_policies`."""
     return f"{benches.policy},{MANAGER_ROLE}={manager.policy}"
 
 
-# -- what is played ---------------------------------------------------------------------------------------------------
+# -- cross-play -------------------------------------------------------------------------------------------------------
 
 
 def _cell_job(policy: str, split: str) -> Job:
@@ -201,7 +204,7 @@ def _cell_job(policy: str, split: str) -> Job:
 
 
 def crossplay_count(managers: Sequence[Player], benches: Sequence[Player], budget: AuditBudget, split: str) -> int:
-    """Return the number of parts."""
+    """Return the number of jobs of :func:`crossplay`."""
     return len(reference_jobs(split)) + len(planner_jobs(budget, [], split)) + len(managers) * len(benches)
 
 
@@ -215,39 +218,38 @@ def crossplay(
     executor: Executor | None = None,
     watch: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Play every manager with all the sets of benches.
+    """Play every manager with every set of benches.
 
     Args:
         scenario: the laboratory.
-        managers, benches: who plays, see :func:`find_players`.
-        budget: of the benchmark: how many episodes, and how long the scale's plans are searched for.
-        split: worlds.
-        keep: folder in which results of finished parts are kept; an audit's or a benchmark's of this scenario has those
-            of the scale.
-        executor: plays the parts, see :mod:`chemlab.agents.executors`; None: this process.
-        watch: called with the name of each part that has been played.
+        managers, benches: players of both sides, see :func:`find_players`.
+        budget: the benchmark's budget: numbers of episodes and of plans in searches.
+        split: split of the worlds.
+        keep: folder of cached results; an audit's or a benchmark's folder of this scenario has those of the scale.
+        executor: executor of the jobs, see :mod:`chemlab.agents.executors`; None: this process.
+        watch: called with the name of each finished job.
 
     Returns:
-        Plain data: ``managers`` and ``benches`` as they were given, ``cells`` (a manager with benches: its policy as
-        ``chemlab run`` knows it, whether they have learned together, score, the same on the scale with interval),
-        ``gaps`` (of everybody that has a partner and met others) and how it was made.
+        Plain data: ``managers`` and ``benches``; ``cells`` (manager, benches, policy for ``chemlab run``, whether they
+        were trained together, raw score, normalized score with interval); ``gaps`` of all players with scores for the
+        partner of training and for unseen partners; settings and versions.
 
     Raises:
-        ValueError: unknown budget, a policy that does not fit after all, or no score above random play.
+        ValueError: the budget is unknown, a policy does not fit, or no score is above random play.
     """
     chosen = budget_of(budget)
-    crew = Crew(scenario, chosen, keep, executor, watch)
-    jobs = {(m.name, b.name): _cell_job(_together(m, b), split) for m in managers for b in benches}
-    played = crew.run([*reference_jobs(split), *jobs.values()])
-    planned = crew.run(planner_jobs(chosen, played["plan"]["plans"], split))
+    runner = JobRunner(scenario, chosen, keep, executor, watch)
+    jobs = {(m.name, b.name): _cell_job(_team_policy(m, b), split) for m in managers for b in benches}
+    results = runner.run([*reference_jobs(split), *jobs.values()])
+    results |= runner.run(planner_jobs(chosen, results["plan"]["plans"], split))
     scores: dict[tuple[str, str], FloatArray] = {}
     for pair, job in jobs.items():
-        if played[job.name]["scores"] is None:
-            raise ValueError(f"{' with '.join(pair)}: {played[job.name]['reason']}")
-        scores[pair] = np.array(played[job.name]["scores"])
-    random, plan = (np.array(played[name]["scores"]) for name in ("random", "plan"))
-    # Whoever knows the world can do what the others did there.
-    oracle = np.maximum.reduce([foreseen(planned), random, plan, *scores.values()])
+        if results[job.name]["scores"] is None:
+            raise ValueError(f"{' with '.join(pair)}: {results[job.name]['reason']}")
+        scores[pair] = np.array(results[job.name]["scores"])
+    random, plan = (np.array(results[name]["scores"]) for name in ("random", "plan"))
+    # A planner that knows the hidden parameters could play what any other policy played.
+    oracle = np.maximum.reduce([foreseen(results), random, plan, *scores.values()])
     scale = Scale(random, oracle)
     if scale.span <= 0.0:
         raise ValueError(f"{scenario.name}: no policy scores above random legal play ({random.mean():.3f}): no scale")
@@ -266,8 +268,8 @@ def crossplay(
             {
                 "manager": m.name,
                 "benches": b.name,
-                "policy": _together(m, b),
-                "together": _met(m, b) or _met(b, m),
+                "policy": _team_policy(m, b),
+                "together": _trained_with(m, b) or _trained_with(b, m),
                 "score": float(scores[m.name, b.name].mean()),
                 **interval(scaled[m.name, b.name]),
             }
@@ -281,30 +283,31 @@ def crossplay(
     }
 
 
-def _met(player: Player, other: Player) -> bool:
-    """Return whether the other is the player's partner of training."""
+def _trained_with(player: Player, other: Player) -> bool:
+    """Return True if ``other`` is the player's partner of training."""
     return player.partner is not None and _origin(player.partner) == _origin(other.policy)
 
 
 def _gaps(
     side: str, players: Sequence[Player], others: Sequence[Player], scaled: dict[tuple[str, str], FloatArray]
 ) -> Iterator[dict[str, Any]]:
-    """Yield what each player of a side loses with unseen partners; ``scaled`` is by player and other."""
+    """Yield the gap of each player of a side; ``scaled`` has normalized scores by (player, other)."""
     for player in players:
-        own = [scaled[player.name, other.name] for other in others if _met(player, other)]
+        with_partner = [scaled[player.name, other.name] for other in others if _trained_with(player, other)]
         unseen = [
             other
             for other in others
-            if not _met(player, other) and (player.partner is None or _origin(player.policy) != _origin(other.policy))
+            if not _trained_with(player, other)
+            and (player.partner is None or _origin(player.policy) != _origin(other.policy))
         ]
-        if own and unseen:
-            apart = np.mean([scaled[player.name, other.name] for other in unseen], axis=0)
+        if with_partner and unseen:
+            with_unseen = np.mean([scaled[player.name, other.name] for other in unseen], axis=0)
             yield {
                 "side": side,
                 "policy": player.name,
                 "partner": player.partner,
                 "unseen": [other.name for other in unseen],
-                "with_partner": interval(own[0]),
-                "with_unseen": interval(apart),
-                "gap": interval(own[0] - apart),
+                "with_partner": interval(with_partner[0]),
+                "with_unseen": interval(with_unseen),
+                "gap": interval(with_partner[0] - with_unseen),
             }

@@ -1,4 +1,4 @@
-"""Tables of results: CSV files with a header, ``.csv`` or, packed, ``.csv.gz``."""
+"""Tables of results: CSV files with a header, plain (``.csv``) or compressed (``.csv.gz``); Markdown tables."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from typing import Any
 from chemlab.config.files import read_bytes, write_bytes
 
 _TABLE_BYTES, _TABLE_ROWS = 32_000_000, 500_000
-"""Of a table, unpacked: several times the curves of a thousand runs."""
+"""Maximum size of an uncompressed table: several times the curves of a thousand runs."""
 
 
 def number(value: float | None, decimals: int | None = None) -> str:
-    """A number as a table has it, with at most so many decimals (None: as it is); an empty cell stands for None."""
+    """Return the cell of a number, rounded to ``decimals`` (None: with all digits); None is an empty cell."""
     if value is None:
         return ""
     return repr(float(value) if decimals is None else round(float(value), decimals) + 0.0)
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> None:
-    """Write rows as a file; the same rows make the same bytes."""
+    """Write rows as a file; equal rows give equal bytes."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()
@@ -38,16 +38,16 @@ def write_table(path: Path, columns: Sequence[str], rows: Iterable[Mapping[str, 
 def read_table(
     path: Path, columns: Sequence[str], numbers: Mapping[str, type] | None = None, blank: Sequence[str] = ()
 ) -> list[dict[str, str]]:
-    """The rows of a file, {column: cell}; none where there is no such file.
+    """Return the rows of a file, {column: cell}; an empty list if the file does not exist.
 
     Args:
         path: the file.
-        columns: the ones it must have.
-        numbers: kind of the columns that have numbers, ``int`` or ``float``, by name; of others, too.
-        blank: of these, the ones in which a cell may be empty.
+        columns: required columns, in order.
+        numbers: type of numeric columns by name, ``int`` or ``float``; names that are not in ``columns`` are ignored.
+        blank: numeric columns whose cells may be empty.
 
     Raises:
-        ValueError: it is no table, is larger than one may be, or has other columns, or a cell that is no number.
+        ValueError: the file is not a table, is too large, has other columns, or has a cell that is not a number.
     """
     try:
         content = read_bytes(path, _TABLE_BYTES)
@@ -64,11 +64,11 @@ def read_table(
         return []
     except (OSError, EOFError, ValueError, zlib.error, csv.Error) as error:
         raise ValueError(f"{path}: not a table of results ({error})") from error
-    found = list(reader.fieldnames or ())
-    if found != list(columns):
-        raise ValueError(f"{path}: has the columns {', '.join(found)[:300]}; needs {', '.join(columns)}")
-    if short := next((i for i, row in enumerate(rows, start=2) if None in row.values() or None in row), None):
-        raise ValueError(f"{path}:{short}: has not {len(columns)} cells")
+    given = list(reader.fieldnames or ())
+    if given != list(columns):
+        raise ValueError(f"{path}: has the columns {', '.join(given)[:300]}; needs {', '.join(columns)}")
+    if wrong := next((i for i, row in enumerate(rows, start=2) if None in row.values() or None in row), None):
+        raise ValueError(f"{path}:{wrong}: must have {len(columns)} cells")
     for column in columns:
         kind = (numbers or {}).get(column, str)
         for line, row in enumerate(rows if kind is not str else (), start=2):
@@ -85,6 +85,6 @@ def _is_number(cell: str, kind: type) -> bool:
 
 
 def markdown_table(columns: Mapping[str, bool], rows: Iterable[Sequence[str]]) -> list[str]:
-    """The lines of a Markdown table; ``columns``: {heading: whether it has numbers, which stand to the right}."""
+    """Return the lines of a Markdown table; ``columns`` is {heading: True to align it to the right, as numbers}."""
     rules = ["--:" if numeric else "---" for numeric in columns.values()]
     return [f"| {' | '.join(columns)} |", f"|{'|'.join(rules)}|", *(f"| {' | '.join(cells)} |" for cells in rows)]

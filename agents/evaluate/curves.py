@@ -1,4 +1,4 @@
-"""Learning curves of any training runs, finished or not, with their evaluations beside the scripted policy."""
+"""Learning curves of training runs, finished or not, with evaluations and the scripted policy's score."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from chemlab.kernels.arrays import FloatArray
-from chemlab.render.figure import new_figure
+from chemlab.render.figure import SETTINGS, import_matplotlib, new_figure, save_figure
 
 from ..runs import Evaluation
 from .results import TrainedRun, display_name, read_runs, task_title
 
 Tasks = dict[str, dict[str, list[TrainedRun]]]
-"""Runs by task and label (:func:`draw_curves` makes the part's title and the legend of them)."""
+"""Runs by task (the title of a panel) and label (an entry of its legend)."""
 
-# Okabe and Ito's palette, which the colour-blind can tell apart; line styles tell the same in grey.
+# Okabe and Ito's palette for colour-blind readers; line styles distinguish the curves without colour.
 _STYLES: dict[str, tuple[str, Any]] = {
     "ppo-xl": ("#56B4E9", "-"),
     "ppo": ("#0072B2", "-"),
@@ -28,14 +28,14 @@ _STYLES: dict[str, tuple[str, Any]] = {
     "td3": ("#CC79A7", (0, (3, 1, 1, 1, 1, 1))),
 }
 _MORE = ("#882255", "#999933", "#332288")
-"""Of Paul Tol's muted palette, for variants where those of the algorithms are all taken."""
+"""Colours of Paul Tol's muted palette, for further labels when all colours of the algorithms are taken."""
 _GRID = 200
-"""Points of a learning curve."""
+"""Number of points of a learning curve."""
 _LEGEND_COLUMNS = 3
 
 
 def algorithm_style(label: str, labels: Sequence[str]) -> dict[str, Any]:
-    """Colour and line of an algorithm, the same in every figure; other labels take free colours."""
+    """Return colour and line style of a label: fixed ones for algorithms, free colours for other labels."""
     if label in _STYLES:
         colour, line = _STYLES[label]
         return {"color": colour, "linestyle": line}
@@ -46,11 +46,11 @@ def algorithm_style(label: str, labels: Sequence[str]) -> dict[str, Any]:
 
 
 def average_curves(curves: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray] | None:
-    """Learning curves [P, 3] of step, mean and standard deviation on a common grid.
+    """Average learning curves [P, 3] of step, mean and standard deviation on a common grid of G steps.
 
     Returns:
-        Steps [P]; mean return over runs [P]; standard deviation of the runs' means [P] (of a sample; NaN for one run);
-        standard deviation of single returns [P], within runs and between them. None where no run has a curve.
+        Steps [G]; mean return over runs [G]; sample standard deviation of the runs' means [G] (NaN for one run);
+        standard deviation of single returns within and between runs [G]. None if no run has a curve.
     """
     curves = [curve for curve in curves if len(curve)]
     if not curves:
@@ -65,7 +65,7 @@ def average_curves(curves: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray
 
 
 def group_tasks(runs: Iterable[TrainedRun]) -> Tasks:
-    """Those runs that have begun to learn, by task (bench, goals, starting states) and label."""
+    """Group the runs that have a curve or evaluations by task (bench, goals, initial states) and label."""
     tasks: Tasks = {}
     for run in runs:
         if len(run.curve) or run.evaluations:
@@ -75,36 +75,43 @@ def group_tasks(runs: Iterable[TrainedRun]) -> Tasks:
 
 
 def draw_curves(folders: Sequence[Path]) -> Any:
-    """A figure with a part for each task: training returns, evaluations, the scripted policy.
+    """Draw a figure with a panel for each task: training returns, evaluations, the scripted policy.
 
     Raises:
-        ValueError: a folder is not there, or has no run.
+        ValueError: a folder does not exist, or has no run with a learning curve.
         ImportError: matplotlib is not installed.
     """
     runs: dict[Path, TrainedRun] = {}
     for folder in folders:
-        own = {(folder / run.name).resolve(): run for run in read_runs(folder)}
-        if not group_tasks(own.values()):
+        in_folder = {(folder / run.name).resolve(): run for run in read_runs(folder)}
+        if not group_tasks(in_folder.values()):
             raise ValueError(f"{folder}: has no training run with a learning curve (see chemlab train)")
-        runs |= own
-    return draw_tasks(group_tasks(runs.values()))
+        runs |= in_folder
+    return _draw_tasks(group_tasks(runs.values()))
 
 
-def draw_tasks(tasks: Tasks) -> Any:
-    """The same of runs that have been grouped already, of which every one has a curve or evaluations.
+def save_curves(tasks: Tasks, paths: Iterable[Path]) -> None:
+    """Draw the figure of :func:`draw_curves` for grouped runs, and save it to each path.
 
     Raises:
+        ValueError: the format is unknown.
         ImportError: matplotlib is not installed.
     """
+    for path in paths:
+        with import_matplotlib().rc_context(SETTINGS):
+            save_figure(_draw_tasks(tasks), path)
+
+
+def _draw_tasks(tasks: Tasks) -> Any:
     columns = min(len(tasks), 2)
     rows = -(-len(tasks) // columns)
-    # Below each part there is room for a legend of two lines.
+    # Below each panel there is room for a legend of two lines.
     lines = max(-(-(len(labels) + 1) // _LEGEND_COLUMNS) for labels in tasks.values())
-    deep = 4.1 + 0.2 * max(0, lines - 2)
-    width, height = 6.6 * columns, 0.4 + deep * rows
+    row_height = 4.1 + 0.2 * max(0, lines - 2)
+    width, height = 6.6 * columns, 0.4 + row_height * rows
     figure = new_figure(width, height)
     for i, (task, labels) in enumerate(tasks.items()):
-        left, top = 6.6 * (i % columns), 0.1 + deep * (i // columns)
+        left, top = 6.6 * (i % columns), 0.1 + row_height * (i // columns)
         axes = figure.add_axes(((left + 0.8) / width, 1.0 - (top + 3.15) / height, 5.6 / width, 2.75 / height))
         _panel(axes, task, labels)
     text = (
@@ -117,25 +124,25 @@ def draw_tasks(tasks: Tasks) -> Any:
 
 
 def _panel(axes: Any, task: str, labels: dict[str, list[TrainedRun]]) -> None:
+    """Draw the curves and evaluations of one task."""
     scripted = []
     for label, runs in labels.items():
         style = algorithm_style(label, list(labels))
-        count = f"{len(runs)} run{'s' if len(runs) != 1 else ''}"
-        curves = [run.curve for run in runs]
-        curve = average_curves(curves)
-        if curve is not None:
-            steps, mean, between, _ = curve
-            axes.plot(steps / 1000.0, mean, lw=1.5, label=f"{display_name(label)} ({count})", **style)
+        entry = f"{display_name(label)} ({len(runs)} run{'s' if len(runs) != 1 else ''})"
+        average = average_curves([run.curve for run in runs])
+        if average is not None:
+            steps, mean, between, _ = average
+            axes.plot(steps / 1000.0, mean, lw=1.5, label=entry, **style)
             if np.isfinite(between).all():
                 low, high = mean - between, mean + between
                 axes.fill_between(steps / 1000.0, low, high, color=style["color"], alpha=0.15, linewidth=0.0)
-            # The mean ends with the shortest run; what the others have come to since is drawn alone.
-            for own in curves:
-                later = own[own[:, 0] > steps[-1]]
-                if len(later):
-                    axes.plot(later[:, 0] / 1000.0, later[:, 1], lw=0.7, color=style["color"], alpha=0.5)
+            # The mean ends with the shortest run; the rest of longer runs is drawn separately.
+            for run in runs:
+                rest = run.curve[run.curve[:, 0] > steps[-1]]
+                if len(rest):
+                    axes.plot(rest[:, 0] / 1000.0, rest[:, 1], lw=0.7, color=style["color"], alpha=0.5)
         evaluations = [evaluation for run in runs for evaluation in run.evaluations]
-        _points(axes, evaluations, style["color"], None if curve is not None else f"{display_name(label)} ({count})")
+        _points(axes, evaluations, style["color"], None if average is not None else entry)
         scripted += [e.scripted_mean for e in evaluations if e.scripted_mean is not None]
     if scripted:
         axes.axhline(float(np.mean(scripted)), color="black", lw=1.3, ls=(0, (5, 3)), label="scripted")
@@ -150,7 +157,7 @@ def _panel(axes: Any, task: str, labels: dict[str, list[TrainedRun]]) -> None:
 
 
 def _points(axes: Any, evaluations: Sequence[Evaluation], color: str, label: str | None) -> None:
-    """The mean over runs at each step; a single run's where only one has come so far."""
+    """Draw the mean over runs at each step, of the runs that have an evaluation there."""
     if not evaluations:
         return
     steps = sorted({evaluation.step for evaluation in evaluations})

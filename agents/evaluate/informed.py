@@ -1,13 +1,13 @@
 """Policies without instruments that choose among open-loop plans by what agents have observed.
 
-All plans have an opening in common. After it, a kernel ridge regression, fitted in training worlds, predicts from
-observations what each plan will score in this world, and the plan with the highest prediction is played. If such a
-policy scores more than any plan alone, then the observations of the opening hold information that no instrument was
-paid for. The plans are the best open-loop policies and the best plans of single training worlds.
+All plans have a common opening. After it, a kernel ridge regression, fitted in training worlds, predicts the score of
+each plan in this world from observations, and the plan with the highest prediction is played. If such a policy scores
+higher than every single plan, the observations of the opening contain information without paid measurements. The plans
+are the best open-loop policies and the best plans of single training worlds.
 
 | opening | observations | detects |
 |---|---|---|
-| ``submission``: the best plan up to its first submission | ``feedback``: the manager's, and the terms and outcome of \
+| ``submission``: the best plan up to its first submission | ``feedback``: the manager's, and the amount and purity of \
 its submissions; ``central``: also those of all benches | feedback from customers in place of measurements |
 | ``look-KEY``: start a bench of that kind on every vessel and recall it | ``central`` | free looks at vessels |
 """
@@ -29,14 +29,16 @@ from chemlab.roles.manager_actions import KIND, SUBMIT
 
 from ..open_loop import Context, Playback
 from ..policies import make_policies
+from ..random_policy import action_size
 from ..roles import role_of
 from .plans import SEARCH_SEED, Tape, TeamPlan, Trials, drawn_contexts
 from .play import BATCH
 from .search import Search
 
 _WORLD_SEED = SEARCH_SEED + 500_000
-"""Of the first training world in which plans are compared."""
+"""Seed of the first training world in which plans are compared."""
 _RIDGES = (1e-3, 1e-1, 10.0)
+"""Regularization parameters of the regression."""
 _WIDTHS = (None, 1.0, 3.0)
 """Widths of a Gaussian kernel, in units of the median distance; None: a linear kernel."""
 
@@ -45,7 +47,7 @@ Arrays = npt.NDArray[Any]
 
 
 def openings(scenario: Scenario) -> list[str]:
-    """Return the names of the openings that a scenario has."""
+    """Return the names of a scenario's openings."""
     looks = [f"look-{key}" for key in scenario.benches]
     return [*looks, "submission"] if scenario.orders > 1 else looks
 
@@ -60,79 +62,75 @@ def informed_scores(
     episodes: int,
     seed: int,
 ) -> tuple[list[float], list[float]] | None:
-    """Score the policies that choose among plans after an opening.
+    """Score policies that choose among plans after an opening.
 
     Args:
-        scenario: where.
+        scenario: the scenario.
         opening: one of :func:`openings`.
         known: open-loop policies by context, the best last.
-        worlds: training worlds in which plans are compared, for each context.
-        library: training worlds for each of which the best plan is searched.
-        budget: plans tried in each of these.
-        episodes: episode i has seed + i.
-        seed: of the first.
+        worlds: number of training worlds in which plans are compared, for each context.
+        library: number of training worlds for which the best plan is searched.
+        budget: number of plans tried in each of these.
+        episodes: number of episodes; episode i has seed + i.
+        seed: seed of the first episode.
 
     Returns:
-        [episodes] scores of the choice by the observations of all agents, and by the manager's alone; None if the best
-        plan submits nothing before its end, so that there is no such opening.
+        [episodes] scores of the choice by the observations of all agents, and by the manager's only; None if the best
+        plan has no submission before its last action, so that there is no such opening.
     """
     labs = Laboratories(scenario, episodes, split="test")
     central, feedback = np.empty(episodes), np.empty(episodes)
-    for context, own in drawn_contexts(labs, seed).items():
+    for context, members in drawn_contexts(labs, seed).items():
         teams = known[context]
-        begun = _opening(labs, opening, context, teams[-1])
-        if begun is None:
+        parts = _opening(labs, opening, context, teams[-1])
+        if parts is None:
             return None
-        first, rest = begun
-        found = [rest, *teams]
+        first, rest = parts
+        candidates = [rest, *teams]
         for world in range(library):
-            at, numbers = _WORLD_SEED - 1 - world, np.random.SeedSequence([world, budget])
+            world_seed, seeds = _WORLD_SEED - 1 - world, np.random.SeedSequence([world, budget])
             search = Search(
-                scenario, "scripted", context, budget, numbers, lambda _: None, (), [at], "train", True, first
+                scenario, "scripted", context, budget, seeds, lambda _: None, (), [world_seed], "train", True, first
             )
             search.improve(list(teams), donors=False)
-            found.append(search.best[0].team)
-        plans = [team.after(first) for team in dict.fromkeys(found)]
-        seen, learned = _table(scenario, context, plans, first, range(_WORLD_SEED, _WORLD_SEED + worlds), "train")
-        now, played = _table(scenario, context, plans, first, [seed + i for i in own], "test")
-        manager = labs.observation_sizes[0] + _accounts(labs)
-        for scores, part in ((central, slice(None)), (feedback, slice(manager))):
-            known_of, asked_of = (one[:, :, part].reshape(len(one), -1) for one in (seen, now))
-            scores[own] = played[_choice(known_of, learned, asked_of), np.arange(len(own))]
+            candidates.append(search.best[0].team)
+        plans = [team.after(first) for team in dict.fromkeys(candidates)]
+        world_seeds = range(_WORLD_SEED, _WORLD_SEED + worlds)
+        train_seen, train_scores = _table(scenario, context, plans, first, world_seeds, "train")
+        test_seen, test_scores = _table(scenario, context, plans, first, [seed + i for i in members], "test")
+        by_manager = labs.observation_sizes[0] + 2 * scenario.orders  # amount and purity of each submission
+        for scores, part in ((central, slice(None)), (feedback, slice(by_manager))):
+            train, test = (seen[:, :, part].reshape(len(seen), -1) for seen in (train_seen, test_seen))
+            scores[members] = test_scores[_choice(train, train_scores, test), np.arange(len(members))]
     return central.tolist(), feedback.tolist()
 
 
-def _accounts(labs: Laboratories) -> int:
-    """Return how many numbers the terms and outcome of submissions are."""
-    return 2 * labs.scenario.orders
-
-
 def _opening(labs: Laboratories, name: str, context: Context, best: TeamPlan) -> tuple[TeamPlan, TeamPlan] | None:
-    """Return an opening, and what the best plan does after it; None if there is no such opening."""
+    """Return an opening, and the rest of the best plan after it; None if there is no such opening."""
     actions, agents = labs.actions, labs.bench_agents
     if name == "submission":
         kinds = actions.table[list(best.plan), KIND].tolist()
         if SUBMIT not in kinds[:-1]:
             return None
         end = kinds.index(SUBMIT) + 1
-        begun = [actions.decode(action)[1] for action in best.plan[:end] if actions.decode(action)[0] == "start"]
+        started = [actions.decode(action)[1] for action in best.plan[:end] if actions.decode(action)[0] == "start"]
         tapes = best.benches or (None,) * len(agents)
-        first = tuple(_experiments(tape, begun.count(agent)) for tape, agent in zip(tapes, agents, strict=True))
+        first = tuple(_experiments(tape, started.count(agent)) for tape, agent in zip(tapes, agents, strict=True))
         return TeamPlan(best.plan[:end], first), TeamPlan(best.plan[end:], best.benches)
-    agent = next(agent for agent in agents if role_of(agent) == name.partition("-")[2])
-    grade = actions.grades[:1]
+    looking = next(agent for agent in agents if role_of(agent) == name.partition("-")[2])
+    vessels, grade = len(labs.scenario.shelf.vessel), actions.grades[:1]
     plan: list[int] = []
-    for slot in range(len(labs.scenario.shelf.vessel)):
-        plan += [actions.encode("start", agent, slot, context[0], *grade), actions.encode("recall", agent)]
-    count = len(labs.scenario.shelf.vessel)
+    for slot in range(vessels):
+        plan += [actions.encode("start", looking, slot, context[0], *grade), actions.encode("recall", looking)]
     tapes = tuple(
-        (_idle(bench),) * (count if own == agent else 0) for own, bench in zip(agents, labs.benches, strict=True)
+        (_idle(bench),) * (vessels if agent == looking else 0)
+        for agent, bench in zip(agents, labs.benches, strict=True)
     )
     return TeamPlan(tuple(plan), tapes), best
 
 
 def _experiments(tape: Tape | None, count: int) -> Tape | None:
-    """Return the tape of the first experiments."""
+    """Return the tape of the first ``count`` experiments."""
     return None if tape is None else tuple(tape[min(i, len(tape) - 1)] for i in range(count))
 
 
@@ -140,33 +138,33 @@ def _idle(bench: Bench) -> tuple[Any, ...]:
     """Return the actions of an experiment that changes nothing."""
     if bench.action_count:
         return (bench.end_action,)
-    size = int((bench.action_space.shape or (0,))[0])
+    size = action_size(bench.action_space)
     return (tuple([0.5, 0.5, *[0.0] * size][:size]),)
 
 
 class _Observing(Playback):
-    """Plays plans, and keeps what agents observe before each action of an opening and after the last.
+    """Plays plans, and records all agents' observations before each action of an opening and after the last one.
 
     Attributes:
-        seen: [N, opening + 1, size], what the manager observes first.
+        seen: [N, opening + 1, size] observations: the manager's, amounts and purities of submissions, the benches'.
     """
 
     def __init__(self, labs: Laboratories, plans: Sequence[tuple[int, ...]], opening: int) -> None:
         super().__init__(labs.actions, plans)
         self._labs, self._opening = labs, opening
-        size = sum(labs.observation_sizes) + _accounts(labs)
+        size = sum(labs.observation_sizes) + 2 * labs.scenario.orders
         self.seen = np.zeros((len(plans), opening + 1, size), dtype=np.float32)
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         actions = super().act(observation, mask, step, members)
-        # A position is that of the action that is played or waited for.
+        # Position of the action that is played or waited for.
         at = self._next[members] - (actions == self._steps[members, np.maximum(self._next[members] - 1, 0)])
         rows = np.flatnonzero(at <= self._opening)
         if len(rows):
-            own, accounts = members[rows], self._labs.manager.accounts(slice(None))
-            parts = [observation[rows], accounts["submitted_mol"][own], accounts["purity"][own]]
-            parts += [self._labs.observe(number, own) for number in range(1, len(self._labs.agents))]
-            self.seen[own, np.maximum(at[rows], 0)] = np.concatenate(parts, axis=1)
+            in_opening, accounts = members[rows], self._labs.manager.accounts(slice(None))
+            parts = [observation[rows], accounts["submitted_mol"][in_opening], accounts["purity"][in_opening]]
+            parts += [self._labs.observe(number, in_opening) for number in range(1, len(self._labs.agents))]
+            self.seen[in_opening, np.maximum(at[rows], 0)] = np.concatenate(parts, axis=1)
         return actions
 
 
@@ -178,59 +176,66 @@ def _table(
     seeds: Sequence[int],
     split: str,
 ) -> tuple[Arrays, FloatArray]:
-    """Return [seeds, turns, size] what is observed in the opening, and [plans, seeds] the scores."""
+    """Return [seeds, turns, size] observations in the opening, and [plans, seeds] scores."""
     seen, scores = [], np.empty((len(plans), len(seeds)))
     for first in range(0, len(seeds), BATCH):
-        some = seeds[first : first + BATCH]
-        trials = Trials(scenario, context, some, 1, split)
+        batch = seeds[first : first + BATCH]
+        trials = Trials(scenario, context, batch, 1, split)
         policies = make_policies("scripted", trials.labs)
-        for number, team in enumerate(plans):
-            observing = _Observing(trials.labs, [team.plan] * len(some), len(opening.plan))
-            manager = observing if number == 0 else None
-            scores[number, first : first + len(some)] = trials.play_teams([team], policies, manager)[0]
-            if number == 0:
-                seen.append(np.nan_to_num(observing.seen).astype(np.float64))
+        observing = _Observing(trials.labs, [plans[0].plan] * len(batch), len(opening.plan))
+        for i, team in enumerate(plans):
+            manager = None if i else observing  # observations in the opening are the same for all plans
+            scores[i, first : first + len(batch)] = trials.play_teams([team], policies, manager)[0]
+        seen.append(np.nan_to_num(observing.seen).astype(np.float64))
     return np.concatenate(seen), scores
 
 
-def _choice(seen: Arrays, scores: FloatArray, now: Arrays) -> IntArray:
-    """Return the plan of each row of ``now`` [E, size], from observations [W, size] and scores [plans, W]."""
+def _choice(seen: Arrays, scores: FloatArray, present: Arrays) -> IntArray:
+    """Choose a plan for each of E worlds by kernel ridge regression.
+
+    Kernel and regularization are chosen by cross-validation with two folds. If no regression is better than the best
+    single plan, that is chosen in all worlds.
+
+    Args:
+        seen: [W, size] observations in training worlds.
+        scores: [plans, W] scores of the plans there.
+        present: [E, size] observations in the worlds for which a plan is chosen.
+
+    Returns:
+        [E] indices of plans.
+    """
+    single = np.full(len(present), scores.mean(axis=1).argmax())
     varies = seen.std(axis=0) > 1e-6
     if not varies.any():
-        return np.full(len(now), scores.mean(axis=1).argmax())
-    mean, spread = seen[:, varies].mean(axis=0), seen[:, varies].std(axis=0)
-    known, asked = ((part[:, varies] - mean) / spread for part in (seen, now))
-    half = len(known) // 2
+        return single
+    mean, deviation = seen[:, varies].mean(axis=0), seen[:, varies].std(axis=0)
+    train, test = ((part[:, varies] - mean) / deviation for part in (seen, present))
+    folds = slice(0, len(train) // 2), slice(len(train) // 2, None)
     options = [(width, ridge) for width in _WIDTHS for ridge in _RIDGES]
 
-    def predicted(rows: slice, others: Arrays, width: float | None, ridge: float) -> FloatArray:
-        own, center = known[rows], scores[:, rows].mean(axis=1)
-        kernel, between = _kernels(own, others, width)
-        weights = np.linalg.solve(kernel + ridge * np.eye(len(own)), (scores[:, rows] - center[:, None]).T)
-        return np.asarray(between @ weights + center)
+    def choose(rows: slice, others: Arrays, width: float | None, ridge: float) -> IntArray:
+        """Return the plans with the highest predictions for other worlds, fitted on some of the training worlds."""
+        center = scores[:, rows].mean(axis=1)
+        kernel, between = _kernels(train[rows], others, width)
+        weights = np.linalg.solve(kernel + ridge * np.eye(len(kernel)), (scores[:, rows] - center[:, None]).T)
+        return np.asarray((between @ weights + center).argmax(axis=1))
 
-    def worth(width: float | None, ridge: float) -> float:
-        """Score in each half of the choices fitted in the other."""
-        halves = (slice(half, None), slice(0, half)), (slice(0, half), slice(half, None))
-        return float(
-            np.mean(
-                [
-                    scores[:, other][
-                        predicted(fit, known[other], width, ridge).argmax(axis=1), np.arange(len(known[other]))
-                    ].mean()
-                    for fit, other in halves
-                ]
-            )
-        )
+    def validated(option: tuple[float | None, float]) -> float:
+        """Return the mean score of choices in each fold that are fitted on the other."""
+        means = []
+        for fit, fold in (folds[::-1], folds):
+            chosen = choose(fit, train[fold], *option)
+            means.append(scores[:, fold][chosen, np.arange(len(chosen))].mean())
+        return float(np.mean(means))
 
-    best = max(options, key=lambda option: worth(*option))
-    if worth(*best) <= scores.mean(axis=1).max():
-        return np.full(len(now), scores.mean(axis=1).argmax())
-    return np.asarray(predicted(slice(None), asked, *best).argmax(axis=1))
+    best = max(options, key=validated)
+    if validated(best) <= scores.mean(axis=1).max():
+        return single
+    return choose(slice(None), test, *best)
 
 
 def _kernels(own: Arrays, others: Arrays, width: float | None) -> tuple[Arrays, Arrays]:
-    """Return the kernel of rows with themselves, and of other rows with them."""
+    """Return the kernel matrix of rows with themselves, and of other rows with them; see ``_WIDTHS``."""
     if width is None:
         return own @ own.T / own.shape[1], others @ own.T / own.shape[1]
     squares = (own**2).sum(axis=1)

@@ -1,4 +1,4 @@
-"""Jobs of audits and benchmarks, whose results are cached: an interrupted command resumes with the missing ones."""
+"""Jobs of audits and benchmarks, with cached results: an interrupted command resumes with the missing jobs."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ from .plans import FoundPlan, PlanSearch, TeamPlan, replay_actions
 from .search import best_in_episode, search_plan
 
 AUDIT_SEED = 4_000_000
-"""Of the first episode that is scored: seeds that neither training nor a search plays."""
+"""Seed of the first scored episode; training and searches use other seeds."""
 _NO_BUDGET = 1e-9
 _CHUNK = 10
-"""Episodes that one process searches in, one after the other."""
+"""Number of episodes of one oracle job."""
 _WORLDS_PER_PLAN = 8
-"""Training worlds of a controller for each one whose best plan it may choose."""
-_TENTHS = 10
-"""Into so many parts the oracle's curve divides its budget."""
+"""Training worlds of a controller for each plan in its library."""
+_CURVE_POINTS = 10
+"""Number of points of the oracle's budget curve."""
 _PART_BYTES = 10_000_000
-"""Of a file of a finished part: that of 200 episodes is a tenth of a megabyte."""
+"""Maximum size of a cached result; that of 200 episodes has about 0.1 MB."""
 
 
 @dataclass(frozen=True)
@@ -49,13 +49,13 @@ class AuditBudget:
     """Numbers of episodes and plans.
 
     Attributes:
-        episodes: that everybody is scored on.
-        plans: tried by the search for the best constant plan.
-        fewer: the same for each bench left out.
-        donors: of replayed episodes, for each public context.
+        episodes: number of scored episodes of each policy.
+        plans: plans tried in the search for the best open-loop plan.
+        fewer: plans tried in the searches without one of the benches.
+        donors: number of donor episodes for replays, for each public context.
         planned: plans that the oracle tries in each episode.
-        turns: turns that each adversarial learner learns from; 0: no learners.
-        worlds: training worlds from which a controller learns to choose among plans; 0: no such controllers.
+        turns: training turns of each adversarial learner; 0: no learners.
+        worlds: training worlds of the controllers that choose among plans; 0: no such controllers.
     """
 
     episodes: int
@@ -75,37 +75,32 @@ BUDGETS = {
 
 
 def budget_of(budget: str | AuditBudget, turns: int | None = None) -> AuditBudget:
-    """Return one of :data:`BUDGETS` by name, or the given one; with other turns for learners, if there are any.
+    """Return a budget, given itself or by its name in :data:`BUDGETS`; ``turns`` replaces the turns of learners.
 
     Raises:
-        ValueError: no such name, or negative turns.
+        ValueError: the name is unknown, or ``turns`` is negative.
     """
     if isinstance(budget, str) and budget not in BUDGETS:
         raise ValueError(f"budget: known: {', '.join(BUDGETS)}; given {budget!r}")
     if turns is not None and turns < 0:
         raise ValueError(f"turns: must be at least 0, given {turns}")
-    found = BUDGETS[budget] if isinstance(budget, str) else budget
-    return found if turns is None else replace(found, turns=turns)
+    chosen = BUDGETS[budget] if isinstance(budget, str) else budget
+    return chosen if turns is None else replace(chosen, turns=turns)
 
 
 @dataclass(frozen=True)
 class Job:
-    """Something to be played.
+    """A unit of work with a cached result.
 
     Attributes:
-        name: under which it is kept.
-        kind: a key of ``_KINDS``.
-        arguments: of that function, besides scenario and budget.
+        name: name of the result.
+        kind: key of a function in ``_KINDS``.
+        arguments: arguments of the function, besides scenario and budget.
     """
 
     name: str
     kind: str
     arguments: dict[str, Any]
-
-
-def _played(scenario: Scenario, policies: Callable[[Laboratories], Any], episodes: int, seed: int, split: str) -> Any:
-    labs = Laboratories(scenario, episodes, split=split)
-    return play_laboratory(labs, policies(labs), None, seed)
 
 
 def _play(
@@ -120,44 +115,46 @@ def _play(
     contended: bool = False,
     reports: bool = True,
 ) -> dict[str, Any]:
-    """Scores of a policy by name in so many episodes (default: the budget's), or None where none of this name fits."""
+    """Score a policy by name; the scores are None if none fits.
+
+    ``without`` replaces its manager by a scripted one that does not use this bench. ``contended`` counts contention.
+    The default number of episodes is the budget's.
+    """
     if not reports:
         mute = {key: bench.model_copy(update={"report": None}) for key, bench in scenario.benches.items()}
         scenario = scenario.model_copy(update={"benches": mute})
     if not instruments:
         scenario = without_instruments(scenario)
 
-    def policies(labs: Laboratories) -> Any:
-        with warnings.catch_warnings():
-            if not (instruments and reports):  # that the scenario is not the one they were trained in is the point
-                warnings.simplefilter("ignore", UserWarning)
-            found = make_policies(policy, labs)
-        if without:
-            found[MANAGER_AGENT] = scripted_manager(labs, policy != "scripted:unsafe", [without])
-        if contended:
-            found[MANAGER_AGENT] = counter = Contention(found[MANAGER_AGENT], labs)
-            counters.append(counter)
-        return found
-
-    counters: list[Contention] = []
     try:
-        count = budget.episodes if episodes is None else episodes
-        scores = _played(scenario, policies, count, seed, split).returns.tolist()
-        return {"scores": scores, **({"contention": counters[0].events().tolist()} if contended else {})}
+        labs = Laboratories(scenario, budget.episodes if episodes is None else episodes, split=split)
+        with warnings.catch_warnings():
+            if not (instruments and reports):  # these scenarios differ from those of training on purpose
+                warnings.simplefilter("ignore", UserWarning)
+            policies = make_policies(policy, labs)
+        if without:
+            policies[MANAGER_AGENT] = scripted_manager(labs, policy != "scripted:unsafe", [without])
+        counter = Contention(policies[MANAGER_AGENT], labs) if contended else None
+        if counter is not None:
+            policies[MANAGER_AGENT] = counter
+        scores = {"scores": play_laboratory(labs, policies, None, seed).returns.tolist()}
+        return scores if counter is None else {**scores, "contention": counter.events().tolist()}
     except ValueError as error:
         return {"scores": None, "reason": str(error)}
 
 
 def _plan(scenario: Scenario, budget: AuditBudget, without: str = "", split: str = "test") -> dict[str, Any]:
-    """Search for the best open-loop manager in training worlds, and score it; with all benches, also with the benches'
-    actions of a donor's episode."""
-    most = budget.fewer if without else budget.plans
-    search = search_plan(scenario, budget=most, without=[without] if without else ())
+    """Search for the best open-loop manager in training worlds, and score it.
+
+    With all benches, it is also scored with the benches' actions of a donor's episode.
+    """
+    plans = budget.fewer if without else budget.plans
+    search = search_plan(scenario, budget=plans, without=[without] if without else ())
     chosen = [one.score for one in search.found]
     found: dict[str, Any] = {"scores": search.play(budget.episodes, AUDIT_SEED, split).tolist(), "chosen": chosen}
     if not without:
         found["plans"] = [[list(context), list(plan)] for context, plan in search.plans.items()]
-        found["everybody"] = _replayed(scenario, budget, search, split)
+        found["everybody"] = _replay(scenario, budget, search, split)["scores"]
     return found
 
 
@@ -170,19 +167,19 @@ def _everybody(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
 
 
 def _idle(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
-    """Score the submission of the first vessel for the first order, and so on, without any experiment."""
+    """Score the policy that submits the first vessel for the first order, and so on, without any experiment."""
     nothing = [FoundPlan(context, TeamPlan(()), 0.0) for context in all_contexts(scenario)]
     return {"scores": PlanSearch(scenario, "scripted", nothing, 0).play(budget.episodes, AUDIT_SEED, "test").tolist()}
 
 
 def without_instruments(scenario: Scenario) -> Scenario:
-    """Return a scenario without a budget for measurements; instruments that are free can still be used."""
+    """Return a scenario without a budget for measurements; free instruments remain available."""
     limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
     return scenario.model_copy(update={"limits": limits})
 
 
 def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: list[Any]) -> dict[str, Any]:
-    """Score a team that has learned, from nothing or from the last open-loop policy of each context."""
+    """Train a team, from nothing or from the last open-loop policy of each context, and score it."""
     from .adversary import learned_scores  # needs PyTorch
 
     spec = scenario if instruments else without_instruments(scenario)
@@ -191,7 +188,7 @@ def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: li
 
 
 def _inform(scenario: Scenario, budget: AuditBudget, opening: str, plans: list[Any]) -> dict[str, Any]:
-    """Score controllers without instruments that choose among plans by observations: of all agents, of the manager."""
+    """Score controllers without instruments that choose among plans by all agents' or the manager's observations."""
     found = informed_scores(
         without_instruments(scenario),
         opening,
@@ -208,57 +205,49 @@ def _inform(scenario: Scenario, budget: AuditBudget, opening: str, plans: list[A
 
 
 def _known(plans: list[Any]) -> dict[Context, list[TeamPlan]]:
-    """Return open-loop policies by context, of [context, plan] or [context, plan, tapes of the benches]."""
+    """Return open-loop policies by context, from lists [context, plan] or [context, plan, tapes of the benches]."""
     known: dict[Context, list[TeamPlan]] = {}
     for context, plan, *benches in plans:
         known.setdefault(tuple(context), []).append(TeamPlan.of([plan, *(benches or [()])]))
     return known
 
 
-def _replayed(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch, split: str = "test") -> list[float]:
-    blind = replay_actions(scenario, policy, budget.donors, budget.episodes, AUDIT_SEED, split=split)
-    scores: list[float] = blind.tolist()
-    return scores
-
-
-def _replay(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, Any]:
-    return {"scores": _replayed(scenario, budget, policy)}
+def _replay(scenario: Scenario, budget: AuditBudget, policy: str | PlanSearch, split: str = "test") -> dict[str, Any]:
+    """Score actions replayed from the best donor's episode."""
+    scores = replay_actions(scenario, policy, budget.donors, budget.episodes, AUDIT_SEED, split=split)
+    return {"scores": scores.tolist()}
 
 
 def _foresee(
     scenario: Scenario, budget: AuditBudget, first: int, plans: list[Any], split: str = "test"
 ) -> dict[str, Any]:
-    """Search for the best plan of each of some episodes; return its score, and the best by each tenth of the budget."""
+    """Search for the best plan of each of ``_CHUNK`` episodes; ``curves``: best scores after tenths of the budget."""
     known = _known(plans)
     scores, curves = [], []
     for episode in range(first, min(first + _CHUNK, budget.episodes)):
-        seed = AUDIT_SEED + episode
-        score, curve = best_in_episode(scenario, seed, split, budget.planned, known)
-        reached = [
-            max(s for tried, s in curve if tried <= max(part * budget.planned / _TENTHS, curve[0][0]))
-            for part in range(1, _TENTHS + 1)
-        ]
+        score, curve = best_in_episode(scenario, AUDIT_SEED + episode, split, budget.planned, known)
         scores.append(score)
-        curves.append(reached)
+        limits = [max(k * budget.planned / _CURVE_POINTS, curve[0][0]) for k in range(1, _CURVE_POINTS + 1)]
+        curves.append([max(best for tried, best in curve if tried <= limit) for limit in limits])
     return {"scores": scores, "curves": curves}
 
 
 def _apart(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, Any]:
-    """Mean over the orders of what each comes to in a laboratory that has no other."""
+    """Return the mean over orders of the score of each order in a separate laboratory."""
     labs = Laboratories(scenario, budget.episodes, split="test")
     labs.begin(AUDIT_SEED)
     goals = np.array(scenario.goals)[labs.state.goal]
-    alone = _alone(scenario)
+    single = _with_one_order(scenario)
     scores = np.zeros(goals.shape)
     for goal in np.unique(goals):
-        one = Laboratories(alone, budget.episodes, split="test")
-        returns = play_laboratory(one, make_policies(policy, one), str(goal), AUDIT_SEED).returns
+        labs = Laboratories(single, budget.episodes, split="test")
+        returns = play_laboratory(labs, make_policies(policy, labs), str(goal), AUDIT_SEED).returns
         scores += (goals == goal) * returns[:, None]
     return {"scores": scores.mean(axis=1).tolist()}
 
 
-def _alone(scenario: Scenario) -> Scenario:
-    """The laboratory for one of the orders. Its share of the score is the whole there: prices grow by as much."""
+def _with_one_order(scenario: Scenario) -> Scenario:
+    """Return the scenario with one order. An order then pays n times as much, so all prices are multiplied by n."""
     times = scenario.orders
     instruments = {}
     for name, spec in scenario.instruments.items():
@@ -299,9 +288,9 @@ def planner_jobs(budget: AuditBudget, plans: list[Any], split: str = "test") -> 
     """Return the jobs of the planner that knows the hidden parameters of each episode.
 
     Args:
-        budget: how many episodes, and how many plans are tried in each.
-        plans: [context, plan] or [context, plan, tapes of the benches] that the search begins with.
-        split: worlds.
+        budget: numbers of episodes and of plans tried in each.
+        plans: initial plans of the search: [context, plan] or [context, plan, tapes of the benches].
+        split: split of the worlds.
     """
     other = {} if split == "test" else {"split": split}
     firsts = range(0, budget.episodes, _CHUNK)
@@ -309,7 +298,7 @@ def planner_jobs(budget: AuditBudget, plans: list[Any], split: str = "test") -> 
 
 
 def foreseen(found: Mapping[str, dict[str, Any]], what: str = "scores") -> FloatArray:
-    """The planner's best of each episode, [E], or its ``curves``, [E, tenths of the budget], of what jobs came to."""
+    """Return the oracle's ``scores`` [E] or ``curves`` [E, points] from the results of jobs."""
     names = [name for name in found if name.startswith("foresee-")]
     order = sorted(names, key=lambda name: int(name.partition("-")[2]))
     return np.concatenate([np.array(found[name][what]) for name in order])
@@ -325,21 +314,21 @@ def _run(job: Job, scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
 
 def _policy_hash(job: Job) -> str:
     """Return a hash of the files from which a job's policy is loaded."""
-    found = hashlib.blake2b(digest_size=16)
+    combined = hashlib.blake2b(digest_size=16)
     for file in policy_files(job.arguments.get("policy", "scripted")):
-        found.update(hashlib.blake2b(file.read_bytes()).digest())
-    return found.hexdigest()
+        combined.update(hashlib.blake2b(file.read_bytes()).digest())
+    return combined.hexdigest()
 
 
-class Crew:
-    """Has jobs of a scenario played, and keeps what each has come to.
+class JobRunner:
+    """Executes jobs of a scenario and caches their results.
 
     Args:
-        scenario: the audited one.
-        budget: how much is played.
-        keep: folder of results, from which a broken-off audit goes on; None: nowhere.
-        executor: plays the jobs (:mod:`chemlab.agents.executors`); None: this process.
-        watch: called with the name of each job that is done.
+        scenario: the scenario.
+        budget: numbers of episodes and plans.
+        keep: folder of cached results; None: results are not stored.
+        executor: executor of the jobs (:mod:`chemlab.agents.executors`); None: this process.
+        watch: called with the name of each finished job.
     """
 
     def __init__(
@@ -351,14 +340,14 @@ class Crew:
         watch: Callable[[str], None] | None = None,
     ) -> None:
         self._scenario, self._budget, self._keep, self._watch = scenario, budget, keep, watch or (lambda _: None)
-        self._made_of = [scenario_hash(scenario), vars(budget), versions()]
+        self._inputs = [scenario_hash(scenario), vars(budget), versions()]
         self._executor = executor or Inline()
 
     def run(self, jobs: Sequence[Job]) -> dict[str, dict[str, Any]]:
         """Return the result of every job, by name."""
-        # Before playing: a file may be replaced meanwhile.
+        # Hashes of the files before the jobs, which may take long.
         hashes = {job.name: _policy_hash(job) for job in jobs} if self._keep is not None else {}
-        found = {job.name: kept for job in jobs if (kept := self.kept(job)) is not None}
+        found = {job.name: cached for job in jobs if (cached := self.cached(job)) is not None}
         for name in found:
             self._watch(name)
         missing = [job for job in jobs if job.name not in found]
@@ -372,12 +361,12 @@ class Crew:
         return found
 
     def _stamp(self, job: Job, policy: str, result: dict[str, Any]) -> str:
-        """Return a hash of the scenario, versions, budget, arguments, policy's files and result of a part."""
-        told = json.dumps([*self._made_of, job.kind, job.arguments, policy, result]).encode()
-        return hashlib.blake2b(told, digest_size=16).hexdigest()
+        """Return a hash of the scenario, budget, versions, arguments, policy files and result of a job."""
+        text = json.dumps([*self._inputs, job.kind, job.arguments, policy, result])
+        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
-    def kept(self, job: Job) -> dict[str, Any] | None:
-        """Return the cached result of a job; None if there is none, or it is not as it was written for this job."""
+    def cached(self, job: Job) -> dict[str, Any] | None:
+        """Return the cached result of a job; None if there is none, or it is of other inputs or damaged."""
         path = None if self._keep is None else self._keep / _file_name(job)
         if path is None or not path.is_file():
             return None
@@ -386,8 +375,6 @@ class Crew:
         except DataError:
             return None
         result = part.get("result") if isinstance(part, dict) else None
-        return (
-            result
-            if isinstance(result, dict) and part.get("stamp") == self._stamp(job, _policy_hash(job), result)
-            else None
-        )
+        if isinstance(result, dict) and part.get("stamp") == self._stamp(job, _policy_hash(job), result):
+            return result
+        return None

@@ -1,9 +1,9 @@
-"""Leaderboards: a line for each row of a benchmark and scenario, tied to the scores of its episodes.
+"""Leaderboards: a line for each row and scenario of a benchmark, with the scores of its episodes.
 
-A line has ``scores`` (by episode, null where one was not played) and ``train_scores`` (from the same seeds in worlds of
-``train``), from which its mean, its place on the scale, its intervals and its records follow. :func:`check_leaderboard`
-computes them again (``chemlab verify leaderboard.json``). Lines that earlier versions wrote have no scores: nothing but
-their records proves what they say.
+A line has ``scores`` (by episode, null if one was not played) and ``train_scores`` (with the same seeds, in worlds of
+``train``). Mean, normalized score and intervals follow from them; :func:`check_leaderboard` recomputes these numbers
+(``chemlab verify leaderboard.json``) and replays the records. Lines of earlier versions have no scores, so that only
+their records can be verified.
 """
 
 from __future__ import annotations
@@ -32,12 +32,11 @@ from .scale import Scale, interval
 
 _FILE_BYTES = 50_000_000
 _TOLERANCE = 1e-9
-"""Of numbers that are computed again, in units of a score."""
+"""Largest accepted error of recomputed numbers, in units of a score."""
 _ESTIMATES = ("over_baseline", "generalization")
 _NUMBERS = re.compile(r"\[[\s\d.,eE+\-nul]*\]")
 
 Line = dict[str, Any]
-
 
 _Score = Annotated[float, Field(ge=-1e9, le=1e9)]
 
@@ -49,7 +48,7 @@ class _Open(BaseModel):
 
 
 class _Estimate(_Open):
-    """A number on the scale, and its interval."""
+    """A normalized score and its interval."""
 
     value: float | None = None
     low: float | None = None
@@ -57,14 +56,14 @@ class _Estimate(_Open):
 
 
 class _Ends(_Open):
-    """Mean scores of random play and of the planner in a line's episodes, as far as its own command knew them."""
+    """Mean scores of random play and of the oracle in a line's episodes, as known to the command that wrote them."""
 
     random: _Score
     oracle: _Score
 
 
 class _Entry(_Open):
-    """A record of one of a line's episodes."""
+    """Record of one episode of a line."""
 
     file: str
     seed: int
@@ -94,7 +93,7 @@ class _Line(_Estimate):
 
 
 class _Leaderboard(BaseModel):
-    """The file."""
+    """Content of the file."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -102,40 +101,40 @@ class _Leaderboard(BaseModel):
 
 
 def leaderboard_lines(path: Path) -> list[Line]:
-    """The lines of a leaderboard; none where there is no file.
+    """Return the lines of a leaderboard; an empty list if the file does not exist.
 
     Raises:
-        DataError: it is no leaderboard.
+        DataError: the file is not a leaderboard.
     """
     if not path.exists():
         return []
     try:
         found = validated(_Leaderboard, read_json(path, _FILE_BYTES), str(path))
     except DataError as error:
-        raise DataError(f"{error}; this is no leaderboard: move it away, or name another folder with --out") from error
+        raise DataError(f"{error}; this is not a leaderboard: move it, or name another folder with --out") from error
     return [line.model_dump(mode="json", exclude_unset=True) for line in found.lines]
 
 
 def write_leaderboard(path: Path, new: Sequence[Line]) -> None:
-    """Add lines to a leaderboard, or begin one: they replace those of the same rows, and all are on one scale.
+    """Add lines to a leaderboard, which need not exist. They replace lines of the same rows; all get one scale.
 
     Raises:
-        DataError: a file that is there already is no leaderboard.
+        DataError: the existing file is not a leaderboard.
     """
-    lines = _together(leaderboard_lines(path), new)
+    lines = _merged(leaderboard_lines(path), new)
     lines.sort(key=lambda line: (line["scenario"], -(line["value"] or -np.inf)))
     text = json.dumps({"kind": "leaderboard", "format": 1, "lines": lines}, indent=1, allow_nan=False)
-    # A list of numbers stands on one line.
+    # Write a list of numbers on one line.
     write_text(path, _NUMBERS.sub(lambda found: re.sub(r"\s+", "", found[0]).replace(",", ", "), text) + "\n")
 
 
-# -- on one scale -----------------------------------------------------------------------------------------------------
+# -- scale ------------------------------------------------------------------------------------------------------------
 
 
 def runs_of(runs: int, seeds: int, episodes: int) -> list[int] | None:
-    """The number of the training run that played each episode, where a row has several runs; None: one player.
+    """Return the index of the training run that played each episode; None if the row has fewer than two runs.
 
-    Episodes are dealt out to ``seeds`` replications, and these to the runs in turn.
+    Episodes are divided into ``seeds`` replications, which are assigned to the runs in turn.
     """
     if runs < 2:
         return None
@@ -151,35 +150,35 @@ def on_scale(
     baseline: FloatArray | None = None,
     train: FloatArray | None = None,
 ) -> dict[str, Any] | None:
-    """Statistics of a row's scores on the scale of the episodes that it has played.
+    """Return statistics of a row's scores on the scale of the episodes that it has played.
 
     Args:
-        scores: [E] of the row; NaN where it has not played.
+        scores: [E] scores of the row; NaN for episodes that were not played.
         random, oracle, baseline: [E] scores of these rows.
         runs: see :func:`runs_of`.
         train: [E] scores of the row in training worlds.
 
     Returns:
-        ``value``, ``low`` and ``high`` of the normalized mean, ``score``, ``episodes`` and ``scale``, and what it is
-        above the baseline and above its own training worlds, where these are given; None where no score is above
+        ``value``, ``low`` and ``high`` of the normalized mean, ``score``, ``episodes`` and ``scale``, and, if given,
+        the differences ``over_baseline`` and ``generalization`` (to the training worlds); None if no score is above
         random play in these episodes, so that there is no scale.
     """
-    there = np.isfinite(scores)
-    groups = None if runs is None else [run for run, played in zip(runs, there, strict=True) if played]
-    scale = Scale(random[there], oracle[there], groups)
+    played = np.isfinite(scores)
+    groups = None if runs is None else np.asarray(runs)[played].tolist()
+    scale = Scale(random[played], oracle[played], groups)
     if scale.span <= 0.0:
         return None
-    own = scale.mean(scores[there])
+    normalized = scale.mean(scores[played])
     found: dict[str, Any] = {
-        **interval(own),
-        "score": float(scores[there].mean()),
-        "episodes": int(there.sum()),
-        "scale": {"random": float(random[there].mean()), "oracle": float(oracle[there].mean())},
+        **interval(normalized),
+        "score": float(scores[played].mean()),
+        "episodes": int(played.sum()),
+        "scale": {"random": float(random[played].mean()), "oracle": float(oracle[played].mean())},
     }
     if baseline is not None:
-        found["over_baseline"] = interval(own - scale.mean(baseline[there]))
+        found["over_baseline"] = interval(normalized - scale.mean(baseline[played]))
     if train is not None:
-        found["generalization"] = interval(own - scale.mean(train[there]))
+        found["generalization"] = interval(normalized - scale.mean(train[played]))
     return found
 
 
@@ -187,21 +186,21 @@ def _key(line: Mapping[str, Any], policy: str | None = None) -> tuple[str, str, 
     return line["scenario"], policy or line["policy"], line["split"]
 
 
-def _together(before: Sequence[Line], new: Sequence[Line]) -> list[Line]:
-    """Merge earlier and new lines on the longest scale among them; new lines replace those of the same row.
+def _merged(stored: Sequence[Line], new: Sequence[Line]) -> list[Line]:
+    """Merge stored and new lines; new lines replace those of the same row.
 
-    The end of a scale is the best score of one command, so commands differ in it.
+    All lines of the same episodes get the scale with the highest end: the oracle's score may differ between commands.
     """
-    lines = {_key(line): line for line in before}
+    lines = {_key(line): line for line in stored}
     for line in new:
         old = lines.get(_key(line), line)
         if line["policy"] != "oracle" or _episodes(old) != _episodes(line) or _end(old) <= _end(line):
             lines[_key(line)] = line
-    longest: dict[Any, float] = {}
+    ends: dict[Any, float] = {}
     for line in lines.values():
-        longest[_episodes(line)] = max(_end(line), longest.get(_episodes(line), -np.inf))
-    found = {key: _rescaled(line, longest[_episodes(line)]) for key, line in lines.items()}
-    return [line | (_measured(line, found) or {}) for line in found.values()]
+        ends[_episodes(line)] = max(_end(line), ends.get(_episodes(line), -np.inf))
+    rescaled = {key: _rescaled(line, ends[_episodes(line)]) for key, line in lines.items()}
+    return [line | (_recomputed(line, rescaled) or {}) for line in rescaled.values()]
 
 
 def _episodes(line: Line) -> tuple[Any, ...]:
@@ -215,59 +214,57 @@ def _end(line: Line) -> float:
 
 
 def _rescaled(line: Line, end: float) -> Line:
-    """A line on the scale that ends there; 0 stays where it is."""
+    """Return a line on the scale whose 1 is the raw score ``end``; its 0 is unchanged."""
     if _end(line) in (end, -np.inf) or _end(line) <= line["scale"]["random"]:
         return line
     zero = line["scale"]["random"]
     factor = (_end(line) - zero) / (end - zero)
 
-    def scaled(told: Line) -> Line:
-        return told | {key: told[key] * factor for key in ("value", "low", "high") if told.get(key) is not None}
+    def scaled(estimate: Line) -> Line:
+        scalable = [key for key in ("value", "low", "high") if estimate.get(key) is not None]
+        return estimate | {key: estimate[key] * factor for key in scalable}
 
-    told = {key: scaled(line[key]) for key in _ESTIMATES if line.get(key)}
-    return scaled(line) | told | {"scale": {"random": zero, "oracle": end}}
+    estimates = {key: scaled(line[key]) for key in _ESTIMATES if line.get(key)}
+    return scaled(line) | estimates | {"scale": {"random": zero, "oracle": end}}
 
 
 def _scores(line: Line | None, like: Line) -> FloatArray | None:
-    """Scores of a line, if they are of the same number of episodes of the same scenario as those of another."""
+    """Return a line's scores, if they are of the same number of episodes of the same scenario as those of another."""
     if line is None or not line.get("scores") or line.get("scenario_hash") != like.get("scenario_hash"):
         return None
-    found = np.array(line["scores"], dtype=np.float64)  # null becomes NaN
-    return found if len(found) == len(like["scores"]) else None
+    scores = np.array(line["scores"], dtype=np.float64)  # null becomes NaN
+    return scores if len(scores) == len(like["scores"]) else None
 
 
-def _measured(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[str, Any] | None:
-    """Compute a line's statistics from its scores and the compared ones; None where scores are missing."""
+def _recomputed(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[str, Any] | None:
+    """Compute a line's statistics from the scores of all lines; None if scores are missing."""
     if not line.get("scores") or line.get("value") is None:
         return None
-    own, random, best = (
-        _scores(one, line) for one in (line, *(lines.get(_key(line, name)) for name in ("random", "oracle")))
-    )
-    if own is None or random is None or best is None:
+    random, oracle = (_scores(lines.get(_key(line, name)), line) for name in ("random", "oracle"))
+    scores = np.array(line["scores"], dtype=np.float64)
+    played = np.isfinite(scores)
+    if random is None or oracle is None or not played.any() or not np.isfinite([random[played], oracle[played]]).all():
         return None
     other = _scores(lines.get(_key(line, line.get("baseline") or "")), line) if line.get("over_baseline") else None
-    train = line.get("train_scores") or []
-    training = np.array(train) if len(train) == len(own) and line.get("generalization") else None
-    there = np.isfinite(own)
-    if not there.any() or not all(np.isfinite(one[there]).all() for one in (random, best)):
-        return None
-    runs = runs_of(int(line.get("runs") or 0), int(line.get("seeds") or 1), len(own))
-    return on_scale(own, random, best, runs, other, training)
+    train_scores = line.get("train_scores") or []
+    train = np.array(train_scores) if len(train_scores) == len(scores) and line.get("generalization") else None
+    runs = runs_of(int(line.get("runs") or 0), int(line.get("seeds") or 1), len(scores))
+    return on_scale(scores, random, oracle, runs, other, train)
 
 
-# -- checked ----------------------------------------------------------------------------------------------------------
+# -- verification -----------------------------------------------------------------------------------------------------
 
 
 @dataclass
 class LineCheck:
-    """The proof of a line.
+    """Result of verifying a line.
 
     Attributes:
-        scenario, policy, split: of the line.
-        proof: ``all`` (score, scale and intervals follow from stored scores), ``score`` (the mean score alone does),
-            ``none`` (it has no scores) or ``empty`` (an empty cell, which says nothing).
-        records: episodes that were played again.
-        faults: what does not follow.
+        scenario, policy, split: those of the line.
+        proof: ``all`` (score, scale and intervals follow from stored scores), ``score`` (only the mean score does),
+            ``none`` (the line has no scores) or ``empty`` (the cell is empty).
+        records: number of episodes that were replayed.
+        faults: descriptions of numbers and records that are wrong.
     """
 
     scenario: str
@@ -279,14 +276,14 @@ class LineCheck:
 
 
 def check_leaderboard(path: Path, watch: Callable[[LineCheck], None] | None = None) -> list[LineCheck]:
-    """Compute every line of a leaderboard again, as far as its scores are stored, and play its records again.
+    """Recompute every line of a leaderboard from the stored scores, and replay its records.
 
     Args:
-        path: the file; records stand beside it.
-        watch: called with each line when it has been checked.
+        path: the file; paths of records are relative to its folder.
+        watch: called with the result of each line.
 
     Raises:
-        DataError: there is no such file, or it is no leaderboard.
+        DataError: the file does not exist, or is not a leaderboard.
     """
     if not path.is_file():
         raise DataError(f"{path}: no such file")
@@ -307,23 +304,24 @@ def check_leaderboard(path: Path, watch: Callable[[LineCheck], None] | None = No
 
 
 def summary(checks: Sequence[LineCheck]) -> str:
-    """A leaderboard's checks as a sentence, which says how many lines nothing proves, and of which scenarios."""
+    """Return a sentence with the number of lines of each kind, and the scenarios of lines without scores."""
     kinds = Counter(check.proof for check in checks)
-    said = [
+    parts = [
         f"{len(checks)} lines",
         f"{kinds['all']} follow from their scores",
         f"{kinds['score']} in their mean alone (the scale's end or an interval is not proven)",
         f"{kinds['empty']} are empty",
         f"{sum(check.records for check in checks)} records played again",
     ]
-    bare = Counter(check.scenario for check in checks if check.proof == "none")
-    if bare:
-        where = ", ".join(f"{scenario} {count}" for scenario, count in sorted(bare.items()))
-        said.append(f"{kinds['none']} lines have no scores, so nothing but their records is proven ({where})")
-    return "; ".join(said)
+    without = Counter(check.scenario for check in checks if check.proof == "none")
+    if without:
+        where = ", ".join(f"{scenario} {count}" for scenario, count in sorted(without.items()))
+        parts.append(f"{kinds['none']} lines have no scores, so nothing but their records is proven ({where})")
+    return "; ".join(parts)
 
 
 def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, str], Line]) -> None:
+    """Compare a line's numbers with recomputed ones; set the proof and append faults."""
     if line.get("value") is None:
         check.proof = "empty"
         return
@@ -332,7 +330,7 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
         value = (line["score"] - scale["random"]) / (scale["oracle"] - scale["random"])
         _compare(check, "value", line["value"], value)
     elif line.get("scores"):
-        check.faults.append(f"value: is {line['value']}, but there is no score, or no scale on which it could be")
+        check.faults.append(f"value: is {line['value']}, but the line has no score or no valid scale")
     if not line.get("scores"):
         return
     played = [score for score in line["scores"] if score is not None]
@@ -340,34 +338,40 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
     _compare(check, "episodes", line.get("episodes"), len(played))
     _compare(check, "score", line.get("score"), math.fsum(played) / max(len(played), 1))
     random = _scores(lines.get(_key(line, "random")), line)
-    there = np.array([score is not None for score in line["scores"]])
     if random is not None and scale:
-        _compare(check, "scale.random", scale["random"], float(random[there].mean()))
-    measured = _measured(line, lines)
-    if measured is None:
+        rows = [score is not None for score in line["scores"]]
+        _compare(check, "scale.random", scale["random"], float(random[rows].mean()))
+    computed = _recomputed(line, lines)
+    if computed is None:
         return
     check.proof = "all"
     for key in ("low", "high"):
-        _compare(check, key, line.get(key), measured[key])
-    _compare(check, "scale.oracle", (scale or {}).get("oracle"), measured["scale"]["oracle"])
+        _compare(check, key, line.get(key), computed[key])
+    _compare(check, "scale.oracle", (scale or {}).get("oracle"), computed["scale"]["oracle"])
     for name in _ESTIMATES:
         if not line.get(name):
             continue
-        if name not in measured:  # the scores it needs are not stored
+        if name not in computed:  # the required scores are not stored
             check.proof = "score"
             continue
         for key in ("value", "low", "high"):
-            _compare(check, f"{name}.{key}", line[name].get(key), measured[name][key])
+            _compare(check, f"{name}.{key}", line[name].get(key), computed[name][key])
 
 
-def _compare(check: LineCheck, what: str, said: float | None, computed: float | None) -> None:
-    if (said is None) is not (computed is None) or (
-        said is not None and computed is not None and not abs(said - computed) <= _TOLERANCE
-    ):
-        check.faults.append(f"{what}: is {said}, and its scores give {computed}")
+def _equal(stored: float | None, computed: float | None) -> bool:
+    """Return True if two numbers are equal within the tolerance, or both are None."""
+    if stored is None or computed is None:
+        return stored is computed
+    return abs(stored - computed) <= _TOLERANCE
+
+
+def _compare(check: LineCheck, what: str, stored: float | None, computed: float | None) -> None:
+    if not _equal(stored, computed):
+        check.faults.append(f"{what}: is {stored}, and its scores give {computed}")
 
 
 def _check_record(check: LineCheck, line: Line, entry: Line, folder: Path) -> None:
+    """Replay a record of a line; append faults."""
     name, number = entry["file"], entry["seed"] - AUDIT_SEED
     scores = line.get("scores")
 
@@ -379,7 +383,7 @@ def _check_record(check: LineCheck, line: Line, entry: Line, folder: Path) -> No
         return
     if scores is not None:
         stored = scores[number] if 0 <= number < len(scores) else None
-        if stored is None or entry.get("score") is None or not abs(stored - entry["score"]) <= _TOLERANCE:
+        if stored is None or not _equal(stored, entry.get("score")):
             fault(f"its score is {entry.get('score')}, and that of the line's episode {entry['seed']} is {stored}")
     try:
         record = read_record(folder / name)
@@ -396,11 +400,9 @@ def _check_record(check: LineCheck, line: Line, entry: Line, folder: Path) -> No
     private = line["split"] if ":" in line["split"] else None
     proof = verify_record(record, None, may_run(otherwise=False), split=private)
     check.records += 1
-    # Of seats, episodes that ended without calls left count as they stood.
+    # Episodes of seats may end without calls left; they count with the score at that time.
     if proof.status not in ("ok", "other", "foreign", *(["torn"] if line.get("seats") else [])):
         fault(f"{proof.status}: {proof.message}")
-    # Another version or platform may round otherwise.
-    elif proof.status != "other" and (
-        proof.score is None or entry.get("score") is None or not abs(proof.score - entry["score"]) <= _TOLERANCE
-    ):
-        fault(f"comes to {proof.score}, and the line says {entry.get('score')}")
+    # Another version or platform may round differently.
+    elif proof.status != "other" and (proof.score is None or not _equal(proof.score, entry.get("score"))):
+        fault(f"its replay gives a score of {proof.score}, and the line has {entry.get('score')}")

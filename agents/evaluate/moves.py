@@ -1,4 +1,4 @@
-"""Random changes of open-loop policies, from which a search makes new ones."""
+"""Random mutations of open-loop policies, with which a search generates candidates."""
 
 from __future__ import annotations
 
@@ -19,28 +19,29 @@ from ..roles import role_of
 from .plans import Tape, TeamPlan
 
 _LONGEST, _LONGEST_FREE = 12, 48
-"""Most actions for each order, of the manager alone and of all agents."""
+"""Maximum number of manager actions for each order, in a search over the manager's or over all agents' actions."""
 _OWN_GOAL = 4.0
 """Relative probability of starting an experiment for an order's goal rather than for another."""
 _LEVELS = (0.0, 0.5, 1.0)
 """Constant values of an actuator; 0.5 leaves a temperature or a piston as it is, 0 adds nothing of a reagent."""
 _FINER = (0.0, 0.25, 0.5, 0.75, 1.0)
+"""Values of an actuator in mutations of a tape."""
 _LONGEST_TAPE, _MOST_EXPERIMENTS, _NEAR = 64, 8, 256
 _TAPED, _REPEATED = 0.4, 0.2
-"""Shares of the changes of a plan of all agents that change a bench's tape, or repeat some actions of the manager."""
-# Chances with which a random plan does something next, where it is possible.
+"""Probabilities that a mutation of all agents' policy changes a bench's tape, or repeats some manager actions."""
 _CHANCES = {START: 6.0, MEASURE: 0.0, DISCARD: 1.0, SUBMIT: 1.5, RECALL: 0.3, WAIT: 3.0, REPAIR: 0.5}
+"""Relative probabilities of kinds of actions in a random plan, if they are legal."""
 
 
 @dataclass(frozen=True)
 class Tried:
-    """A plan that has been tried.
+    """An evaluated plan.
 
     Attributes:
-        score: mean over seeds.
-        deviation: its standard deviation over seeds.
-        team: of the manager's plan, what was played of it, and what was played when it had come to its end.
-        legal: [len(plan), A] what could have been played instead of each action, or before it.
+        score: mean score over seeds.
+        deviation: standard deviation of the score over seeds.
+        team: the policy, with the manager's actions that were actually played, including those after the plan's end.
+        legal: [len(plan), A] True for actions that were legal instead of each action, or before it.
     """
 
     score: float
@@ -49,19 +50,25 @@ class Tried:
     legal: BoolArray
 
     def steps(self) -> list[tuple[int, BoolArray]]:
-        """The plan's actions, each with what was legal there."""
+        """Return the plan's actions, each with the legal actions [A] at its position."""
         return list(zip(self.team.plan, self.legal, strict=True))
 
 
 class Moves:
-    """Random actions for plans, and changes of plans.
+    """Random actions and mutations of plans.
 
     Args:
-        actions: the manager's.
+        actions: the manager's actions.
         context: the goals of the orders.
-        rng: draws them.
+        rng: random generator.
         without: benches that are not used, by key.
-        benches: whose agents' tapes are changed as well.
+        benches: benches whose agents play tapes, which are mutated as well.
+
+    Attributes:
+        free: True if benches play tapes.
+        longest: maximum length of a plan.
+        useful: [A] True for actions that a random plan may contain.
+        elsewhere: for each action, the same action on other slots.
     """
 
     def __init__(
@@ -73,10 +80,10 @@ class Moves:
         benches: Sequence[Bench] = (),
     ) -> None:
         table, self._benches = actions.table, benches
-        asked = [actions.goals.index(goal) for goal in context]
-        self._weights = np.where((table[:, 0] == START) & np.isin(table[:, 3], asked), _OWN_GOAL, 1.0)
-        idle = [b for b, agent in enumerate(actions.bench_agents) if role_of(agent) in without]
-        avoided = (table[:, 0] == START) & np.isin(table[:, 1], idle)
+        goals = [actions.goals.index(goal) for goal in context]
+        self._weights = np.where((table[:, 0] == START) & np.isin(table[:, 3], goals), _OWN_GOAL, 1.0)
+        unused = [b for b, agent in enumerate(actions.bench_agents) if role_of(agent) in without]
+        avoided = (table[:, 0] == START) & np.isin(table[:, 1], unused)
         self.free = bool(benches)
         self.longest = (_LONGEST_FREE if self.free else _LONGEST) * actions.orders
         self._rng = rng
@@ -86,14 +93,13 @@ class Moves:
         self.useful: BoolArray = self._chances @ self._of_kind > 0.0
         slot_column = {START: 2, DISCARD: 1, SUBMIT: 1}
         self.elsewhere: list[list[int]] = []
-        """By action: the same on other slots."""
         for action, row in enumerate(table):
             column = slot_column.get(int(row[0]))
             others = [] if column is None else np.flatnonzero((np.delete(table == row, column, 1)).all(axis=1)).tolist()
             self.elsewhere.append([other for other in others if other != action and not avoided[other]])
 
     def draw(self, legal: BoolArray) -> int:
-        """One of the legal actions: first its kind, then which; WAIT, the last, where nothing is."""
+        """Draw one of the legal actions [A]: first its kind, then the action. WAIT, the last one, if none is legal."""
         chances = self._chances * (self._of_kind & legal).any(axis=1)
         total = chances.sum()
         if total == 0.0:
@@ -103,12 +109,12 @@ class Moves:
         return int(np.searchsorted(weights, self._rng.random() * weights[-1], side="right"))
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        """Random legal actions, see :class:`chemlab.envs.players.Policy`."""
+        """Return random legal actions, see :class:`chemlab.envs.players.Policy`."""
         assert mask is not None, "the manager has discrete actions"
         return np.array([self.draw(row != 0) for row in mask], dtype=np.int64)
 
     def changed(self, parents: Sequence[Tried]) -> TeamPlan:
-        """A plan like one of the first of ``parents``, with one or a few changes."""
+        """Return a mutation, with one or several changes, of a random plan; the first of ``parents`` are preferred."""
         parent = self._pick(parents)
         steps, benches = parent.steps(), parent.team.benches
         while True:
@@ -120,7 +126,7 @@ class Moves:
                 return TeamPlan(tuple(action for action, _ in steps)[: self.longest], benches)
 
     def constant(self) -> tuple[Tape | None, ...]:
-        """A random constant action for each kind of bench; now and then a kind is left to its policy."""
+        """Return a tape with a random constant action for each kind of bench, or None with probability 0.2."""
         kinds = {bench.key: None if self._rng.random() < 0.2 else self._constant(bench) for bench in self._benches}
         return tuple(kinds[bench.key] for bench in self._benches)
 
@@ -130,31 +136,31 @@ class Moves:
         return ((tuple(self._rng.choice(_LEVELS, bench.action_space.shape).tolist()),),)
 
     def _changed_benches(self, benches: tuple[Tape | None, ...]) -> tuple[Tape | None, ...]:
-        """Change the tape of one bench, or of all of its kind."""
-        rng, now = self._rng, list(benches or [None] * len(self._benches))
-        b = int(rng.integers(len(now)))
-        tape, bench, what = now[b], self._benches[b], rng.random()
-        changed = self._constant(bench) if what < 0.3 or not tape else self._changed_tape(tape, bench)
-        alike = rng.random() < 0.5
+        """Return the tapes with that of one bench, or of all benches of its kind, changed or removed."""
+        rng, tapes = self._rng, list(benches or [None] * len(self._benches))
+        b = int(rng.integers(len(tapes)))
+        tape, bench, choice = tapes[b], self._benches[b], rng.random()
+        changed = self._constant(bench) if choice < 0.3 or not tape else self._changed_tape(tape, bench)
+        whole_kind = rng.random() < 0.5
         for i, other in enumerate(self._benches):
-            if i == b or (alike and other.key == bench.key):
-                now[i] = None if what < 0.05 else changed
-        return tuple(now)
+            if i == b or (whole_kind and other.key == bench.key):
+                tapes[i] = None if choice < 0.05 else changed
+        return tuple(tapes)
 
     def _changed_tape(self, tape: Tape, bench: Bench) -> Tape:
-        """Change, prolong or leave out an action of a tape, or let a further experiment differ."""
+        """Return a tape with an action changed, repeated or removed, or with a further, different experiment."""
         rng, experiments = self._rng, [list(actions or ()) for actions in tape]
-        actions, what = experiments[int(rng.integers(len(experiments)))], rng.random()
+        actions, choice = experiments[int(rng.integers(len(experiments)))], rng.random()
         if not actions:
             return self._constant(bench)
         i = int(rng.integers(len(actions)))
-        if what < 0.45:
+        if choice < 0.45:
             actions[i] = self._changed_action(actions[i], bench)
-        elif what < 0.7:  # an action is held longer; the last one is held anyway
+        elif choice < 0.7:  # hold an action longer; the last one is always held
             actions[i:i] = [actions[i]] * int(rng.choice((1, 2, 4, 8)))
             if i == len(actions) - 2 or rng.random() < 0.5:
                 actions[-1] = self._changed_action(actions[-1], bench)
-        elif what < 0.9:
+        elif choice < 0.9:
             del actions[i : i + int(rng.choice((1, 2, 4)))]
         elif len(experiments) < _MOST_EXPERIMENTS:
             last = list(experiments[-1])
@@ -162,6 +168,7 @@ class Moves:
         return tuple(tuple(own[:_LONGEST_TAPE]) for own in experiments)
 
     def _changed_action(self, action: Any, bench: Bench) -> Any:
+        """Return another discrete action, or a continuous one with one number changed."""
         if bench.action_count:
             return int(self._rng.integers(bench.action_count))
         numbers = list(action)
@@ -169,32 +176,33 @@ class Moves:
         return tuple(numbers)
 
     def _pick(self, parents: Sequence[Tried]) -> Tried:
+        """Draw a plan; the first ones are preferred."""
         return parents[int(len(parents) * self._rng.random() ** 2)]
 
     def _change(self, steps: list[tuple[int, BoolArray]], parents: Sequence[Tried]) -> None:
-        """Change one action, or take over the end of another plan."""
+        """Change one action in ``steps``, or replace their end by that of another plan."""
         rng = self._rng
         if not steps:
             steps += self._pick(parents).steps()
             return
-        i, what = int(rng.integers(len(steps))), rng.random()
+        i, choice = int(rng.integers(len(steps))), rng.random()
         if self.free and rng.random() < _REPEATED:
             end = i + int(rng.integers(1, 5))
             steps[end:end] = steps[i:end] * int(rng.choice((1, 2, 4)))
             return
         action, legal = steps[i]
-        if what < 0.3:
+        if choice < 0.3:
             steps.insert(i, (self.draw(legal), legal))
-        elif what < 0.5:
+        elif choice < 0.5:
             same = legal & (self._kind == self._kind[action])
             steps[i] = self.draw(same if rng.random() < 0.5 and same.any() else legal), legal
-        elif what < 0.75:
+        elif choice < 0.75:
             others = self.elsewhere[action]
             if others:
                 steps[i] = int(rng.choice(others)), legal
-        elif what < 0.85:
+        elif choice < 0.85:
             del steps[i]
-        elif what < 0.92:
+        elif choice < 0.92:
             j = int(rng.integers(len(steps)))
             steps[i], steps[j] = steps[j], steps[i]
         else:
@@ -202,8 +210,11 @@ class Moves:
             steps[i:] = other[int(rng.integers(len(other) + 1)) :]
 
     def neighbours(self, tried: Tried) -> list[TeamPlan]:
-        """All plans one change away: an action left out, put in, exchanged, elsewhere, or after the next; another
-        value of an actuator, or another action, in a bench's tape."""
+        """Return all plans with a single change.
+
+        In the manager's plan, an action is removed, inserted, replaced, or swapped with the next. In a bench's tape, an
+        action or a value of an actuator is replaced; at most ``_NEAR`` of these are drawn.
+        """
         plan, tapes = tried.team.plan, tried.team.benches
         found = [plan[:i] + plan[i + 1 :] for i in range(len(plan))]
         found += [(*plan[:i], plan[i + 1], plan[i], *plan[i + 2 :]) for i in range(len(plan) - 1)]
@@ -212,19 +223,18 @@ class Moves:
             found += [(*plan[:i], other, *plan[i + 1 :]) for other in dict.fromkeys([*legal, *self.elsewhere[action]])]
             found += [(*plan[:i], other, *plan[i:]) for other in legal]
         teams = [TeamPlan(plan, tapes) for plan in found if len(plan) <= self.longest]
-        near = [TeamPlan(plan, benches) for benches in self._near(tapes)]
-        some = self._rng.permutation(len(near))[:_NEAR] if len(near) > _NEAR else range(len(near))
-        return [*teams, *(near[i] for i in some)]
+        near = [TeamPlan(plan, benches) for benches in self._neighbouring_tapes(tapes)]
+        chosen = self._rng.permutation(len(near))[:_NEAR] if len(near) > _NEAR else range(len(near))
+        return [*teams, *(near[i] for i in chosen)]
 
-    def _near(self, benches: tuple[Tape | None, ...]) -> Iterator[tuple[Tape | None, ...]]:
+    def _neighbouring_tapes(self, benches: tuple[Tape | None, ...]) -> Iterator[tuple[Tape | None, ...]]:
         """Yield the tapes with one action changed."""
         for b, tape in enumerate(benches):
-            bench = self._benches[b]
+            count = self._benches[b].action_count
             for e, actions in enumerate(tape or ()):
                 for i, action in enumerate(actions or ()):
-                    if bench.action_count:
-                        others: list[Any] = list(range(bench.action_count))
-                    else:
+                    others: list[Any] = list(range(count))
+                    if not count:
                         cells = itertools.product(range(len(action)), _FINER)
                         others = [(*action[:x], level, *action[x + 1 :]) for x, level in cells]
                     for other in others:

@@ -1,4 +1,4 @@
-"""A page of training runs: a table of what they came to, and their learning curves."""
+"""Page of training runs: a table of results, and learning curves."""
 
 from __future__ import annotations
 
@@ -6,9 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from chemlab.config.files import write_text
-from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
 
-from .curves import draw_tasks, group_tasks
+from .curves import group_tasks, save_curves
 from .results import cells_of, cells_table, read_runs
 from .trained_managers import has_manager
 
@@ -21,19 +20,20 @@ _NOTE = (
 
 
 def write_page(folder: Path, out: Path, formats: Sequence[str] = ("png",)) -> tuple[Path | None, list[str]]:
-    """Write ``runs.md`` and the pictures ``runs_curves`` of all runs but managers', which have a page of their own
-    (:mod:`chemlab.agents.evaluate.trained_managers`).
+    """Write ``runs.md`` and the pictures ``runs_curves`` of all runs except those of managers.
+
+    Managers have a separate page (:mod:`chemlab.agents.evaluate.trained_managers`).
 
     Args:
-        folder: runs as training leaves them, or tables of them.
-        out: where page and pictures go; the page shows the first of the formats.
-        formats: endings that matplotlib knows, such as ``png`` and ``svg``.
+        folder: folder of training runs, or of their tables.
+        out: output folder; the page shows the picture of the first format.
+        formats: suffixes of the pictures, such as ``png`` and ``svg``.
 
     Returns:
-        The page, or None where there are no such runs; and runs that the table does not have, with the reason.
+        Path of the page, or None if there are no such runs; and the runs that are not in the table, with the reason.
 
     Raises:
-        ValueError: the folder is not there, or a file in it is not what was written.
+        ValueError: the folder does not exist, or a file in it is malformed.
         ImportError: matplotlib is not installed.
     """
     runs = [run for run in read_runs(folder) if not has_manager(run)]
@@ -46,9 +46,7 @@ def write_page(folder: Path, out: Path, formats: Sequence[str] = ("png",)) -> tu
         return None, left_out
     lines = ["# Training runs", "", _NOTE, "", *cells_table(c for labels in cells.values() for c in labels.values())]
     if tasks:
-        for path in pictures:
-            with import_matplotlib().rc_context(SETTINGS):
-                save_figure(draw_tasks(tasks), path)
+        save_curves(tasks, pictures)
         lines += ["", "## Learning curves", "", f"![learning curves]({pictures[0].name})"]
     if left_out:
         lines += ["", "## Left out", "", *(f"- {line}" for line in left_out)]

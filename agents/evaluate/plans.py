@@ -1,4 +1,4 @@
-"""Open-loop policies: fixed action sequences of the manager or of all agents, and episodes replayed from other seeds.
+"""Open-loop policies: fixed action sequences of the manager or of all agents, and episodes replayed with other seeds.
 
 :class:`Trials` plays several policies on the same seeds. :func:`replay_actions` replays the actions of all agents in a
 donor's episode. The search for sequences is in :mod:`chemlab.agents.evaluate.search`.
@@ -27,9 +27,9 @@ from ..runs import versions
 from . import statistics
 
 SEARCH_SEED = 3_000_000
-"""Of the first episode that plans are tried on: seeds that neither training nor evaluation plays."""
+"""Seed of the first episode in which plans are tried; training and evaluation use other seeds."""
 SEEDS = 8
-"""Seeds a promising plan is tried on."""
+"""Number of seeds on which promising plans are tried."""
 
 Tape = tuple[tuple[Any, ...] | None, ...]
 """Open-loop policy of a bench's agent: the actions of each of its experiments, integers or tuples of numbers.
@@ -51,7 +51,7 @@ class TeamPlan:
     benches: tuple[Tape | None, ...] = ()
 
     def after(self, opening: TeamPlan) -> TeamPlan:
-        """Return the policy that plays an opening first; a bench without a tape there has none at all."""
+        """Return the policy with an opening before it; benches without a tape in the opening have no tape at all."""
         if not opening.plan:
             return self
         pairs = zip(opening.benches, self.benches or [None] * len(opening.benches), strict=True)
@@ -64,7 +64,7 @@ class TeamPlan:
 
     @classmethod
     def of(cls, content: Sequence[Any]) -> TeamPlan:
-        """Return what :meth:`as_list` has returned, also after a file."""
+        """Return the policy of a result of :meth:`as_list`, also one read from a file."""
         plan, benches = content
         return cls(tuple(plan), tuple(None if tape is None else tape_of(tape) for tape in benches))
 
@@ -76,8 +76,7 @@ def tape_of(content: Sequence[Sequence[Any]]) -> Tape:
 
 @dataclass(frozen=True)
 class FoundPlan:
-    """The best plan for a public context; ``score`` is its mean over episodes that it was chosen on, other than those
-    it was found on."""
+    """The best plan for a public context; ``score`` is its mean over episodes that the search did not use."""
 
     context: Context
     team: TeamPlan
@@ -89,10 +88,10 @@ class PlanSearch:
     """The result of a search.
 
     Attributes:
-        scenario: where.
-        benches: who operated the benches.
-        found: for every public context.
-        tried: number of plans.
+        scenario: the scenario.
+        benches: policy of the benches.
+        found: the best plan of each public context.
+        tried: number of plans tried.
     """
 
     scenario: Scenario
@@ -102,36 +101,36 @@ class PlanSearch:
 
     @property
     def plans(self) -> dict[Context, Plan]:
-        """By context."""
+        """The manager's plans by context."""
         return {one.context: one.team.plan for one in self.found}
 
     def play(self, episodes: int = 100, seed: int = 0, split: str = "train") -> FloatArray:
-        """[episodes] scores of the plans; episode i has seed + i, as ``chemlab evaluate`` plays it.
+        """Return [episodes] scores of the plans; episode i has seed + i, as in ``chemlab evaluate``.
 
         Raises:
-            ValueError: the search was not for every context.
+            ValueError: a context has no plan.
         """
         labs = Laboratories(self.scenario, episodes, split=split)
         if not any(one.team.benches for one in self.found):
             return play_laboratory(labs, self.policies(labs), None, seed).returns
         scores = np.empty(episodes)
-        for context, own in drawn_contexts(labs, seed).items():
-            trials = Trials(self.scenario, context, [seed + i for i in own], 1, split)
-            scores[own] = trials.play_teams([self.teams[context]], make_policies(self.benches, trials.labs))[0]
+        for context, members in drawn_contexts(labs, seed).items():
+            trials = Trials(self.scenario, context, [seed + i for i in members], 1, split)
+            scores[members] = trials.play_teams([self.teams[context]], make_policies(self.benches, trials.labs))[0]
         return scores
 
     @property
     def teams(self) -> dict[Context, TeamPlan]:
-        """By context, with the benches' tapes."""
+        """The plans by context, with the benches' tapes."""
         return {one.context: one.team for one in self.found}
 
     def policies(self, labs: Laboratories) -> dict[str, Policy]:
-        """The manager that plays them, and who operates the benches."""
+        """Return the policies of all agents: the manager with the plans, and the benches."""
         manager = ConstantPlan(labs.scenario, labs.channels, labs.actions, self.plans)
         return {**make_policies(self.benches, labs), MANAGER_AGENT: manager}
 
     def as_file(self, command: str, episodes: int = 100) -> PlanFile:
-        """As it is stored, with the score from seeds of its own."""
+        """Return the content of a plan file, with the score over episodes with seeds 0, 1, ..."""
         actions = ManagerActions.of(self.scenario)
         score = statistics.mean([self.play(episodes, 0)])
         plans = [
@@ -153,7 +152,7 @@ class PlanSearch:
 
 
 def plan_words(scenario: Scenario, plan: Iterable[int]) -> list[str]:
-    """A plan's actions in words."""
+    """Return the descriptions of a plan's actions."""
     meanings = ManagerActions.of(scenario).action_meanings
     return [meanings[action] for action in plan]
 
@@ -162,14 +161,14 @@ def plan_words(scenario: Scenario, plan: Iterable[int]) -> list[str]:
 
 
 class Trials:
-    """Laboratories in which several things are tried, each on the same seeds of one public context.
+    """Laboratories in which several candidates are tried, each on the same seeds of one public context.
 
     Args:
-        scenario: where.
+        scenario: the scenario.
         context: the goals of the orders.
-        seeds: of the episodes.
-        most: things tried at once.
-        split: worlds, of a scenario that draws some.
+        seeds: seeds of the episodes.
+        most: maximum number of concurrent candidates.
+        split: split of the worlds, if the scenario has hidden parameters.
     """
 
     def __init__(
@@ -182,20 +181,20 @@ class Trials:
         for member, seed in zip(members.tolist(), self.seed_of.tolist(), strict=True):
             self.labs.seed(member, np.random.SeedSequence(seed))
         self.labs.reset(members, context[0])
-        # A reset by name asks for the same in every order; it draws what any other draws.
+        # A reset with a goal sets it for all orders; its random draws are those of any other reset.
         self.labs.state.goal[members] = [scenario.goals.index(goal) for goal in context]
-        self._begun = self.labs.snapshot()
+        self._start = self.labs.snapshot()
 
     def seed_policies(self, policies: Iterable[Policy]) -> None:
-        """Seed the policies' random streams, equally for equal seeds."""
+        """Seed the policies' random streams; equal seeds of episodes give equal streams."""
         for number, policy in enumerate(policies):
             if hasattr(policy, "seed"):
                 for member, seed in zip(self.labs.members.tolist(), self.seed_of.tolist(), strict=True):
                     policy.seed(member, np.random.SeedSequence([seed, number]))
 
     def play(self, policies: Sequence[Policy], count: int) -> FloatArray:
-        """[count, seeds] the manager's scores; member i plays thing i // len(seeds)."""
-        self.labs.restore(self._begun)
+        """Return [count, seeds] the manager's scores; environment i plays candidate i // len(seeds)."""
+        self.labs.restore(self._start)
         members = self.labs.members[: count * len(self.seeds)]
         Players(self.labs, policies).play_on(members)
         return self.labs.result(members).reshape(count, len(self.seeds))
@@ -203,33 +202,32 @@ class Trials:
     def team_policies(
         self, teams: Sequence[TeamPlan], policies: Mapping[str, Policy], manager: Playback | None = None
     ) -> list[Policy]:
-        """Return the policy of every agent that plays open-loop policies; arguments as of :meth:`play_teams`."""
-        each = [team for team in teams for _ in self.seeds]
-        own = [policies[agent] for agent in self.labs.agents]
-        self.seed_policies(own[1:])
-        own[0] = plays = manager or Playback(self.labs.actions, [team.plan for team in each])
-        for b, bench in enumerate(self.labs.benches):
-            if any(team.benches for team in teams):
-                tapes = [team.benches[b] if team.benches else None for team in each]
-                own[b + 1] = _Taped(tapes, bench, own[b + 1], plays, b)
-        return own
+        """Return the policy of every agent for open-loop policies; arguments as for :meth:`play_teams`."""
+        team_of = [team for team in teams for _ in self.seeds]
+        benches = [policies[agent] for agent in self.labs.bench_agents]
+        self.seed_policies(benches)
+        playback = manager or Playback(self.labs.actions, [team.plan for team in team_of])
+        if any(team.benches for team in teams):
+            for b, bench in enumerate(self.labs.benches):
+                tapes = [team.benches[b] if team.benches else None for team in team_of]
+                benches[b] = _Taped(tapes, bench, benches[b], playback, b)
+        return [playback, *benches]
 
     def play_teams(
         self, teams: Sequence[TeamPlan], policies: Mapping[str, Policy], manager: Playback | None = None
     ) -> FloatArray:
-        """[len(teams), seeds] scores of open-loop policies, each played from every seed.
+        """Return [len(teams), seeds] scores of open-loop policies, each played with every seed.
 
         Args:
             teams: the open-loop policies.
-            policies: of the agents; they play benches without a tape.
-            manager: plays the plans; default: :class:`~chemlab.agents.open_loop.Playback`.
+            policies: policies by agent, which play benches without a tape.
+            manager: manager with the plans; default: :class:`~chemlab.agents.open_loop.Playback`.
         """
         return self.play(self.team_policies(teams, policies, manager), len(teams))
 
 
 def drawn_contexts(labs: Laboratories, seed: int) -> dict[Context, list[int]]:
-    """Return the public contexts of episodes that begin with ``seed``, each with the environment indices that have it;
-    the laboratories are then at the start of these episodes."""
+    """Start episodes, with ``seed`` in laboratory 0, and return the environment indices of each public context."""
     labs.begin(seed)
     found: dict[Context, list[int]] = {}
     for member, row in enumerate(labs.state.goal.tolist()):
@@ -241,14 +239,14 @@ def drawn_contexts(labs: Laboratories, seed: int) -> dict[Context, list[int]]:
 
 
 class TapeRecorder(Watching):
-    """Plays as another policy does, and keeps its actions.
+    """Plays as another policy does, and records its actions.
 
     Args:
-        policy: the other one.
-        members: of the batch.
+        policy: the other policy.
+        members: environment indices of the batch.
 
     Attributes:
-        tapes: by member, of each of its experiments (the manager: of its episode), the actions.
+        tapes: actions of each experiment (of a manager: of the episode), by environment index.
     """
 
     def __init__(self, policy: Policy, members: IntArray) -> None:
@@ -263,15 +261,15 @@ class TapeRecorder(Watching):
 
 
 class _Taped:
-    """A bench's agent that plays a tape whatever it observes; where there is no tape, a policy plays.
+    """Plays tapes at a bench, or another policy in experiments without a tape.
 
-    Where an action is not legal, it ends the experiment.
+    If an action is not legal, it ends the experiment.
 
     Args:
-        tapes: by environment index.
-        bench: whose agent it is.
-        policy: plays where there is no tape.
-        manager: starts the experiments.
+        tapes: tapes by environment index.
+        bench: the bench.
+        policy: policy of experiments without a tape.
+        manager: manager that starts the experiments.
         number: index of the bench.
     """
 
@@ -280,46 +278,45 @@ class _Taped:
     ) -> None:
         self._policy, self._end, self._manager, self._number = policy, bench.end_action, manager, number
         shape = bench.action_space.shape or ()
-        known = {tape: number for number, tape in enumerate(dict.fromkeys(tape for tape in tapes if tape))}
-        self._which = np.array([known[tape] if tape else -1 for tape in tapes])
-        most = max(map(len, known), default=1)
-        longest = max((1, *(len(actions or ()) for tape in known for actions in tape)))
+        rows = {tape: row for row, tape in enumerate(dict.fromkeys(tape for tape in tapes if tape))}
+        self._row_of = np.array([rows[tape] if tape else -1 for tape in tapes])
+        most = max(map(len, rows), default=1)
+        longest = max((1, *(len(actions or ()) for tape in rows for actions in tape)))
         kind = np.int64 if bench.action_count else np.float64
-        self._actions = np.full((len(known), most, longest, *shape), bench.end_action if not shape else 0.0, dtype=kind)
-        self._played = np.ones((max(len(known), 1), most), dtype=np.bool_)
-        for tape, number in known.items():
+        self._actions = np.full((len(rows), most, longest, *shape), bench.end_action if not shape else 0.0, dtype=kind)
+        self._has_tape = np.ones((max(len(rows), 1), most), dtype=np.bool_)
+        for tape, row in rows.items():
             for e in range(most):
                 actions = tape[min(e, len(tape) - 1)]
-                self._played[number, e] = actions is not None
+                self._has_tape[row, e] = actions is not None
                 if actions:
-                    self._actions[number, e] = [*actions, *[actions[-1]] * (longest - len(actions))]
+                    self._actions[row, e] = [*actions, *[actions[-1]] * (longest - len(actions))]
 
-    def _place(self, members: IntArray) -> tuple[IntArray, BoolArray]:
-        """Return [B] the row of the present experiment in a tape, and whether a tape is played."""
-        number = np.maximum(self._manager.started[members, self._number] - 1, 0)  # clip looks up bounds of integers
-        experiment, which = np.minimum(number, self._actions.shape[1] - 1), self._which[members]
-        return experiment, self._played[which, experiment] & (which >= 0)
+    def _current(self, members: IntArray) -> tuple[IntArray, BoolArray]:
+        """Return [B] the index of the current experiment in a tape, and [B] True where a tape is played."""
+        number = np.maximum(self._manager.started[members, self._number] - 1, 0)  # faster than np.clip for integers
+        experiment, row = np.minimum(number, self._actions.shape[1] - 1), self._row_of[members]
+        return experiment, self._has_tape[row, experiment] & (row >= 0)
 
     def reads(self, members: IntArray) -> BoolArray:
-        """See :class:`chemlab.envs.players.Policy`: where no tape is played."""
-        return ~self._place(members)[1]
+        """See :class:`chemlab.envs.players.Policy`. Observations are read where no tape is played."""
+        return ~self._current(members)[1]
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
-        longest, (experiment, taped) = self._actions.shape[2], self._place(members)
-        played = np.zeros((len(members), *self._actions.shape[3:]), dtype=self._actions.dtype)
+        experiment, taped = self._current(members)
+        actions = np.zeros((len(members), *self._actions.shape[3:]), dtype=self._actions.dtype)
         if not taped.all():
             allowed = None if mask is None else mask[~taped]
-            played[~taped] = self._policy.act(observation[~taped], allowed, step[~taped], members[~taped])
+            actions[~taped] = self._policy.act(observation[~taped], allowed, step[~taped], members[~taped])
         if taped.any():
-            own, turn = members[taped], np.minimum(step[taped], longest - 1)
-            chosen = self._actions[self._which[own], experiment[taped], turn]
+            row, turn = self._row_of[members[taped]], np.minimum(step[taped], self._actions.shape[2] - 1)
+            chosen = self._actions[row, experiment[taped], turn]
             if mask is not None:
-                allowed = mask[taped] != 0
-                rows = np.arange(len(own))
-                other = np.where(allowed[:, self._end], self._end, allowed.argmax(axis=1))
-                chosen = np.where(allowed[rows, chosen], chosen, other)
-            played[taped] = chosen
-        return played
+                legal = mask[taped] != 0
+                end = np.where(legal[:, self._end], self._end, legal.argmax(axis=1))
+                chosen = np.where(legal[np.arange(len(legal)), chosen], chosen, end)
+            actions[taped] = chosen
+        return actions
 
 
 def replay_actions(
@@ -330,32 +327,32 @@ def replay_actions(
     seed: int = 0,
     split: str = "train",
 ) -> FloatArray:
-    """Play again, without looking, what all agents did in one episode: for each public context the best of some donors.
+    """Replay the actions of all agents in one episode, the best of several donor episodes for each public context.
 
-    The manager plays its actions as a constant plan does. Donors play seeds of their own, are chosen on others again,
-    and are scored on ``episodes`` further seeds. With ``plan`` for the policy, the donors' manager is blind already: a
-    constant plan of everybody.
+    The manager's actions are played as an open-loop plan. Donor episodes, the episodes on which the best donor is
+    chosen, and the scored episodes have different seeds. With found plans or the policy ``plan``, the result is an
+    open-loop policy of all agents with this plan.
 
     Args:
-        scenario: where.
-        policy: who is replayed, see :func:`~chemlab.agents.policies.make_policies`; or found plans, with their benches.
-        donors: episodes to choose from, for each context.
-        episodes: episode i has seed + i and the goals that it draws.
-        seed: of the first.
-        split: worlds of the episodes that are scored, where the scenario draws any; donors are from train.
+        scenario: the scenario.
+        policy: policy of the donors, see :func:`~chemlab.agents.policies.make_policies`; or found plans.
+        donors: number of donor episodes for each context.
+        episodes: number of scored episodes; episode i has seed + i and draws its goals.
+        seed: seed of the first scored episode.
+        split: split of the scored worlds, if the scenario has hidden parameters; donors are from ``train``.
 
     Returns:
         [episodes] scores.
 
     Raises:
-        ValueError: unknown policy, or fewer than one donor or episode.
+        ValueError: the policy is unknown, or there is no donor or episode.
     """
     spec = load_scenario(scenario)
     if donors < 1 or episodes < 1:
         raise ValueError(f"replay: needs at least one donor and one episode, given {donors} and {episodes}")
     labs = Laboratories(spec, episodes, split=split)
     scores = np.empty(episodes)
-    for context, own in drawn_contexts(labs, seed).items():
+    for context, members in drawn_contexts(labs, seed).items():
         trials = Trials(spec, context, range(SEARCH_SEED, SEARCH_SEED + donors), 1)
         tapes = recorded_tapes(trials, _players(policy, trials.labs))
         teams = [
@@ -363,8 +360,8 @@ def replay_actions(
         ]
         choice = Trials(spec, context, range(SEARCH_SEED + donors, SEARCH_SEED + donors + SEEDS), donors)
         chosen = int(choice.play_teams(teams, _players(policy, choice.labs)).mean(axis=1).argmax())
-        final = Trials(spec, context, [seed + i for i in own], 1, split)
-        scores[own] = final.play_teams([teams[chosen]], _players(policy, final.labs))[0]
+        final = Trials(spec, context, [seed + i for i in members], 1, split)
+        scores[members] = final.play_teams([teams[chosen]], _players(policy, final.labs))[0]
     return scores
 
 
@@ -373,9 +370,9 @@ def _players(policy: str | PlanSearch, labs: Laboratories) -> dict[str, Policy]:
 
 
 def recorded_tapes(trials: Trials, policies: Mapping[str, Policy]) -> list[list[list[list[Any]]]]:
-    """[agents][members] tapes of one episode from each of the trials' seeds."""
-    each = [policies[agent] for agent in trials.labs.agents]
-    trials.seed_policies(each)
-    taped = [TapeRecorder(policy, trials.labs.members) for policy in each]
-    trials.play(taped, 1)
-    return [own.tapes for own in taped]
+    """Play one episode with each of the trials' seeds, and return the tapes [agents][environments]."""
+    ordered = [policies[agent] for agent in trials.labs.agents]
+    trials.seed_policies(ordered)
+    recorders = [TapeRecorder(policy, trials.labs.members) for policy in ordered]
+    trials.play(recorders, 1)
+    return [recorder.tapes for recorder in recorders]

@@ -1,4 +1,4 @@
-"""Evaluate policies: many experiments at once, per goal, every policy from the same seeds."""
+"""Evaluate policies: every policy plays episodes with the same seeds, for each goal."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from . import statistics
 from .statistics import Estimate
 
 BATCH = 256
-"""Most experiments played at once; results do not depend on it (but those of random policies)."""
+"""Maximum number of concurrent episodes; results do not depend on it."""
 _MOST = 0.5
 _OBSTACLES = {"limit": "ran out of actions or ticks", "nothing": "submitted nothing"}
-"""Measures of a laboratory that deserve a note, in words."""
+"""Descriptions of measures of a laboratory; a note reports a measure above ``_MOST``."""
 DRAWN = "drawn"
-"""In place of a laboratory's goal: each episode draws the goals of its orders."""
+"""Name used instead of a goal if each episode draws the goals of its orders."""
 
 
-# -- what is evaluated ----------------------------------------------------------------------------------------------
+# -- targets --------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Target:
-    """A single bench of a scenario, or (``bench`` None) its laboratory; ``env_id`` where it was given by one.
+    """A bench or a laboratory in which policies are evaluated.
 
     Attributes:
         scenario: the scenario.
-        bench: key of the bench.
-        starts: starting states of a bench.
-        env_id: id of a registered environment.
-        split: worlds, of a scenario that draws some.
+        bench: key of the bench; None: the laboratory.
+        starts: initial states of a bench.
+        env_id: id of the registered environment, if given by one.
+        split: split of the worlds, if the scenario has hidden parameters.
     """
 
     scenario: Scenario
@@ -58,16 +58,16 @@ class Target:
 
     @property
     def goals(self) -> tuple[str, ...]:
-        """Goals that may be asked for."""
+        """Available goals."""
         return tuple(self.scenario.goals if self.bench else self.scenario.lab_goals)
 
     @property
     def default_goals(self) -> tuple[str, ...]:
-        """All goals of a bench; of a laboratory :data:`DRAWN`."""
+        """All goals of a bench; :data:`DRAWN` for a laboratory."""
         return self.goals if self.bench else (DRAWN,)
 
     def as_dict(self) -> dict[str, Any]:
-        """For results files."""
+        """Return the description in result files."""
         return {
             "kind": "bench" if self.bench else "laboratory",
             "env_id": self.env_id,
@@ -78,7 +78,7 @@ class Target:
         }
 
     def environment(self, members: int) -> RoleVectorEnv:
-        """A batch of the bench."""
+        """Return a batch of environments of the bench."""
         assert self.bench is not None, "laboratories have no single-bench environment"
         return RoleVectorEnv(
             members,
@@ -90,7 +90,11 @@ class Target:
         )
 
     def check(self, policy: str) -> None:
-        """Raise a ValueError if the policy does not fit."""
+        """Check that a policy fits.
+
+        Raises:
+            ValueError: it does not.
+        """
         if self.bench:
             bench_policy(policy, self.environment(1).bench)
         else:
@@ -98,12 +102,13 @@ class Target:
 
     def play(self, policy: str, goal: str, episodes: int, seed: int) -> Played:
         """Play episodes of a policy given by name; episode i has seed + i."""
-        parts = []
-        for first in range(0, episodes, BATCH):
-            parts.append(self._batch(policy, goal, min(BATCH, episodes - first), seed + first))
-        return Played.joined(parts)
+        batches = [(policy, goal, first) for first in range(0, episodes, BATCH)]
+        return Played.joined([self.play_batch(batch, episodes, seed) for batch in batches])
 
-    def _batch(self, policy: str, goal: str, count: int, seed: int) -> Played:
+    def play_batch(self, batch: tuple[str, str, int], episodes: int, seed: int) -> Played:
+        """Play a batch of :meth:`play`'s episodes: (policy, goal, number of the first episode)."""
+        policy, goal, first = batch
+        count, seed = min(BATCH, episodes - first), seed + first
         if self.bench:
             env = self.environment(count)
             return play_bench(env, bench_policy(policy, env.bench), goal, seed)
@@ -112,17 +117,17 @@ class Target:
 
 
 def find_target(name: str, bench: str | None = None, starts: str = "paper", split: str = "train") -> Target:
-    """Find what is evaluated.
+    """Return the target of an evaluation.
 
     Args:
         name: id of a registered single-bench environment, or a scenario.
-        bench: bench of the scenario; without one the whole laboratory.
-        starts: starting states of a single bench, ``paper``, ``lab`` or ``both``.
-        split: worlds, of a scenario that draws some.
+        bench: bench of the scenario; None: the laboratory.
+        starts: initial states of a single bench: ``paper``, ``lab`` or ``both``.
+        split: split of the worlds, if the scenario has hidden parameters.
 
     Raises:
         ValueError: ``name`` is an id that is not registered or not a bench's, or an argument does not apply to it.
-        DataError: unknown scenario or bench.
+        DataError: the scenario or the bench is unknown.
     """
     if name in gymnasium.registry:
         spec = gymnasium.spec(name)
@@ -162,22 +167,21 @@ def evaluate(
 
     Args:
         target: a bench or a laboratory.
-        policies: names or paths, see :func:`~chemlab.agents.policies.bench_policy`; the baseline is played whether or
-            not it is among them.
-        episodes: for each goal; episode i has seed + i, whatever the policy and the goal.
-        seed: of the first episode.
+        policies: names or paths, see :func:`~chemlab.agents.policies.bench_policy`; the baseline is added.
+        episodes: number of episodes for each goal; episode i has seed + i for every policy and goal.
+        seed: seed of the first episode.
         goals: default: all goals of a bench; in a laboratory each episode draws its goals (:data:`DRAWN`).
-        baseline: what improvement is measured over.
+        baseline: policy that the others are compared with.
         watch: called with the number of episodes just played.
-        executor: plays batches of episodes, see :mod:`chemlab.agents.executors`; None: this process.
+        executor: executor of the batches, see :mod:`chemlab.agents.executors`; None: this process.
 
     Returns:
-        Plain data, as ``chemlab evaluate --out`` writes it: what was played, and for each policy the mean,
-        interquartile mean, mean paired difference to the baseline and paired probability of improvement over it (each
-        ``value``, ``low``, ``high``), the same by goal, and every episode's return.
+        Plain data, as ``chemlab evaluate --out`` writes it: the settings, and for each policy the mean, interquartile
+        mean, mean paired difference to the baseline and paired probability of improvement over it (each ``value``,
+        ``low``, ``high``), the same by goal, and every episode's return.
 
     Raises:
-        ValueError: unknown policy or goal, or fewer than one episode.
+        ValueError: a policy or goal is unknown, or there is no episode.
     """
     chosen = tuple(goals or target.default_goals)
     known = dict.fromkeys((*target.goals, *target.default_goals))
@@ -189,18 +193,16 @@ def evaluate(
     names = list(dict.fromkeys((baseline, *map(current_name, policies))))
     for name in names:
         target.check(name)
-    batches = [(name, goal, first) for name in names for goal in chosen for first in range(0, episodes, BATCH)]
-    play = functools.partial(_batch, target=target, episodes=episodes, seed=seed)
-    played: dict[tuple[str, str, int], Played] = {}
+    firsts = range(0, episodes, BATCH)
+    batches = [(name, goal, first) for name in names for goal in chosen for first in firsts]
+    parts: dict[tuple[str, str, int], Played] = {}
+    play = functools.partial(target.play_batch, episodes=episodes, seed=seed)
     for batch, part in completed(executor or Inline(), play, batches):
-        played[batch] = part
+        parts[batch] = part
         if watch is not None:
             watch(len(part.returns))
-    found = {
-        name: {
-            goal: Played.joined([played[name, goal, first] for first in range(0, episodes, BATCH)]) for goal in chosen
-        }
-        for name in names
+    played = {
+        name: {goal: Played.joined([parts[name, goal, first] for first in firsts]) for goal in chosen} for name in names
     }
     return {
         "kind": "evaluation",
@@ -212,21 +214,14 @@ def evaluate(
         "baseline": baseline,
         "confidence": statistics.CONFIDENCE,
         "versions": versions(),
-        "policies": [_report(name, played, found[baseline]) for name, played in found.items()],
+        "policies": [_report(name, by_goal, played[baseline]) for name, by_goal in played.items()],
     }
 
 
-def _batch(batch: tuple[str, str, int], target: Target, episodes: int, seed: int) -> Played:
-    """The episodes of (policy, goal) that are played at once from number ``first`` on."""
-    policy, goal, first = batch
-    return target.play(policy, goal, min(BATCH, episodes - first), seed + first)
-
-
 def _report(name: str, played: dict[str, Played], baseline: dict[str, Played]) -> dict[str, Any]:
-    """One policy's part of the results."""
-    episodes = list(played.values())
-    cases = sorted({case for goal in episodes for case in goal.cases} - {""})
-    everything = Played.joined(episodes)
+    """Return the results of one policy; episodes are by goal."""
+    everything = Played.joined(list(played.values()))
+    cases = sorted(set(everything.cases) - {""})
     return {
         "policy": name,
         **_statistics(list(played), played, baseline),
@@ -234,46 +229,46 @@ def _report(name: str, played: dict[str, Played], baseline: dict[str, Played]) -
             goal: {**_statistics([goal], played, baseline), "mean_length": float(episodes.lengths.mean())}
             for goal, episodes in played.items()
         },
-        "by_case": {case: _case_mean(case, episodes).as_dict() for case in cases},
+        "by_case": {case: _case_mean(case, list(played.values())).as_dict() for case in cases},
         "mean_length": float(everything.lengths.mean()),
         "mean_cost": float(everything.cost.mean()),
         "illegal_actions_per_episode": float(everything.illegal.mean()),
         "measures": {key: float(values.mean()) for key, values in everything.measures.items()},
-        # 6 decimals: far finer than anything a score depends on, and half the file.
+        # Six decimals are much finer than differences of scores, and halve the size of the file.
         "returns": {goal: np.round(episodes.returns, 6).tolist() for goal, episodes in played.items()},
         "cases": {goal: episodes.cases for goal, episodes in played.items()} if cases else {},
     }
 
 
 def notes(results: dict[str, Any]) -> list[str]:
-    """Return a note for each policy that did nothing, or ran into a limit, in most episodes where the baseline did not.
+    """Return notes on policies that submitted nothing or reached a limit in most episodes, unless the baseline did.
 
     Args:
-        results: of :func:`evaluate`.
+        results: results of :func:`evaluate`.
     """
     rows = {row["policy"]: row["measures"] for row in results["policies"]}
-    usual, found = rows[results["baseline"]], []
+    reference, found = rows[results["baseline"]], []
     for name, measures in rows.items():
         for measure, words in _OBSTACLES.items():
             share = measures.get(measure, 0.0)
-            if share > _MOST and usual.get(measure, 0.0) <= _MOST:
+            if share > _MOST and reference.get(measure, 0.0) <= _MOST:
                 advice = f"; compare {split_way(name)[0]}:{SAMPLED}" if is_saved(name) else ""
                 found.append(f"{name} {words} in {share:.0%} of the episodes{advice}")
     return found
 
 
 def _case_mean(case: str, goals: Sequence[Played]) -> Estimate:
-    """Mean return of the episodes that began in a state of one kind."""
-    chosen = [np.array(goal.cases) == case for goal in goals]
-    together = all(np.array_equal(one, chosen[0]) for one in chosen)
-    returns = [goal.returns[one] for goal, one in zip(goals, chosen, strict=True) if one.any()]
+    """Return the mean return of the episodes with one kind of initial state."""
+    rows = [np.array(played.cases) == case for played in goals]
+    together = all(np.array_equal(own, rows[0]) for own in rows)
+    returns = [played.returns[own] for played, own in zip(goals, rows, strict=True) if own.any()]
     return statistics.mean(returns, together=together)
 
 
 def _statistics(
     goals: Sequence[str], played: dict[str, Played], baseline: dict[str, Played]
 ) -> dict[str, dict[str, float]]:
-    """Statistics over goals, whose episodes have the same seeds and so belong together."""
+    """Return statistics over goals; episodes of different goals with one seed belong together."""
     ours = [played[goal].returns for goal in goals]
     theirs = [baseline[goal].returns for goal in goals]
     estimates: dict[str, Estimate] = {

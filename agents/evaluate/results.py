@@ -1,6 +1,6 @@
-"""Training runs as evaluation sees them, and what runs that differ in their seed alone come to together.
+"""Read training runs for evaluation, and aggregate runs that differ only in their seed.
 
-Runs are read from their folders, as training leaves them, or from the tables that :func:`write_runs` makes of those:
+Runs are read from the folders that training writes, or from the tables that :func:`write_runs` writes:
 
 | File | A row for each | Columns |
 |---|---|---|
@@ -9,8 +9,8 @@ Runs are read from their folders, as training leaves them, or from the tables th
 | `evaluations.csv.gz` | evaluation and goal | the same during training |
 | `curves.csv.gz` | rollout | mean and standard deviation of the training episodes that ended in it |
 
-Curves have every point, rounded to 5 decimals: a thousandth of what a line of a figure is wide. Evaluations during
-training are rounded to 9; returns are not rounded, since intervals over a few runs depend on which of their means tie.
+Curves have all points, rounded to 5 decimals: a thousandth of the width of a line in a figure. Evaluations during
+training are rounded to 9 decimals. Returns are not rounded, because intervals over a few runs depend on ties.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _SCALARS: dict[str, type] = {
     "best_step": int,
     "episodes_per_goal": int,
 }
-"""Of :class:`~chemlab.agents.runs.RunResult`."""
+"""Fields of :class:`~chemlab.agents.runs.RunResult` in ``runs.csv``, with their types."""
 _NAMES = ("scenario", "bench", "fingerprint")
 _TABLES: dict[str, tuple[str, ...]] = {
     "runs.csv": ("run", *_NAMES, *_SCALARS, "arguments", "versions"),
@@ -55,7 +55,7 @@ _NUMBERS: dict[str, type] = (
     | {"step": int}
     | dict.fromkeys(("best", "last", "scripted", "mean", "std"), float)
 )
-"""Columns of numbers."""
+"""Types of numeric columns."""
 _CURVE_DECIMALS, _DECIMALS = 5, 9
 _Rows = list[dict[str, str]]
 _ABBREVIATIONS = ("ppo", "a2c", "dqn", "sac", "td3", "xl")
@@ -68,12 +68,12 @@ class TrainedRun:
     """A training run, finished or not.
 
     Attributes:
-        name: its path below the folder that was read.
-        config: its ``config.json``.
-        result: None while it is not finished.
+        name: path relative to the folder that was read.
+        config: content of ``config.json``.
+        result: result; None if the run is not finished.
         curve: [P, 3] step, mean and standard deviation of the returns of the episodes that ended in each rollout.
-        evaluations: those during training.
-        folder: where its checkpoints may be; None where it comes from a table.
+        evaluations: evaluations during training.
+        folder: folder of the run, with its checkpoints; None if it was read from a table.
     """
 
     name: str
@@ -85,7 +85,7 @@ class TrainedRun:
 
     @property
     def finished(self) -> RunResult:
-        """The result of a run that has one."""
+        """Result of a finished run."""
         assert self.result is not None, f"{self.name} is not finished"
         return self.result
 
@@ -109,10 +109,10 @@ def task_title(run: TrainedRun) -> str:
 
 
 def read_runs(folder: Path) -> list[TrainedRun]:
-    """Every run of a folder of tables, or every run below another folder, in order of its path.
+    """Return the runs in a folder of tables, or all runs below another folder, sorted by path.
 
     Raises:
-        ValueError: the folder is not there, or a file in it is not what was written.
+        ValueError: the folder does not exist, or a file in it is malformed.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder}: no such folder of results")
@@ -141,35 +141,33 @@ def _from_tables(folder: Path) -> list[TrainedRun]:
     except DataError as error:
         raise ValueError(f"{folder}: {error}") from error
     except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{folder}: not the tables of finished runs that belong together ({error!r})") from error
+        raise ValueError(f"{folder}: not tables of finished runs, or of different runs ({error!r})") from error
 
 
 def _from_rows(name: str, rows: dict[str, _Rows]) -> TrainedRun:
+    """Return a run from its rows of all tables."""
     (row,) = rows["runs.csv"]
-    best, best_mean = _by_goal(rows["returns.csv"], "best")
-    last, last_mean = _by_goal(rows["returns.csv"], "last")
-    scripted, scripted_mean = _by_goal(rows["returns.csv"], "scripted")
-    returns: dict[str, Any] = {"by_goal": best, "mean": best_mean, "last_by_goal": last, "last_mean": last_mean}
-    returns |= {"scripted_by_goal": scripted, "scripted_mean": scripted_mean}
-    scalars = {key: kind(row[key]) for key, kind in _SCALARS.items()}
-    result = checked_result({**scalars, **returns}, name)
+    values: dict[str, Any] = {key: kind(row[key]) for key, kind in _SCALARS.items()}
+    for column, prefix in (("best", ""), ("last", "last_"), ("scripted", "scripted_")):
+        values[f"{prefix}by_goal"], values[f"{prefix}mean"] = _by_goal(rows["returns.csv"], column)
+    result = checked_result(values, name)
     config: dict[str, Any] = {key: row[key] for key in (*_NAMES, "label", "algo", "env_id")}
     config |= {"seed": result.seed, "goals": list(result.by_goal), **parse_json(row["arguments"], f"{name}: arguments")}
     config["versions"] = parse_json(row["versions"], f"{name}: versions")
     checked_config(config, name)
-    steps: dict[int, _Rows] = {}
-    for one in rows.get("evaluations.csv.gz", ()):
-        steps.setdefault(int(one["step"]), []).append(one)
+    by_step: dict[int, _Rows] = {}
+    for evaluation in rows.get("evaluations.csv.gz", ()):
+        by_step.setdefault(int(evaluation["step"]), []).append(evaluation)
     evaluations = []
-    for step, some in steps.items():
-        (ours, mean), (theirs, beside) = _by_goal(some, "mean"), _by_goal(some, "scripted")
-        evaluations.append(Evaluation(step, mean or 0.0, ours or {}, beside, theirs))
+    for step, at_step in by_step.items():
+        (by_goal, mean), (scripted, scripted_mean) = _by_goal(at_step, "mean"), _by_goal(at_step, "scripted")
+        evaluations.append(Evaluation(step, mean or 0.0, by_goal or {}, scripted_mean, scripted))
     points = [(int(p["step"]), float(p["mean"]), float(p["std"])) for p in rows.get("curves.csv.gz", ())]
     return TrainedRun(name, config, result, np.array(points, dtype=np.float64).reshape(-1, 3), evaluations)
 
 
 def _by_goal(rows: _Rows, column: str) -> tuple[dict[str, float] | None, float | None]:
-    """A column's numbers by goal and their mean; None where a cell is empty (there is no scripted policy)."""
+    """Return a column's numbers by goal, and their mean; (None, None) if a cell is empty (no scripted policy)."""
     if any(not row[column] for row in rows):
         return None, None
     by_goal = {row["goal"]: float(row[column]) for row in rows}
@@ -177,13 +175,13 @@ def _by_goal(rows: _Rows, column: str) -> tuple[dict[str, float] | None, float |
 
 
 def write_runs(folder: Path, runs: Iterable[TrainedRun]) -> None:
-    """Make a folder's tables of finished runs (others are left out), in order of their names."""
+    """Write the tables of finished runs, sorted by name, to a folder; other runs are omitted."""
     rows: dict[str, list[dict[str, Any]]] = {name: [] for name in _TABLES}
-    elsewhere = {*_NAMES, *_SCALARS, "goals", "versions"} - {"steps"}
+    in_columns = {*_NAMES, *_SCALARS, "goals", "versions"} - {"steps"}
     for run in sorted((run for run in runs if run.result is not None), key=lambda run: run.name):
         config, result, name = run.config, run.finished, {"run": run.name}
-        given = {key: value for key, value in config.items() if value is not None and key not in elsewhere}
-        data = {"arguments": given, "versions": config.get("versions", {})}
+        arguments = {key: value for key, value in config.items() if value is not None and key not in in_columns}
+        data = {"arguments": arguments, "versions": config.get("versions", {})}
         rows["runs.csv"].append(
             name
             | {key: config.get(key, "") for key in _NAMES}
@@ -191,9 +189,9 @@ def write_runs(folder: Path, runs: Iterable[TrainedRun]) -> None:
             | {key: json.dumps(value, separators=(",", ":")) for key, value in data.items()}
         )
         for goal, best in result.by_goal.items():
-            beside = {"last": result.last_by_goal[goal], "scripted": (result.scripted_by_goal or {}).get(goal)}
-            cells = {key: number(value) for key, value in {"best": best, **beside}.items()}
-            rows["returns.csv"].append(name | {"goal": goal} | cells)
+            scripted_return = (result.scripted_by_goal or {}).get(goal)
+            returns = {"best": best, "last": result.last_by_goal[goal], "scripted": scripted_return}
+            rows["returns.csv"].append(name | {"goal": goal} | {key: number(value) for key, value in returns.items()})
         for e in run.evaluations:
             scripted = e.scripted_by_goal or {}
             for goal, mean in e.by_goal.items():
@@ -206,12 +204,12 @@ def write_runs(folder: Path, runs: Iterable[TrainedRun]) -> None:
         write_table(folder / file, columns, rows[file])
 
 
-# -- runs together ----------------------------------------------------------------------------------------------------
+# -- aggregates -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Cell:
-    """The finished runs of one task and label, which differ in their seed alone."""
+    """Finished runs of one task and label, which differ only in their seed."""
 
     title: str
     label: str
@@ -219,12 +217,12 @@ class Cell:
 
     @property
     def best(self) -> TrainedRun:
-        """The run whose best policy has the highest mean return."""
+        """Run whose best policy has the highest mean return."""
         return max(self.runs, key=lambda run: run.finished.mean)
 
     @property
     def steps(self) -> int:
-        """Steps of a run."""
+        """Number of steps of each run."""
         return self.runs[0].finished.steps
 
     @property
@@ -233,40 +231,40 @@ class Cell:
         return list(self.best.finished.by_goal)
 
     def relative(self) -> FloatArray:
-        """[runs, G] return of each run's best policy over the scripted one's; NaN where that is not above 0."""
-        ours, theirs = self.by_goal(), self.scripted_by_goal()
-        ratios: FloatArray = np.divide(ours, theirs, out=np.full(ours.shape, np.nan), where=theirs > 0.0)
+        """Return [runs, G] ratios of each run's best policy to the scripted one; NaN if the latter is not above 0."""
+        learned, scripted = self.by_goal(), self.scripted_by_goal()
+        ratios: FloatArray = np.divide(learned, scripted, out=np.full(learned.shape, np.nan), where=scripted > 0.0)
         return ratios
 
     def by_goal(self) -> FloatArray:
-        """[runs, G] return of each run's best policy."""
+        """Return [runs, G] returns of each run's best policy."""
         return np.array([[run.finished.by_goal[goal] for goal in self.goals] for run in self.runs])
 
     def scripted_by_goal(self) -> FloatArray:
-        """[runs, G] return of the scripted policy, on each run's seeds; NaN where there is none."""
+        """Return [runs, G] returns of the scripted policy with each run's seeds; NaN if there is none."""
         return np.array(
             [[(run.finished.scripted_by_goal or {}).get(goal, np.nan) for goal in self.goals] for run in self.runs]
         )
 
     def best_ratios(self) -> dict[str, float]:
-        """:meth:`relative` of the best run, by goal."""
+        """Return :meth:`relative` of the best run, by goal."""
         return dict(zip(self.goals, self.relative()[self.runs.index(self.best)].tolist(), strict=True))
 
     def mean_ratios(self) -> dict[str, float]:
-        """Mean over runs of :meth:`relative`, by goal."""
+        """Return the mean over runs of :meth:`relative`, by goal."""
         return dict(zip(self.goals, self.relative().mean(axis=0).tolist(), strict=True))
 
     def means(self) -> FloatArray:
-        """[runs] mean return over goals of each run's best policy."""
+        """Return [runs] means over goals of each run's best policy."""
         return np.array([run.finished.mean for run in self.runs])
 
     def scripted_mean(self) -> float | None:
-        """Mean return of the scripted policy, over the runs' evaluations of it."""
+        """Return the mean return of the scripted policy over the evaluations of all runs; None if there is none."""
         known = [mean for run in self.runs if (mean := run.finished.scripted_mean) is not None]
         return float(np.mean(known)) if known else None
 
     def training_ends(self) -> FloatArray:
-        """[runs] mean training return in the last tenth of each curve, where it has one."""
+        """Return the mean training return in the last tenth of each run's curve, for runs with a curve."""
         curves = [run.curve for run in self.runs if len(run.curve)]
         return np.array([c[c[:, 0] >= 0.9 * c[-1, 0], 1].mean() for c in curves])
 
@@ -276,32 +274,33 @@ Cells = dict[str, dict[str, Cell]]
 
 
 def cells_of(runs: Sequence[TrainedRun], task_of: Callable[[TrainedRun], str] = task_title) -> tuple[Cells, list[str]]:
-    """Finished runs together, and which runs are in no cell and why.
+    """Return the cells of finished runs, and the runs that are in no cell, with the reason.
 
-    A label may have been trained in more than one way (numbers of steps, hyperparameters); a cell takes the way that
-    has most runs, and of several the one with most steps.
+    If runs of one label have different settings (steps, hyperparameters), the cell has the settings of most runs, or,
+    if there are several, those with most steps.
     """
-    ways: dict[tuple[str, str], dict[str, list[TrainedRun]]] = {}
+    groups: dict[tuple[str, str], dict[str, list[TrainedRun]]] = {}
     left_out = [f"{run.name}: not finished" for run in runs if run.result is None]
     for run in runs:
         if run.result is not None:
-            own = {k: v for k, v in run.config.items() if k not in _PER_RUN and v is not None}
-            way = json.dumps(own, sort_keys=True)
-            ways.setdefault((task_of(run), run.result.label), {}).setdefault(way, []).append(run)
+            settings = {k: v for k, v in run.config.items() if k not in _PER_RUN and v is not None}
+            by_settings = groups.setdefault((task_of(run), run.result.label), {})
+            by_settings.setdefault(json.dumps(settings, sort_keys=True), []).append(run)
     cells: Cells = {}
-    for (task, label), groups in ways.items():
-        chosen = max(groups.values(), key=lambda some: (len(some), some[0].finished.steps))
+    for (task, label), by_settings in groups.items():
+        chosen = max(by_settings.values(), key=lambda group: (len(group), group[0].finished.steps))
         cells.setdefault(task, {})[label] = Cell(task, label, sorted(chosen, key=lambda run: run.finished.seed))
-        others = (run for some in groups.values() if some is not chosen for run in some)
-        for run in others:
+        for run in (run for group in by_settings.values() if group is not chosen for run in group):
             other = [name for name in differences(run.config, chosen[0].config) if name not in _PER_RUN]
             left_out.append(f"{run.name}: {', '.join(other)} differ from most {label} runs there ({chosen[0].name})")
     return cells, left_out
 
 
 def cells_table(cells: Iterable[Cell]) -> list[str]:
-    """The lines of a Markdown table: returns over runs with confidence intervals over the seeds of training, and the
-    comparison with the scripted policy. A single run has no intervals."""
+    """Return the lines of a Markdown table of returns and the comparison with the scripted policy.
+
+    Confidence intervals are over training seeds; a single run has none.
+    """
     names = (
         *("experiment", "algorithm", "runs", "steps", "mean", "interquartile mean", "best run", "last", "scripted"),
         *("P(better)", "best after", "minutes"),
@@ -310,9 +309,9 @@ def cells_table(cells: Iterable[Cell]) -> list[str]:
 
 
 def _cell_row(cell: Cell) -> list[str]:
-    results, reference = [run.finished for run in cell.runs], cell.scripted_mean()
+    results, scripted = [run.finished for run in cell.runs], cell.scripted_mean()
     better = "-"
-    if reference is not None:
+    if scripted is not None:
         # Each run plays every goal.
         improvement = statistics.probability_of_improvement(
             list(cell.by_goal().T), list(cell.scripted_by_goal().T), together=True
@@ -323,7 +322,7 @@ def _cell_row(cell: Cell) -> list[str]:
         *(str(statistics.mean([cell.means()])), str(statistics.interquartile_mean([cell.means()]))),
         number_text(cell.best.finished.mean),
         number_text(float(np.mean([result.last_mean for result in results]))),
-        "-" if reference is None else number_text(reference),
+        "-" if scripted is None else number_text(scripted),
         better,
         f"{np.median([result.best_step for result in results]) / 1000.0:.0f}k",
         f"{np.mean([result.seconds for result in results]) / 60.0:.1f}",

@@ -1,4 +1,4 @@
-"""The scale of audits and benchmarks: 0 is random legal play, 1 a planner that knows each episode's world."""
+"""The scale of audits and benchmarks: 0 is random legal play, 1 the oracle."""
 
 from __future__ import annotations
 
@@ -14,53 +14,54 @@ from . import statistics
 
 
 class Scale:
-    """Statistics of scores on the audit's scale, of all episodes and without each group of them (the jackknife).
+    """Normalized statistics of scores: of all E episodes, and without each of G groups of episodes (jackknife).
 
-    Random play and the planner played the same episodes, so that their means are left out together with a score's.
+    Random play and the oracle played the same episodes, so a group is left out of their means as well.
 
     Args:
         random, oracle: [E] scores of each episode.
-        groups: [E] what is drawn independently, such as the training run that played an episode; default: episodes.
+        groups: [E] index of the independent sample of each episode, such as the training run that played it; default:
+            each episode is one.
 
     Attributes:
-        span: the planner's mean score less random play's.
+        span: mean score of the oracle minus that of random play.
     """
 
     def __init__(self, random: FloatArray, oracle: FloatArray, groups: Sequence[int] | None = None) -> None:
-        own = np.arange(len(random)) if groups is None else np.asarray(groups)
-        kinds = np.unique(own)
-        # [1 + G, E]: all episodes, then those outside each group; a single group leaves none.
-        kept = [own != kind for kind in kinds] if len(kinds) > 1 else []
-        self._kept = np.array([np.ones(len(own), dtype=np.bool_), *kept])
+        group_of = np.arange(len(random)) if groups is None else np.asarray(groups)
+        names = np.unique(group_of)
+        # [1 + G, E]: all episodes, then those outside each group; without a single group, no episode would remain.
+        kept = [group_of != name for name in names] if len(names) > 1 else []
+        self._kept = np.array([np.ones(len(group_of), dtype=np.bool_), *kept])
         self._zero = self._means(random)
-        self._ends = self._means(oracle)
-        self.span = float(self._ends[0] - self._zero[0])
+        self._one = self._means(oracle)
+        self.span = float(self._one[0] - self._zero[0])
 
     def _means(self, scores: FloatArray) -> FloatArray:
         return np.asarray((self._kept @ np.asarray(scores, dtype=np.float64)) / self._kept.sum(axis=1))
 
     def _scaled(self, values: FloatArray) -> FloatArray:
-        span = self._ends - self._zero
+        span = self._one - self._zero
         scaled: FloatArray = np.divide(values, span, out=np.full(len(values), np.nan), where=span > 0.0)
         return scaled
 
     def mean(self, scores: FloatArray) -> FloatArray:
-        """[1 + G] normalized means: of all episodes, then without each group; NaN where nothing is above random."""
+        """Return [1 + G] normalized means: of all episodes, then without each group; NaN if the scale has no span."""
         return self._scaled(self._means(scores) - self._zero)
 
     def deviation(self, scores: FloatArray) -> FloatArray:
-        """[1 + G] standard deviations on the scale; NaN where a group left out leaves a single episode."""
+        """Return [1 + G] normalized standard deviations; NaN where only one episode remains without a group."""
         kept = [scores[row] for row in self._kept]
-        spreads = [part.std() if k == 0 or len(part) > 1 else np.nan for k, part in enumerate(kept)]
-        return self._scaled(np.array(spreads))
+        deviations = [part.std() if k == 0 or len(part) > 1 else np.nan for k, part in enumerate(kept)]
+        return self._scaled(np.array(deviations))
 
 
 def missing(reason: str) -> dict[str, Any]:
-    """Return an entry without a value, with the reason, for a measure that does not apply."""
+    """Return an estimate without a value, and the reason why there is none."""
     return {"value": None, "low": None, "high": None, "reason": reason}
 
 
 def interval(values: npt.ArrayLike) -> dict[str, Any]:
-    """The first of [1 + G] values, with the interval that the others, each without a group of episodes, give it."""
-    whole, *without = np.asarray(values, dtype=np.float64).tolist()
-    return statistics.jackknife(whole, without).as_dict()
+    """Return the estimate of [1 + G] values: the first, with the jackknife interval from the others."""
+    value, *without = np.asarray(values, dtype=np.float64).tolist()
+    return statistics.jackknife(value, without).as_dict()

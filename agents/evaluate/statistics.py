@@ -1,7 +1,7 @@
 """Means, interquartile means and probabilities of improvement of returns, with 95 % confidence intervals.
 
-Samples come in strata: one array for each goal or scenario. Strata are fixed, the samples (episodes or training runs)
-are drawn. No interval needs more than a few samples:
+Samples are grouped in strata: one array for each goal or scenario. Strata are fixed; samples (episodes or training
+runs) are random. The intervals are valid for small samples:
 
 | statistic | interval |
 |---|---|
@@ -10,12 +10,12 @@ are drawn. No interval needs more than a few samples:
 | share of samples or pairs | Wilson's score interval |
 | probability of improvement | Newcombe's score interval of Mann-Whitney's U (2006, method 5) |
 
-Score intervals of several strata have the variance of strata with one probability, which is the greatest that the
-same mean can have. With ``together`` sample i of every stratum comes from the same episode or run: its values are
-averaged first, and shares count as those of one stratum, which is exact where all strata agree and wide elsewhere.
+Score intervals of several strata use the variance of strata with equal probabilities, the largest for a given mean.
+With ``together``, sample i of every stratum comes from the same episode or run: its values are averaged first, and
+shares count as those of one stratum. This is exact if all strata agree, and conservative otherwise.
 
-A stratum of one sample has no known variance: the estimate has no interval. The coverage of all of them is measured by
-``python studies/speed/interval_coverage.py``.
+If a stratum has one sample, its variance is unknown and the estimate has no interval. ``python
+studies/speed/interval_coverage.py`` measures the coverage of all intervals.
 """
 
 from __future__ import annotations
@@ -34,22 +34,24 @@ from chemlab.kernels.arrays import FloatArray
 
 CONFIDENCE = 0.95
 TIE = 1e-9
-"""Returns that differ by less are a tie: rounding is no improvement."""
+"""Returns that differ by at most this are tied, because rounding is not an improvement."""
 
 Strata = Sequence[npt.ArrayLike]
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A statistic and the ends of its confidence interval, in the statistic's unit; the ends are None where a stratum
-    has a single sample, of which no interval can be derived."""
+    """A statistic and the ends of its confidence interval, in the statistic's unit.
+
+    The ends are None if a stratum has a single sample.
+    """
 
     value: float
     low: float | None
     high: float | None
 
     def as_dict(self) -> dict[str, Any]:
-        """The fields as a dictionary."""
+        """Return the fields as a dictionary."""
         return dict(vars(self))
 
     def __str__(self) -> str:
@@ -57,31 +59,35 @@ class Estimate:
 
 
 def number_text(value: float, digits: int = 3, sign: str = "") -> str:
-    """A number of a table; what rounds to 0 has no minus. ``sign``: ``+`` to say it of positive ones, too."""
+    """Format a number for a table. A rounded 0 has no minus; ``sign="+"`` marks positive numbers."""
     return f"{round(value, digits) + 0.0:{sign}.{digits}f}"
 
 
 def interval_text(estimate: Mapping[str, Any], digits: int = 3, sign: str = "") -> str:
-    """``value [low, high]`` of an :class:`Estimate` as a dictionary, see :func:`number_text`."""
+    """Format an estimate (:meth:`Estimate.as_dict`) as ``value [low, high]``; see :func:`number_text`."""
     if estimate["low"] is None:
         return number_text(estimate["value"], digits, sign)
     value, low, high = (number_text(estimate[key], digits, sign) for key in ("value", "low", "high"))
     return f"{value} [{low}, {high}]"
 
 
-def _checked(strata: Strata) -> list[FloatArray]:
+def _checked(strata: Strata, together: bool = False) -> list[FloatArray]:
+    """Return strata as arrays.
+
+    Raises:
+        ValueError: a stratum is empty, a sample is not finite, or sizes differ although samples belong ``together``.
+    """
     arrays = [np.asarray(stratum, dtype=np.float64).ravel() for stratum in strata]
     if not arrays or any(array.size == 0 for array in arrays):
         raise ValueError("statistics: needs at least one sample in every stratum")
     if not all(np.isfinite(array).all() for array in arrays):
         raise ValueError("statistics: samples must be finite numbers")
-    return arrays
-
-
-def _check_together(strata: Sequence[FloatArray], together: bool) -> None:
-    sizes = sorted({stratum.size for stratum in strata})
+    sizes = sorted({array.size for array in arrays})
     if together and len(sizes) > 1:
-        raise ValueError(f"statistics: samples that belong together are equally many in each stratum, given {sizes}")
+        raise ValueError(
+            f"statistics: samples that belong together must be equally many in each stratum, given {sizes}"
+        )
+    return arrays
 
 
 # -- Student's t ------------------------------------------------------------------------------------------------------
@@ -93,12 +99,12 @@ def _student(value: float, variance: float, freedom: float) -> Estimate:
 
 
 def _welch(value: float, strata: Sequence[FloatArray], weights: Sequence[float], freedoms: Sequence[float]) -> Estimate:
-    """Interval of the sum of weights times means of strata.
+    """Return an estimate with the interval of a weighted sum of stratum means.
 
     Args:
         value: the estimate, which may differ from that sum.
         strata: samples.
-        weights: of each stratum's mean.
+        weights: weight of each stratum's mean.
         freedoms: degrees of freedom of each stratum's variance.
     """
     if any(stratum.size < 2 for stratum in strata):
@@ -106,26 +112,24 @@ def _welch(value: float, strata: Sequence[FloatArray], weights: Sequence[float],
     variances = [
         weight**2 * float(stratum.var(ddof=1)) / stratum.size for weight, stratum in zip(weights, strata, strict=True)
     ]
-    whole = sum(variances)
-    # Of the shares of the variance: the variances themselves may be too small to be squared.
-    shares = [variance / whole if whole > 0.0 else 0.0 for variance in variances]
+    total = sum(variances)
+    # Shares of the variance, because the square of a tiny variance underflows.
+    shares = [variance / total if total > 0.0 else 0.0 for variance in variances]
     parts = sum(share**2 / freedom for share, freedom in zip(shares, freedoms, strict=True))
-    return _student(value, whole, 1.0 / parts if parts > 0.0 else 1.0)
+    return _student(value, total, 1.0 / parts if parts > 0.0 else 1.0)
 
 
 def mean(strata: Strata, together: bool = False) -> Estimate:
-    """Mean over strata of their means, with Student's t interval.
+    """Return the mean over strata of their means, with Student's t interval.
 
     Args:
         strata: samples of each goal, in the unit of a return.
-        together: sample i of every stratum is from the same episode or run.
+        together: True if sample i of every stratum is from the same episode or run.
 
     Raises:
-        ValueError: a stratum is empty, a sample is not finite, or strata of samples that belong together differ in
-            their sizes.
+        ValueError: a stratum is empty, a sample is not finite, or sizes differ although samples belong ``together``.
     """
-    samples = _checked(strata)
-    _check_together(samples, together)
+    samples = _checked(strata, together)
     value = float(np.mean([stratum.mean() for stratum in samples]))
     if together:
         samples = [np.mean(samples, axis=0)]
@@ -134,14 +138,13 @@ def mean(strata: Strata, together: bool = False) -> Estimate:
 
 
 def interquartile_mean(strata: Strata, together: bool = False) -> Estimate:
-    """Mean of the middle half of all samples (a quarter, rounded down, is cut off at each end), with the t interval of
-    the samples winsorized at these quarters.
+    """Return the mean of the middle half of all samples, with the t interval of winsorized samples.
 
-    The definition is that of Agarwal et al. 2021, "Deep RL at the Edge of the Statistical Precipice". The interval of
-    one stratum is that of Tukey and McLaughlin (1963). Arguments and errors as for :func:`mean`.
+    A quarter of the samples, rounded down, is cut off at each end, and samples are winsorized there. The definition is
+    that of Agarwal et al. 2021, "Deep RL at the Edge of the Statistical Precipice". The interval of one stratum is that
+    of Tukey and McLaughlin (1963). Arguments and errors are those of :func:`mean`.
     """
-    samples = _checked(strata)
-    _check_together(samples, together)
+    samples = _checked(strata, together)
     pooled = np.sort(np.concatenate(samples))
     cut = pooled.size // 4
     value = float(pooled[cut : pooled.size - cut].mean())
@@ -155,12 +158,12 @@ def interquartile_mean(strata: Strata, together: bool = False) -> Estimate:
 
 
 def jackknife(value: float, without: npt.ArrayLike) -> Estimate:
-    """A smooth statistic of n samples and its t interval with the jackknife's variance (Tukey 1958).
+    """Return a smooth statistic of n samples and its t interval with the jackknife's variance (Tukey 1958).
 
     Args:
         value: the statistic of all samples.
-        without: [n] the statistic without each sample (or group of samples); of a single one, or where a number is not
-            finite, there is no interval.
+        without: [n] the statistic without each sample (or group of samples). There is no interval if n < 2 or a number
+            is not finite.
     """
     left = np.asarray(without, dtype=np.float64)
     n = left.size
@@ -172,47 +175,42 @@ def jackknife(value: float, without: npt.ArrayLike) -> Estimate:
 # -- score intervals --------------------------------------------------------------------------------------------------
 
 
-def _score_interval(share: float, variance: Callable[[float], float]) -> Estimate:
-    """The interval of a share: the probabilities from which it is at most z standard deviations away.
+def _binomial(p: float, n: int) -> float:
+    """Return the variance of a share of n samples."""
+    return p * (1.0 - p) / n
+
+
+def _mann_whitney(p: float, m: int, n: int) -> float:
+    """Return the variance of U / (m n) (Hanley and McNeil 1982), with the mean of m and n as in Newcombe (2006)."""
+    more = (m + n) / 2.0 - 1.0
+    return p * (1.0 - p) * (1.0 + more * ((1.0 - p) / (2.0 - p) + p / (1.0 + p))) / (m * n)
+
+
+def _mean_share(shares: Sequence[float], variances: Sequence[Callable[[float], float]], together: bool) -> Estimate:
+    """Return the mean over strata of shares with its score interval.
+
+    The interval has all probabilities from which the mean is at most z standard deviations away.
 
     Args:
-        share: the estimate, from 0 to 1.
-        variance: of the estimate where the probability is the argument; 0 at 0 and 1.
+        shares: shares in [0, 1].
+        variances: variance of each share as a function of the probability, which is taken as equal in all strata.
+        together: as for :func:`mean`.
     """
+    k, share = len(shares), float(np.mean(shares))
     z2 = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) ** 2
 
     def excess(p: float) -> float:
-        return (share - p) ** 2 - z2 * variance(p)
+        variance = sum(of_stratum(p) for of_stratum in variances) / (k if together else k * k)
+        return (share - p) ** 2 - z2 * variance
 
-    # A share of 0 or 1 is a root itself, and not the one that is sought.
+    # A share of 0 or 1 is a root itself, but not the end of the interval.
     low = 0.0 if share <= 0.0 else float(optimize.brentq(excess, 0.0, min(share, 1.0 - 1e-9)))
     high = 1.0 if share >= 1.0 else float(optimize.brentq(excess, max(share, 1e-9), 1.0))
     return Estimate(share, low, high)
 
 
-def _binomial(p: float, n: int) -> float:
-    """Variance of a share of n samples."""
-    return p * (1.0 - p) / n
-
-
-def _mann_whitney(p: float, m: int, n: int) -> float:
-    """Variance of U / (m n): Hanley and McNeil (1982), with the mean of both numbers of samples as Newcombe has it."""
-    more = (m + n) / 2.0 - 1.0
-    return p * (1.0 - p) * (1.0 + more * ((1.0 - p) / (2.0 - p) + p / (1.0 + p))) / (m * n)
-
-
-def _of_shares(shares: Sequence[float], variances: Sequence[Callable[[float], float]], together: bool) -> Estimate:
-    """Mean over strata of shares; the strata are taken to have one probability, where the variance is greatest."""
-    k = len(shares)
-
-    def variance(p: float) -> float:
-        return sum(one(p) for one in variances) / (k if together else k * k)
-
-    return _score_interval(float(np.mean(shares)), variance)
-
-
-def _won(difference: FloatArray) -> FloatArray:
-    """1 for a gain, 0 for a loss, 1/2 for a tie."""
+def _wins(difference: FloatArray) -> FloatArray:
+    """Return 1 for a gain, 0 for a loss, 1/2 for a tie."""
     return np.asarray(np.where(np.abs(difference) <= TIE, 0.5, difference > 0.0), dtype=np.float64)
 
 
@@ -221,59 +219,55 @@ def _share_estimate(strata: Sequence[FloatArray], together: bool) -> Estimate:
     if any(stratum.size < 2 for stratum in strata):
         return Estimate(float(np.mean(shares)), None, None)
     variances = [functools.partial(_binomial, n=stratum.size) for stratum in strata]
-    return _of_shares(shares, variances, together)
+    return _mean_share(shares, variances, together)
 
 
 def paired_improvement(strata: Strata, baseline: Strata, together: bool = False) -> Estimate:
-    """Share of pairs in which the sample is above the baseline's, ties counted as 1/2, with Wilson's interval.
+    """Return the share of pairs in which the sample is above the baseline's, with Wilson's interval; ties count 1/2.
 
     Args:
         strata: samples of each goal.
-        baseline: the baseline's, sample for sample from the same seed.
+        baseline: samples of the baseline with the same seeds, in the same order.
         together: as for :func:`mean`.
 
     Raises:
-        ValueError: as :func:`mean`, or the shapes differ.
+        ValueError: as for :func:`mean`, or the shapes differ.
     """
-    ours, theirs = _checked(strata), _checked(baseline)
-    _check_together(ours, together)
+    ours, theirs = _checked(strata, together), _checked(baseline)
     if [x.size for x in ours] != [y.size for y in theirs]:
         raise ValueError(
             f"paired samples: the strata have {[x.size for x in ours]}, the baseline {[y.size for y in theirs]}"
         )
-    return _share_estimate([_won(x - y) for x, y in zip(ours, theirs, strict=True)], together)
+    return _share_estimate([_wins(x - y) for x, y in zip(ours, theirs, strict=True)], together)
 
 
 def probability_of_improvement(strata: Strata, baseline: Strata, together: bool = False) -> Estimate:
-    """P(sample > baseline) + P(tie) / 2 for independent draws (Mann-Whitney's U over the number of pairs), mean over
-    strata, with Newcombe's interval.
+    """Return P(sample > baseline) + P(tie) / 2 for independent draws, mean over strata, with Newcombe's interval.
 
-    Arguments and errors as for :func:`paired_improvement`, but numbers of samples may differ.
+    This is Mann-Whitney's U divided by the number of pairs. Arguments and errors are those of
+    :func:`paired_improvement`, but sizes may differ from the baseline's.
     """
-    ours, theirs = _checked(strata), _checked(baseline)
+    ours, theirs = _checked(strata, together), _checked(baseline, together)
     if len(ours) != len(theirs):
         raise ValueError(f"probability of improvement: {len(ours)} strata, the baseline has {len(theirs)}")
-    for side in (ours, theirs):
-        _check_together(side, together)
-    shares = [float(_won(x[:, None] - y[None, :]).mean()) for x, y in zip(ours, theirs, strict=True)]
+    shares = [float(_wins(x[:, None] - y[None, :]).mean()) for x, y in zip(ours, theirs, strict=True)]
     if any(sample.size < 2 for sample in (*ours, *theirs)):
         return Estimate(float(np.mean(shares)), None, None)
     variances = [functools.partial(_mann_whitney, m=x.size, n=y.size) for x, y in zip(ours, theirs, strict=True)]
-    return _of_shares(shares, variances, together)
+    return _mean_share(shares, variances, together)
 
 
 def performance_profile(strata: Strata, thresholds: npt.ArrayLike) -> list[Estimate]:
-    """For each threshold, the share of samples above it, mean over strata, with Wilson's interval.
+    """Return the share of samples above each threshold, mean over strata, with Wilson's interval.
 
-    The definition is that of Agarwal et al. 2021 (run-score distributions); the intervals are of each threshold by
-    itself.
+    The definition is that of Agarwal et al. 2021 (run-score distributions); the intervals are pointwise.
 
     Args:
         strata: samples of each task.
-        thresholds: [T], in the samples' unit.
+        thresholds: [T] in the samples' unit.
 
     Raises:
-        ValueError: as :func:`mean`.
+        ValueError: as for :func:`mean`.
     """
     samples, levels = _checked(strata), np.asarray(thresholds, dtype=np.float64).ravel()
     return [

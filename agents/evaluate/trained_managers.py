@@ -1,10 +1,10 @@
-"""Tables and curves of trained managers beside untrained ones.
+"""Tables and curves of trained managers, compared with untrained ones.
 
-:func:`collect` plays, and makes tables (:mod:`chemlab.agents.evaluate.results`, and ``managers.csv``);
-:func:`write_laboratory` makes the page from tables alone.
+:func:`collect` plays policies and writes tables (:mod:`chemlab.agents.evaluate.results`, and ``managers.csv``);
+:func:`write_laboratory` writes a page from tables only.
 
-Runs belong together if they have one scenario, one background (who plays the roles that did not learn) and one folder
-(a table of a sweep, say, with a folder for each seed), whose name is their label.
+Runs are aggregated if they have one scenario, one background (policy of the roles that did not learn) and one parent
+folder (of a sweep, for example, with a folder for each seed). The name of this folder is their label.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from chemlab.config.files import write_text
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
-from chemlab.render.figure import SETTINGS, import_matplotlib, save_figure
 
 from ..policies import make_policies
 from ..pretrained import fingerprint
@@ -31,13 +30,13 @@ from ..runs import RESULT_SEED
 from ..saved import find_saved
 from . import statistics
 from .csv_tables import markdown_table, number, read_table, write_table
-from .curves import Tasks, draw_tasks
+from .curves import Tasks, save_curves
 from .play import Target
 from .results import TrainedRun, display_name, read_runs, write_runs
 from .statistics import interval_text, number_text
 
 EPISODES = 200
-"""For each goal."""
+"""Number of episodes for each goal."""
 
 MEASURES: tuple[str, ...] = (
     "score",
@@ -48,8 +47,8 @@ MEASURES: tuple[str, ...] = (
     "ticks",
     "manager_actions",
 )
-"""Means that are stored: the score and what measuring has cost in units of the score, the weighted safety events (the
-constrained-RL cost), mol of all orders together, purity in [0, 1] (0 where nothing was submitted), and two counts."""
+"""Stored means: raw score, weighted safety events (the cost of constrained RL), submitted amount (mol, of all orders),
+purity in [0, 1] (0 if nothing was submitted), cost of measurements (in units of the score), and two counts."""
 
 BASELINES: dict[str, tuple[str, str]] = {
     "scripted": ("scripted", "scripted"),
@@ -57,10 +56,10 @@ BASELINES: dict[str, tuple[str, str]] = {
     "plan": ("plan", "best open-loop policy found"),
     "random": ("random", "random legal actions"),
 }
-"""Untrained managers: the policy's name (the benches are the background's) and its label in the table.
+"""Untrained managers, {name: (policy, label in the table)}; the background plays the benches.
 
-``chemlab plot runs TABLES --collect TABLES`` plays managers that a table lacks, and drops
-managers that are not listed here.
+``chemlab plot runs TABLES --collect TABLES`` plays managers that are missing in a table, and removes managers that are
+not listed here.
 """
 
 _PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
@@ -68,18 +67,18 @@ _COLUMNS = ("scenario", "background", "policy", "run", "goal", "episodes", "seed
 _NUMBERS: dict[str, type] = {"episodes": int, "seed": int, **dict.fromkeys(MEASURES, float)}
 _LEARNED, _SCRIPTED = "learned", "scripted"
 _KIND = ("algo", "preset", "bc", "hints", "begin_from")
-"""Settings in which runs of one folder that stand in one row agree, besides their roles; each seed may begin from its
-own checkpoint."""
+"""Settings that are equal for all runs of one row, besides the roles; seeds in the path of a checkpoint may differ."""
 _Series = tuple[PurePosixPath, tuple[str, ...]]
+"""Identity of the runs of one row: parent folder, and roles and settings."""
 
 Means = dict[str, dict[str, float]]
-"""By goal and measure."""
+"""Means by goal and measure."""
 Rows = list[dict[str, str]]
 
 
 @dataclass
 class _Group:
-    """Runs of one scenario with one background, by label, and the rows of ``managers.csv`` on them."""
+    """Runs of one scenario with one background, by label, and their rows of ``managers.csv``."""
 
     scenario: str
     background: str
@@ -88,46 +87,48 @@ class _Group:
 
     @property
     def runs(self) -> list[TrainedRun]:
-        """Of all labels."""
+        """Runs of all labels."""
         return [run for runs in self.labels.values() for run in runs]
 
     def of(self, policy: str, run: str = "") -> Rows:
-        """The rows of a policy, by goal; none if it was not played."""
+        """Return the rows of a policy (one for each goal); none if it was not played."""
         return [row for row in self.rows if (row["policy"], row["run"]) == (policy, run)]
 
 
 def has_manager(run: TrainedRun) -> bool:
-    """Return whether a run trained a laboratory's manager, alone or with other roles."""
-    return MANAGER_ROLE in _learned(run)
+    """Return True if a run trained a laboratory's manager, alone or with other roles."""
+    return MANAGER_ROLE in _trained_roles(run)
 
 
-def _learned(run: TrainedRun) -> list[str]:
-    """The roles that learned: a run of several names roles, a run of one an agent (or a bench on its own)."""
+def _trained_roles(run: TrainedRun) -> list[str]:
+    """Return the trained roles. A run of several roles names roles; a run of one role names an agent or a bench."""
     names = str(run.config.get("bench")).split(",")
     return sorted(names) if len(names) > 1 or names == [MANAGER_ROLE] else [role_of(names[0])]
 
 
 def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Group]:
-    """The finished runs of managers, in order of scenario, background and label, with what a folder's table has."""
+    """Return the finished runs of managers, sorted by scenario, background and label, with their stored rows."""
     played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS, _NUMBERS)
     groups: dict[tuple[str, str], dict[_Series, list[TrainedRun]]] = {}
     for run in runs:
         if run.result is not None and has_manager(run):
             key = str(run.config["scenario"]), str(run.config.get("background") or "scripted")
             settings = (re.sub(r"seed-\d+", "seed", str(run.config.get(name))) for name in _KIND)
-            series = PurePosixPath(run.name).parent, (*_learned(run), *settings)
+            series = PurePosixPath(run.name).parent, (*_trained_roles(run), *settings)
             groups.setdefault(key, {}).setdefault(series, []).append(run)
     found = []
-    for (scenario, background), several in sorted(groups.items()):
-        parents = [parent for parent, _ in several]
+    for (scenario, background), by_series in sorted(groups.items()):
+        parents = [parent for parent, _ in by_series]
         names = [parent.name for parent in dict.fromkeys(parents)]
-        labels = {}
-        for (parent, kind), some in several.items():
-            # Two trainers may have folders of one name; a folder of seeds alone has none; one may hold several kinds.
-            own = (parent.name if names.count(parent.name) == 1 else str(parent)) or some[0].finished.label
-            labels[parent, kind] = own if parents.count(parent) == 1 else some[0].name
-        ordered = sorted(several.items(), key=lambda item: labels[item[0]])
-        by_label = {labels[series]: sorted(some, key=lambda run: run.finished.seed) for series, some in ordered}
+        labelled = []
+        for (parent, _), members in by_series.items():
+            # Several folders may have one name, a folder of seeds has none, and one may hold several kinds of runs.
+            label = (parent.name if names.count(parent.name) == 1 else str(parent)) or members[0].finished.label
+            labelled.append((label if parents.count(parent) == 1 else members[0].name, members))
+        by_label = {
+            label: sorted(members, key=lambda run: run.finished.seed)
+            for label, members in sorted(labelled, key=lambda item: item[0])
+        }
         rows = [row for row in played if (row["scenario"], row["background"]) == (scenario, background)]
         found.append(_Group(scenario, background, by_label, rows))
     return found
@@ -141,10 +142,10 @@ def _means(rows: Rows) -> Means:
 
 
 def collect_count(folder: Path) -> int:
-    """Number of policies that :func:`collect` will play, or leave as they are, of a folder's own runs.
+    """Return the number of policies that :func:`collect` reports to ``watch`` for the runs below a folder.
 
     Raises:
-        ValueError: the folder is not there, or a file in it is not what a run writes.
+        ValueError: the folder does not exist, or a file in it is malformed.
     """
     return sum(len(BASELINES) + len(group.runs) for group in _groups(read_runs(folder)))
 
@@ -156,45 +157,47 @@ def collect(
     watch: Callable[[str], None] | None = None,
     keep: Callable[[TrainedRun], bool] = lambda _: True,
 ) -> list[str]:
-    """Make tables of the finished runs below a folder, and play the best checkpoints of runs with a manager.
+    """Write tables of the finished runs below a folder, and play the best checkpoints of runs with a manager.
 
-    All play the same seeds, which neither training nor the choice of the checkpoint has seen. A run is compared with
-    the scripted manager over its own benches: where benches have learned with the manager, those play there as well.
+    All policies play the same seeds, which are used neither in training nor for the choice of checkpoints. A run is
+    compared with the scripted manager over the same benches, including benches trained with the manager.
 
-    What the tables have of other runs stays, and so does what was played of a run that cannot be played any more.
-    Baselines are played anew where a run of their group is, and where the tables do not have them.
+    Stored results of other runs, and of runs that cannot be played any more, are kept. Baselines are played again if a
+    run of their group is, or if they are missing in the tables.
 
     Args:
-        folder: runs as training leaves them, or tables (of which nothing but baselines can be played).
-        tables: the folder that gets the tables.
-        episodes: for each goal.
-        watch: called with each policy's name when it has been played or left as it was.
-        keep: which runs of the folder are meant.
+        folder: folder of training runs, or of tables (for which only baselines can be played).
+        tables: output folder of the tables.
+        episodes: number of episodes for each goal.
+        watch: called with the name of each policy that has been played or whose stored results are kept.
+        keep: returns True for runs of the folder to include.
 
     Returns:
-        Runs that were not played, and baselines that a scenario does not have, with the reason.
+        Runs that were not played, and baselines that do not exist for a scenario, with the reason.
 
     Raises:
-        ValueError: the folder is not there, or a file in it is not what was written.
+        ValueError: the folder does not exist, or a file in it is malformed.
         ImportError: a run was trained with Stable-Baselines3, which is not installed.
     """
     given = [run for run in read_runs(folder) if keep(run)]
-    known = read_runs(tables) if tables.is_dir() else []
-    runs = list({run.name: run for run in (*known, *given)}.values())
+    stored = read_runs(tables) if tables.is_dir() else []
+    runs = list({run.name: run for run in (*stored, *given)}.values())
     rows: list[Mapping[str, Any]] = []
     left_out: list[str] = []
     for group in _groups(runs, tables):
-        some, lacking = _play_group(group, episodes, watch or (lambda _: None))
-        rows += some
-        left_out += lacking
+        group_rows, not_played = _play_group(group, episodes, watch or (lambda _: None))
+        rows += group_rows
+        left_out += not_played
     write_runs(tables, runs)
     if rows:
         write_table(tables / _TABLE, _COLUMNS, rows)
     return left_out
 
 
-def _play_group(group: _Group, episodes: int, told: Callable[[str], None]) -> tuple[list[Mapping[str, Any]], list[str]]:
-    """A group's rows, anew where it can be played and else as they were; and what was not played."""
+def _play_group(
+    group: _Group, episodes: int, watch: Callable[[str], None]
+) -> tuple[list[Mapping[str, Any]], list[str]]:
+    """Return a group's rows, new ones of policies that can be played and stored ones of others; and the reasons."""
     reasons = {run.name: _obstacle(group, run) for run in group.runs}
     rows: list[Mapping[str, Any]] = []
     left_out = []
@@ -207,24 +210,24 @@ def _play_group(group: _Group, episodes: int, told: Callable[[str], None]) -> tu
         except ValueError as error:  # the scenario is gone, or does not have such a manager
             left_out.append(f"{group.scenario}, {name}: {error}")
             rows += stored
-        told(f"{group.scenario}: {name}")
+        watch(f"{group.scenario}: {name}")
     for run in group.runs:
         reason, stored = reasons[run.name], [*group.of(_LEARNED, run.name), *group.of(_SCRIPTED, run.name)]
         rows += _play_run(group, run, episodes) if reason is None else stored
         if reason is not None and (run.folder is not None or not stored):
             left_out.append(f"{run.name}: {reason}{'; the table has what was played earlier' if stored else ''}")
-        told(f"{group.scenario}: {run.name}")
+        watch(f"{group.scenario}: {run.name}")
     return rows, left_out
 
 
 def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str, Any]]:
-    assert run.folder is not None, "it can be played"
+    """Return the rows of a run and, if benches were trained as well, of the scripted manager over them."""
+    assert run.folder is not None, "runs from tables have an obstacle"
     path, rewards = str(run.folder.path), run.config.get("rewards")
     task = load_scenario(group.scenario, rewards=None if rewards is None else str(rewards))
     same_task = fingerprint(Laboratories(task).manager.workplace) == run.config.get("fingerprint")
     rows = _play(group, _LEARNED, path, episodes, run=run.name, same_task=same_task)
-    # The scripted manager over the same benches: those that have learned are other ones than the background's.
-    if _learned(run) != [MANAGER_ROLE]:
+    if _trained_roles(run) != [MANAGER_ROLE]:
         rows += _play(group, _SCRIPTED, f"{path},{MANAGER_ROLE}=scripted", episodes, run=run.name)
     return rows
 
@@ -232,21 +235,21 @@ def _play_run(group: _Group, run: TrainedRun, episodes: int) -> list[Mapping[str
 def _play(
     group: _Group, policy: str, players: str, episodes: int, run: str = "", same_task: bool = True
 ) -> list[Mapping[str, Any]]:
-    """A row for each goal."""
+    """Play ``players`` and return a row for each goal."""
     target = Target(load_scenario(group.scenario))
-    own = {"scenario": group.scenario, "background": group.background, "policy": policy, "run": run}
-    own |= {"episodes": str(episodes), "seed": str(RESULT_SEED), "chemlab": chemlab.__version__}
+    common = {"scenario": group.scenario, "background": group.background, "policy": policy, "run": run}
+    common |= {"episodes": str(episodes), "seed": str(RESULT_SEED), "chemlab": chemlab.__version__}
     rows: list[Mapping[str, Any]] = []
     for goal in target.goals:
         played = target.play(players, goal, episodes, RESULT_SEED)
         values = {"score": played.returns, "safety_cost": played.cost, "ticks": played.lengths, **played.measures}
         means = {name: number(float(values[name].mean())) for name in MEASURES}
-        rows.append({**own, "goal": goal, "same_task": same_task, **means})
+        rows.append({**common, "goal": goal, "same_task": same_task, **means})
     return rows
 
 
 def _obstacle(group: _Group, run: TrainedRun) -> str | None:
-    """Why a run cannot be played, or None."""
+    """Return the reason why a run cannot be played, or None."""
     if run.folder is None:
         return "a table has no checkpoints"
     path, checkpoints = run.folder.path, run.folder.checkpoints
@@ -268,33 +271,32 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
     """Write ``laboratory.md`` and the pictures ``laboratory_curves``; nothing is played.
 
     Args:
-        folder: tables that :func:`collect` has made; or runs, of which there are then learning curves only.
-        out: where page and pictures go.
-        formats: endings that matplotlib knows, such as ``png`` and ``svg``.
+        folder: folder of tables that :func:`collect` has written, or of runs, for learning curves only.
+        out: output folder.
+        formats: suffixes of the pictures, such as ``png`` and ``svg``.
 
     Returns:
-        The page, or None, and what earlier results have left in ``out`` goes, where there are no finished runs of
-        managers; and runs that the table does not have, with the reason.
+        Path of the page, and the runs that are not in the table, with the reason. If there are no finished runs of
+        managers, the path is None and earlier output in ``out`` is deleted.
 
     Raises:
-        ValueError: the folder is not there, a file in it is not what was written, or the format is unknown.
+        ValueError: the folder does not exist, a file in it is malformed, or the format is unknown.
         ImportError: matplotlib is not installed.
     """
     groups = _groups(read_runs(folder), folder)
     tasks: Tasks = {}
     for group in groups:
         for label, runs in group.labels.items():
-            begun = [run for run in runs if len(run.curve) or run.evaluations]
-            if begun:
-                tasks.setdefault(f"{group.scenario}, benches {group.background}", {})[label] = begun
+            drawn = [run for run in runs if len(run.curve) or run.evaluations]
+            if drawn:
+                tasks.setdefault(f"{group.scenario}, benches {group.background}", {})[label] = drawn
     page, pictures = out / _PAGE, [out / f"{_CURVES}.{ending}" for ending in formats]
     for path in pictures if tasks else (*pictures, page):
         path.unlink(missing_ok=True)
     if not groups:
         return None, []
-    for path in pictures if tasks else ():
-        with import_matplotlib().rc_context(SETTINGS):
-            save_figure(draw_tasks(tasks), path)
+    if tasks:
+        save_curves(tasks, pictures)
     left_out = [
         f"{run.name}: not played yet (chemlab plot runs RUNS --collect TABLES)"
         for group in groups
@@ -316,13 +318,13 @@ def _markdown(groups: Sequence[_Group], left_out: Sequence[str], picture: str | 
         yield ""
         yield (
             f"Score: best checkpoint of each run, without exploration: {episodes} episodes a goal from "
-            f"seed {seed}, the same for everybody, which training has not seen. Means over episodes, goals "
+            f"seed {seed}, the same for all managers and not used in training. Means over episodes, goals "
             f"and seeds; in brackets {100.0 * statistics.CONFIDENCE:g} % t intervals over the seeds of "
             "training; a single seed has none. "
-            "Minus scripted: the score less that of the scripted manager over the same benches. "
-            "Last: score of the last checkpoint, as the evaluation that ended training has it. "
-            "Safety: weighted safety events. Instruments: what measuring has cost, in units of the score. "
-            "Where nothing was submitted, purity is 0. Minutes and steps are those of training, a seed."
+            "Minus scripted: the score minus that of the scripted manager over the same benches. "
+            "Last: score of the last checkpoint in the evaluation at the end of training. "
+            "Safety: weighted safety events. Instruments: cost of measurements, in units of the score. "
+            "If nothing was submitted, purity is 0. Minutes and steps of training are for each seed."
         )
     for scenario in dict.fromkeys(group.scenario for group, rows in tables if rows):
         lines = [line for group, rows in tables if group.scenario == scenario for line in rows]
@@ -333,8 +335,8 @@ def _markdown(groups: Sequence[_Group], left_out: Sequence[str], picture: str | 
     if picture is not None:
         yield from ("", "## Learning curves", "", f"![{_CURVES}]({picture})", "")
         yield (
-            "Dashed: the scripted manager. Where a curriculum lets training episodes begin half way, the lines are "
-            "above what a whole episode comes to until it is over; the points are whole episodes."
+            "Dashed: the scripted manager. While a curriculum starts training episodes from intermediate states, the "
+            "lines are above the returns of complete episodes; the points are complete episodes."
         )
     if left_out:
         yield from ("", "## Left out", "", *(f"- {line}" for line in left_out))
@@ -354,15 +356,14 @@ def _table(rows: Sequence[Mapping[str, str]], headings: Sequence[str]) -> list[s
 
 
 def brief_table(folder: Path, shipped: bool) -> list[str]:
-    """The scores of a folder of tables as the lines of one Markdown table: of what has learned (best checkpoints, and
-    last ones beside them), of the best constant plan, and of the scripted managers.
+    """Return a Markdown table of scores of trained, open-loop and scripted managers, as lines.
 
     Args:
-        folder: the tables.
-        shipped: whether of the bundled scenarios, or of the others.
+        folder: folder of tables.
+        shipped: True for the bundled scenarios, False for the others.
 
     Raises:
-        ValueError: there is no ``managers.csv``, or a table is not what was written.
+        ValueError: there is no ``managers.csv``, or a table is malformed.
     """
     if not (folder / _TABLE).exists():
         raise ValueError(f"{folder}: has no {_TABLE}; chemlab plot runs RUNS --collect {folder} makes it")
@@ -376,67 +377,67 @@ def brief_table(folder: Path, shipped: bool) -> list[str]:
 
 
 def _rows(group: _Group, baselines: Sequence[str] = tuple(BASELINES)) -> Iterator[dict[str, str]]:
-    """A group's lines, {heading: cell}: every label, then the managers that learned nothing."""
+    """Yield a group's lines, {heading: cell}: trained managers by label, then untrained ones."""
     scripted = _means(group.of(_SCRIPTED))
     for label, runs in group.labels.items():
         shown = [run for run in runs if group.of(_LEARNED, run.name)]
         if not shown:
             continue
         means = [_means(group.of(_LEARNED, run.name)) for run in shown]
-        beside = [_means(group.of(_SCRIPTED, run.name)) or scripted for run in shown]
+        references = [_means(group.of(_SCRIPTED, run.name)) or scripted for run in shown]
         scores = np.array([_overall(one, "score") for one in means])
-        others = [role for role in _learned(shown[0]) if role != MANAGER_ROLE]
+        others = [role for role in _trained_roles(shown[0]) if role != MANAGER_ROLE]
         steps = [run.finished.steps for run in shown]
         minutes = float(np.mean([run.finished.seconds for run in shown])) / 60.0
         yield {
             **_cells(f"{group.background}; learned: {', '.join(others)}" if others else group.background, means),
             "manager": display_name(label),
             "score": _interval(scores),
-            "minus scripted": _interval(scores - [_overall(one, "score") for one in beside], "+"),
+            "minus scripted": _interval(scores - [_overall(one, "score") for one in references], "+"),
             "last": number_text(float(np.mean([run.finished.last_mean for run in shown]))),
             "seeds": str(len(shown)),
             "minutes": f"{minutes:.0f}" if minutes >= 10.0 else f"{minutes:.1f}",
             "steps": f"{min(steps):,}" if min(steps) == max(steps) else f"{min(steps):,} to {max(steps):,}",
         }
     for name in baselines:
-        own = _means(group.of(name))
-        if own:
-            score = _overall(own, "score")
+        baseline = _means(group.of(name))
+        if baseline:
+            score = _overall(baseline, "score")
             gain = "" if name == _SCRIPTED else number_text(score - _overall(scripted, "score"), sign="+")
-            said = {"manager": BASELINES[name][1], "score": number_text(score), "minus scripted": gain}
-            yield {**_cells(group.background, [own]), **said}
+            cells = {"manager": BASELINES[name][1], "score": number_text(score), "minus scripted": gain}
+            yield {**_cells(group.background, [baseline]), **cells}
 
 
 def _cells(benches: str, means: Sequence[Means]) -> dict[str, str]:
     """Return the columns common to all managers; ``means`` holds the means of each seed."""
-    over = {measure: float(np.mean([_overall(one, measure) for one in means])) for measure in MEASURES}
+    mean = {measure: float(np.mean([_overall(one, measure) for one in means])) for measure in MEASURES}
     return {
         "benches": benches,
-        "safety": number_text(over["safety_cost"]),
-        "submitted (mol)": number_text(over["submitted_mol"]),
-        "purity (%)": f"{100.0 * over['purity']:.1f}",
-        "instruments": number_text(over["instruments"]),
-        "ticks": f"{over['ticks']:.0f}",
+        "safety": number_text(mean["safety_cost"]),
+        "submitted (mol)": number_text(mean["submitted_mol"]),
+        "purity (%)": f"{100.0 * mean['purity']:.1f}",
+        "instruments": number_text(mean["instruments"]),
+        "ticks": f"{mean['ticks']:.0f}",
     }
 
 
 def _overall(means: Means, measure: str) -> float:
-    """Mean over goals."""
+    """Return the mean of a measure over goals."""
     return float(np.mean([by_measure[measure] for by_measure in means.values()]))
 
 
 def _interval(values: Any, sign: str = "") -> str:
-    """Mean over seeds and its interval; one seed has none."""
+    """Format the mean over seeds and its interval; a single seed has none."""
     return interval_text(statistics.mean([values]).as_dict(), sign=sign)
 
 
 def _notes(group: _Group) -> Iterator[str]:
-    """Notes on runs for the page."""
-    how = ("episodes", "seed", "chemlab")
+    """Yield notes on runs that were played under other conditions or trained on another task."""
+    conditions = ("episodes", "seed", "chemlab")
     scripted = group.of(_SCRIPTED)
     for run in group.runs:
         for row in group.of(_LEARNED, run.name)[:1]:
-            if scripted and any(row[name] != scripted[0][name] for name in how):
+            if scripted and any(row[name] != scripted[0][name] for name in conditions):
                 yield (
                     f"{run.name}: played earlier than the others, by chemlab {row['chemlab']}: "
                     f"{row['episodes']} episodes a goal from seed {row['seed']}"

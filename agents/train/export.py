@@ -22,7 +22,7 @@ from chemlab.kernels.arrays import ObservationArray
 from ..advice import with_advice
 from ..former_names import GREEDY, split_way
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
-from ..random_policy import RandomPolicy
+from ..random_policy import RandomPolicy, action_size
 from ..runs import RESULT_SEED, Run
 from .arguments import Single, recorded_arguments
 from .tasks import Task, find_task, task_of
@@ -57,7 +57,7 @@ def _observations(task: Task, advised: bool) -> ObservationArray:
     """Return observations of random episodes, with the played action as the hint if there is one."""
     members = 64
     env = task.batch(members)
-    policy = RandomPolicy((env.single_action_space.shape or (0,))[0], 0)
+    policy = RandomPolicy(action_size(env.single_action_space), 0)
     nothing, everyone = np.zeros(members, dtype=np.int64), np.arange(members)
     observations, infos = env.reset(seed=0)
     seen = []

@@ -24,7 +24,7 @@ from ..advice import AdvisedPolicy, Advisor
 from ..background import background_policies, role_vector_env
 from ..episodes import play_bench, play_laboratory
 from ..policies import agent_policy, as_trained, bench_policy, is_scripted
-from ..pretrained import Card, fingerprint, given_as
+from ..pretrained import Card, fingerprint
 from ..roles import MANAGER_ROLE, role_of
 from .arguments import PPO, Arguments, Single
 
@@ -155,7 +155,7 @@ class BenchTask(Task):
 
     def warning(self) -> str | None:
         """See :class:`Task`; warns if the scenario declares no initial state of the single bench."""
-        start, given = self.workplace.spec.start, given_as(self.scenario)
+        start, given = self.workplace.spec.start, self.scenario.argument
         if self._starts == "lab" or start.contents or start.goal_mol or start.companion:
             return None
         recorded = f"; or record vessels with chemlab export starts {given}, and train with --starts lab"

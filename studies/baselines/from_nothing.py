@@ -22,7 +22,7 @@ from typing import Any
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.benchmark import world_scenarios
 from chemlab.agents.evaluate.csv_tables import markdown_table
-from chemlab.agents.evaluate.jobs import AUDIT_SEED, Crew, Job, budget_of, without_instruments
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, Job, JobRunner, budget_of, without_instruments
 from chemlab.agents.evaluate.play import Target, evaluate
 from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.evaluate.statistics import interval_text
@@ -99,7 +99,7 @@ def learned(run: Run) -> dict[str, Any]:
     if spec.world.draws and not spec.level:
         episodes = json.loads((AUDITS / f"{scenario}.json").read_text(encoding="utf-8"))["budget_episodes"]
         asked = {"policy": str(run.path), "seed": AUDIT_SEED, "episodes": episodes, "split": "test"}
-        played = Crew(spec, budget_of("small")).run([Job("audit", "play", asked)])
+        played = JobRunner(spec, budget_of("small")).run([Job("audit", "play", asked)])
         own["audited"] = statistics.mean(played["audit"]["scores"])
         own["gains"] = gains(spec, str(run.path))
     if learners(roles) == "benches":

@@ -17,7 +17,7 @@ from scipy import stats
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.audit import audit, choosing_jobs, measure_rows, verdict
-from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job, foreseen
+from chemlab.agents.evaluate.jobs import AuditBudget, Job, JobRunner, foreseen
 from chemlab.agents.evaluate.scale import Scale, interval
 from chemlab.agents.evaluate.search import best_in_episode, search_plan
 from chemlab.agents.policies import make_policies
@@ -199,11 +199,11 @@ def test_an_audit_that_is_killed_goes_on(unlabelled: tuple[dict[str, Any], Path]
 def test_a_part_that_is_not_as_it_was_written_is_played_again(unlabelled: tuple[dict[str, Any], Path]) -> None:
     """More of them are in ``tests/fuzz``."""
     spec, keep = load_scenario("unlabelled"), unlabelled[1]
-    crew, path = Crew(spec, TINY, keep), keep / "plan.json"
+    runner, path = JobRunner(spec, TINY, keep), keep / "plan.json"
     job, whole = next(job for job in choosing_jobs(spec) if job.name == "plan"), path.read_text()
     part = json.loads(whole)
     result = part["result"]
-    assert crew.kept(job) == result
+    assert runner.cached(job) == result
     other_plans = [[goals, [*plan, 0]] for goals, plan in result["plans"]]
     changes: list[dict[str, Any]] = [{"scores": [1.0]}, {"scores": [float("nan")] * TINY.episodes}, {"more": 1}]
     worse: list[Any] = [*({**result, **change} for change in [*changes, {"plans": other_plans}]), [], None]
@@ -212,13 +212,13 @@ def test_a_part_that_is_not_as_it_was_written_is_played_again(unlabelled: tuple[
     try:
         for text in [*texts, "[" * 100_000, "", "null", " " * 20_000_000, whole[:-2]]:
             path.write_text(text)
-            assert crew.kept(job) is None, text[:500]
+            assert runner.cached(job) is None, text[:500]
     finally:
         path.write_text(whole)
     # Another policy under the same name, as after more training, is another job; other budgets and scenarios are, too.
-    assert crew.kept(Job("plan", "plan", {"without": "rxn"})) is None
-    assert Crew(spec, AuditBudget(7, 1, 1, 1, 1), keep).kept(job) is None
-    assert Crew(load_scenario("failing"), TINY, keep).kept(job) is None
+    assert runner.cached(Job("plan", "plan", {"without": "rxn"})) is None
+    assert JobRunner(spec, AuditBudget(7, 1, 1, 1, 1), keep).cached(job) is None
+    assert JobRunner(load_scenario("failing"), TINY, keep).cached(job) is None
 
 
 @pytest.mark.slow

@@ -17,7 +17,7 @@ from scipy import stats
 from chemlab.agents.episodes import play_episode, play_laboratory
 from chemlab.agents.evaluate import statistics
 from chemlab.agents.evaluate.benchmark import Row, benchmark, check_rows, find_rows, part_count, write_benchmark
-from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget, Crew, Job
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget, Job, JobRunner
 from chemlab.agents.evaluate.leaderboard import (
     check_leaderboard,
     leaderboard_lines,
@@ -193,10 +193,13 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path
         ({"scores": [*scores[:4], None]}, "episodes"),
         ({"scale": {**ends, "oracle": ends["oracle"] + 1e-6}}, "scale.oracle"),
         ({"scale": {**ends, "random": ends["random"] - 1e-6}}, "scale.random"),
-        ({"scale": {"random": ends["oracle"], "oracle": ends["random"]}, "value": 5.0}, "no scale on which"),
+        (
+            {"scale": {"random": ends["oracle"], "oracle": ends["random"]}, "value": 5.0},
+            "has no score or no valid scale",
+        ),
         ({"over_baseline": {**mean, "value": mean["value"] + 1e-6}}, "over_baseline.value"),
         ({"over_baseline": {**mean, "high": mean["high"] - 1e-6}}, "over_baseline.high"),
-        ({"records": [{**first, "score": first["score"] + 1e-6}]}, f"{first['file']}: comes to"),
+        ({"records": [{**first, "score": first["score"] + 1e-6}]}, f"{first['file']}: its replay gives"),
         ({"records": [{**first, "seed": first["seed"] + 1}]}, f"{first['file']}: is of unlabelled, seed 4000000"),
         ({"records": [{**first, "file": "records/none.jsonl"}]}, "records/none.jsonl: "),
         ({"records": [{**first, "file": "../leaderboard.json"}]}, "is not below the leaderboard's folder"),
@@ -308,7 +311,7 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
     assert str(games) not in json.loads((keep / "marl_eval.json").read_text())["chemlab"]["unlabelled"]
     other = "wurtz_dodecane_direct"
     nobody = benchmark([other], [ROWS[0], row], TINY, 2)["scenarios"][other]["cells"][str(games)]
-    assert (nobody["value"], nobody["reason"]) == (None, "nobody has played it yet")
+    assert (nobody["value"], nobody["reason"]) == (None, "has not been played yet")
 
 
 def test_people_play_the_worlds_that_are_scored(tmp_path: Path) -> None:
@@ -336,7 +339,7 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
     refuse("seeds 4000000 to 4000004, split test.*its seed is 7", game("seed", 7))
     refuse("its split train", game("split", AUDIT_SEED, split="train"))
     goal = load_scenario("unlabelled").lab_goals[0]
-    refuse("it was asked for goal", game("goal", AUDIT_SEED, goal=goal))
+    refuse("its options goal", game("goal", AUDIT_SEED, goal=goal))
     refuse("is of seed 4000000, and so is", game("twice", AUDIT_SEED), game("twice", AUDIT_SEED))
     torn = game("torn", AUDIT_SEED)
     torn.write_text("".join(torn.read_text().splitlines(keepends=True)[:-1]))
@@ -358,7 +361,7 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
     other.write_text("\n".join([json.dumps(json.loads(header) | {"chemlab": "0.0.1"}), *rest]) + "\n")
     refuse(r"is of another unlabelled than .*unlabelled.toml", other)
     refused("given", r"p/q.*: given twice", find_rows, [str(tmp_path / "p/q"), str(tmp_path / "p_q")])
-    with pytest.raises(ValueError, match=r"baseline: .*0.jsonl: must have played all episodes"):
+    with pytest.raises(ValueError, match=r"baseline: .*0.jsonl: must play all episodes"):
         benchmark(["unlabelled"], find_rows([str(other)]), TINY, 2, baseline=str(other))
     game("several", AUDIT_SEED)
     game("several", AUDIT_SEED + 1, who="somebody else")
@@ -456,11 +459,11 @@ def test_a_cached_part_belongs_to_the_weights_that_played(tmp_path: Path) -> Non
     spec, manager = load_scenario("unlabelled"), load_pretrained("unlabelled_manager")
     save_policy(tmp_path / "one", manager.card.model_copy(update={"name": "one"}), manager.weights)
     job = Job("row", "play", {"policy": f"scripted,manager={tmp_path / 'one'}:sampled@0.1", "split": "test", "seed": 0})
-    made = Crew(spec, TINY, tmp_path / "kept").run([job])["row"]
-    assert Crew(spec, TINY, tmp_path / "kept").kept(job) == made
+    made = JobRunner(spec, TINY, tmp_path / "kept").run([job])["row"]
+    assert JobRunner(spec, TINY, tmp_path / "kept").cached(job) == made
     weights = {name: -values for name, values in manager.weights.items()}
     save_policy(tmp_path / "one", manager.card.model_copy(update={"name": "one"}), weights)
-    assert Crew(spec, TINY, tmp_path / "kept").kept(job) is None
+    assert JobRunner(spec, TINY, tmp_path / "kept").cached(job) is None
     assert policy_files("scripted") == policy_files("random@0.2") == []
     pupil = manager.card.model_copy(update={"name": "pupil", "advice": str(tmp_path / "one.json")})
     save_policy(tmp_path / "pupil", pupil, manager.weights)
@@ -497,7 +500,7 @@ def test_seats_are_entered_with_condition_calls_and_tokens(tmp_path: Path) -> No
     with pytest.raises(ValueError, match=r"0\.jsonl: "):  # another salt
         benchmark(["unlabelled"], [ROWS[0], row], TINY, 2, split="private:" + "f" * 32)
     room = Room("unlabelled", calls=400, seed=AUDIT_SEED + 1, **seat)
-    refused("this", "this episode has no end", find_rows, [str(folder)])
+    refused("this", "this episode has not ended", find_rows, [str(folder)])
     room.close()
     Room("unlabelled", folder=folder, salt=salt, seed=AUDIT_SEED + 2, names="opaque", calls=400).close()
     refused("same", "one row has the same condition everywhere", find_rows, [str(folder)])

@@ -145,18 +145,18 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     unseen = {(one["side"], one["policy"]): one["unseen"] for one in found["gaps"]}
     assert unseen["manager", team] == ["scripted:unsafe", "scripted"]
     assert unseen["manager", str(first)] == ["scripted:unsafe", team]
-    with pytest.raises(ValueError, match=r"benches: .*seed-0 has none of its own: there it stands for 'scripted'"):
+    with pytest.raises(ValueError, match=r"benches: .*seed-0 has no policy for this side: it plays as 'scripted'"):
         find_players(spec, ["scripted"], [str(first)])
     refused("given", "given twice", find_players, spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
 
 
 def test_who_cannot_play_is_refused() -> None:
-    spec, none = load_scenario("wurtz_dodecane"), "has none of its own: there it stands for"
+    spec, none = load_scenario("wurtz_dodecane"), "has no policy for this side: it plays as"
     for managers, benches, message in (
         (["pretrained"], ["scripted"], f"manager: pretrained {none} 'scripted'"),
         (["scripted"], ["trained"], f"benches: trained {none} 'pretrained-isolated'"),
         (["scripted,rxn=random"], ["scripted"], "give one policy; benches are given with --benches"),
-        (["scripted"], ["scripted,manager=random"], "there it stands for 'scripted'; give that"),
+        (["scripted"], ["scripted,manager=random"], "it plays as 'scripted'; give this name"),
         (["scripted", "scripted"], ["scripted"], "manager: scripted: given twice"),
         (["scripted:fifo"], ["scripted"], "has no orders to choose from"),
         (["scripted"], ["fictitious_rxn"], "does not fit"),

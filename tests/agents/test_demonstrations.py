@@ -238,7 +238,7 @@ def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
     (row,) = json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)
     assert row["id"] == "tests/command/manager_0-v0"
     assert minari.load_dataset(row["id"]).total_steps == row["steps"]
-    assert "already there" in command(*arguments, code=2)
+    assert "already exists" in command(*arguments, code=2)
     spaced = command("export", "demos", scripted, "--name", "chem lab", code=2)
     assert spaced.split(";")[1].strip() == "given 'chem lab'"
     assert "error: --name: a dataset's name has two or more letters" in spaced

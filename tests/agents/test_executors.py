@@ -16,7 +16,7 @@ from helpers import until
 from job_functions import asked, held, killed_at_first, refused, trains_for_long, waits
 
 from chemlab.agents import executors
-from chemlab.agents.evaluate.jobs import AUDIT_SEED, AuditBudget, Crew, Job
+from chemlab.agents.evaluate.jobs import AUDIT_SEED, AuditBudget, Job, JobRunner
 from chemlab.agents.evaluate.play import evaluate, find_target
 from chemlab.agents.executors import ATTEMPTS, Inline, WorkerLost, Workers, completed, executor
 from chemlab.agents.runs import Run
@@ -91,9 +91,9 @@ def test_results_are_the_same_wherever_jobs_are_played(jobs: Executor, tmp_path:
     own = {"split": "test", "seed": AUDIT_SEED}
     parts = [Job(name, "play", {"policy": name, **own}) for name in ("scripted", "random", "nobody")]
     parts += [Job("foresee-0", "foresee", {"first": 0, "plans": []})]
-    known = Crew(spec, budget, tmp_path / "here").run(parts)
+    known = JobRunner(spec, budget, tmp_path / "here").run(parts)
     assert known["nobody"]["scores"] is None
-    assert Crew(spec, budget, tmp_path / "there", jobs).run(parts) == known
+    assert JobRunner(spec, budget, tmp_path / "there", jobs).run(parts) == known
     for job in parts:
         assert (tmp_path / f"here/{job.name}.json").read_bytes() == (tmp_path / f"there/{job.name}.json").read_bytes()
     here = json.dumps(evaluate(target, ["random"], 3, seed=5))
@@ -127,7 +127,7 @@ def test_a_killed_worker_s_jobs_are_played_again_and_at_last_given_up(jobs: Exec
     begun = [len(list(tmp_path.glob(f"begun-{number}-*"))) for number in range(3)]
     assert begun[2] == ATTEMPTS
     assert all(1 <= count <= ATTEMPTS for count in begun)
-    if isinstance(jobs, Workers) and isinstance(jobs._place, executors._Slurm):
+    if isinstance(jobs, Workers) and isinstance(jobs._backend, executors._Slurm):
         return  # where every attempt takes seconds; the rest is not the place's
     with pytest.raises(WorkerLost, match=f"lost {ATTEMPTS} times"):
         jobs.submit(killed_at_first, 2, tmp_path, 100).result()

@@ -260,13 +260,13 @@ def test_what_does_not_fit_is_named() -> None:
     kind = r"it is for distillation, this is reaction; train one for it: chemlab"
     refused("another kind", kind, policy.check, bench_of(RXN))
     oil = ExperimentBatch("salt_from_oil", "dit").bench
-    refused("other materials", r"'dit' of salt_from_oil: observation '.*': it knows", policy.check, oil)
+    refused("other materials", r"'dit' of salt_from_oil: observation '.*': it was trained with", policy.check, oil)
     values = load_scenario("wurtz_dodecane").model_dump()
     values["benches"]["dit"]["process"][0]["magnitudes"] = values["benches"]["dit"]["process"][0]["magnitudes"][:-1]
     fewer = ExperimentBatch(load_scenario(values), "dit").bench
     refused("fewer actions", "has 31 actions, here there are 30; they differ from", policy.check, fewer)
     small = np.zeros((4, 12), dtype=np.float32)
-    refused("observations", r"sees \[B, 310\] numbers, given \(4, 12\)", policy.values, small)
+    refused("observations", r"observes \[B, 310\] numbers, given \(4, 12\)", policy.values, small)
 
 
 def test_a_bench_that_has_changed_is_a_warning() -> None:

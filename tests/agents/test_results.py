@@ -69,7 +69,7 @@ def test_what_is_no_table_is_named(runs: Path, tmp_path: Path) -> None:
     assert read_table(path, ("a", "b")) == [{"a": "1", "b": "x, y"}, {"a": "2", "b": ""}]
     refused("columns", r"has the columns a, b; needs a, c", read_table, path, ("a", "c"))
     path.write_text("a,b\n1,2\n3\n")
-    refused("cells", r"any\.csv:3: has not 2 cells", read_table, path, ("a", "b"))
+    refused("cells", r"any\.csv:3: must have 2 cells", read_table, path, ("a", "b"))
     assert read_table(tmp_path / "none.csv", ("a",)) == []
 
 

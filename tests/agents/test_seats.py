@@ -9,6 +9,7 @@ import os
 import random
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import typing
@@ -19,9 +20,10 @@ from unittest.mock import Mock
 import pytest
 from helpers import digest, refused
 
+import chemlab
 from chemlab.agents.ledger import append_entry, ended_episodes, read_ledger
 from chemlab.agents.seats import LabTools, Room, call_of, input_schema
-from chemlab.agents.verbs import ToolError
+from chemlab.agents.verbs import ToolError, bench_verbs
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
@@ -315,7 +317,7 @@ def test_forged_ledgers_are_refused(tmp_path: Path) -> None:
         (tmp_path / str(k)).mkdir()
         for entry in ({"event": "begun"}, end):
             append_entry(tmp_path / str(k) / "ledger.jsonl", entry)
-        refused("condition", "condition" if end is ended else "has no end", ended_episodes, tmp_path / str(k))
+        refused("condition", "condition" if end is ended else "has not ended", ended_episodes, tmp_path / str(k))
     (tmp_path / "ledger.jsonl").write_text("[" * 100_000)
     refused("intact", "not intact", read_ledger, tmp_path / "ledger.jsonl")
     (tmp_path / "ledger.jsonl").unlink()
@@ -424,6 +426,23 @@ def test_every_role_has_typed_verbs_for_all_its_actions(name: str) -> None:
             described = re.findall(r"^    (\w+): .", inspect.getdoc(method) or "", re.MULTILINE)
             assert described == list(signature.parameters)
             assert set(input_schema(verb)["properties"]) == set(signature.parameters)
+
+
+def test_amounts_in_verbs_have_all_their_digits(tmp_path: Path) -> None:
+    """Large and nearly equal magnitudes are separate options; ``dry`` allows up to a million litres of air."""
+    shipped = Path(chemlab.__file__).parents[1] / "scenarios" / "syntheses"
+    shutil.copytree(shipped / "benzoic", tmp_path / "benzoic")
+    text = (shipped / "benzoic.toml").read_text(encoding="utf-8")
+    assert text.count("[20, 100, 200, 500]") == 1
+    file = tmp_path / "air.toml"
+    for magnitudes, options in (("[20, 1e6]", (20, 1_000_000)), ("[20.00001, 20.00002]", ("20.00001", "20.00002"))):
+        file.write_text(text.replace("[20, 100, 200, 500]", magnitudes), encoding="utf-8")
+        bench = next(bench for bench in Laboratories(str(file)).benches if bench.key == "cry")
+        dry = next(verb for verb in bench_verbs(bench, str) if verb.name == "dry")
+        assert [argument.options for argument in dry.arguments if argument.name == "amount"] == [options]
+        actions = [dry.action(dry.checked({"amount": option})) for option in options if dry.action is not None]
+        assert ["dry" in bench.action_meanings[action] for action in actions] == [True, True]
+        assert actions[1] == actions[0] + 1
 
 
 def test_methods_return_text_and_raise_one_kind_of_error(room: Room) -> None:

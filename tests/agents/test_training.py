@@ -589,7 +589,7 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
     assert BenchTask(load_scenario(values), "ext").warning() is None
     values["benches"]["ext"]["start"] = {}
     said: Any = BenchTask(load_scenario(values), "ext").warning()
-    assert said.endswith("; or record vessels with chemlab export starts new, and train with --starts lab")
+    assert said.endswith("; or record vessels with chemlab export starts FILE.toml, and train with --starts lab")
     assert BenchTask(load_scenario(values | {"name": "wurtz_dodecane"}), "ext", starts="lab").warning() is None
 
 

@@ -31,7 +31,7 @@ from run_files import write_run
 import chemlab.agents.pretrained
 from chemlab.agents.evaluate.benchmark import find_rows
 from chemlab.agents.evaluate.curves import group_tasks
-from chemlab.agents.evaluate.jobs import AuditBudget, Crew, Job, _policy_hash
+from chemlab.agents.evaluate.jobs import AuditBudget, Job, JobRunner, _policy_hash
 from chemlab.agents.evaluate.leaderboard import check_leaderboard, write_leaderboard
 from chemlab.agents.evaluate.results import read_runs, write_runs
 from chemlab.agents.evaluate.trained_managers import collect_count, write_laboratory
@@ -254,11 +254,13 @@ def try_leaderboard(folder: Path, rng: np.random.Generator) -> None:
 
 def try_part(folder: Path, rng: np.random.Generator) -> None:
     """A finished part of an audit or a benchmark: one that is not as it was written is played again."""
-    crew = Crew(laboratory(SCENARIO).scenario, AuditBudget(episodes=3, plans=1, fewer=1, donors=1, planned=1), folder)
+    runner = JobRunner(
+        laboratory(SCENARIO).scenario, AuditBudget(episodes=3, plans=1, fewer=1, donors=1, planned=1), folder
+    )
     job = Job("a", "everybody", {})
     result = {"scores": [0.0, 0.5, 1.0], "teams": [[["G"], [1, 2], [None, [[[0.5, 1.0]]]]]], "chosen": [0.0]}
-    write_json(folder / "a.json", {"stamp": crew._stamp(job, _policy_hash(job), result), "result": result}, rng)
-    kept = crew.kept(job)
+    write_json(folder / "a.json", {"stamp": runner._stamp(job, _policy_hash(job), result), "result": result}, rng)
+    kept = runner.cached(job)
     if kept is None:
         raise ValueError(f"{folder}: is played again")
     assert kept == result
