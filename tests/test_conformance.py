@@ -37,7 +37,7 @@ FAULTS = {
     "copies": (
         "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]",
         "CALLS.append(0)\n    return np.full((len(members), 1), len(CALLS) / 1e6)\n\n\nCALLS: list[int] = []",
-        "plays on differently",
+        "continues differently",
     ),
 }
 
@@ -114,8 +114,8 @@ def test_bundled_scenarios_leave_no_doubt(name: str) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("stock", {"Na": 0.0}, "benches.rxn: adds 'Na', of which there is none"),
-        ("stock", {"Na": 0.0}, "goals: no reaction makes 'dodecane' of what is in stock"),
+        ("stock", {"Na": 0.0}, "benches.rxn: adds 'Na', which is not in stock"),
+        ("stock", {"Na": 0.0}, "goals: no reaction makes 'dodecane' from the materials in stock"),
         ("theoretical_maximum_mol", {"dodecane": 500.0}, "dodecane: 500 mol, but the atoms in stock .* enough for"),
         ("temperature_k", {"low": 60.0, "high": 100.0, "step": 10.0}, "high = 100 K is -173 degrees Celsius"),
     ],

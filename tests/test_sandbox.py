@@ -587,7 +587,7 @@ def test_a_copy_is_a_flask_of_its_own() -> None:
 
 def test_what_does_not_fit_runs_over() -> None:
     flask = Flask({"water": 5.0}, capacity_l=0.1)
-    with pytest.warns(SpillWarning, match=r"ran over the rim of 0\.1 L"):
+    with pytest.warns(SpillWarning, match=r"spilled: the capacity is 0\.1 L"):
         flask.add("water", 2.0)
     assert flask.volume_l == pytest.approx(0.1)
     assert flask.amounts["water"] + flask.waste["water"] == pytest.approx(7.0)
