@@ -670,7 +670,7 @@ def test_the_solvent_takes_no_part_and_boils_far_from_the_goal() -> None:
         (["--solvent", "ethyl ether"], ["--solvent", "unknown", "chemlab data material 'ethyl ether' -o FILE"]),
         (["--solvent", "NaCl"], ["is not a known liquid"]),
         (["--solvent", "ethyl_acetate"], ["is the goal itself"]),
-        (["--reactions", "fischer"], ["catalyst 'H+'", "is an ion", "shipped fischer"]),
+        (["--reactions", "fischer"], ["catalyst 'H+'", "is an ion", "bundled scenario fischer"]),
         (["--mol", "5"], ["exceed a vessel's"]),
     ],
 )
