@@ -83,7 +83,7 @@ _NEUTRAL = 1e-9
 _SALT = re.compile(
     r"(?:Li|Na|K|Rb|Cs|Mg|Ca|Sr|Ba|Al|Fe|Cu|Zn|Ag|Mn|Ni|Co|NH4)(?:[A-Z][a-z]?|[\d()])+"
     r"|(?:lithium|sodium|potassium|rubidium|caesium|cesium|magnesium|calcium|strontium|barium|alumini?um|iron|ferrous|"
-    r"ferric|copper|cupric|cuprous|zinc|silver|manganese|nickel|cobalt|ammonium)(?:\([iv]+\))?[ _][a-z ]+",
+    r"ferric|copper|cupric|cuprous|zinc|silver|manganese|nickel|cobalt|ammonium)(?:\([iv]+\))?[ _][a-z ]+"
 )
 """Formulas and names of salts of metals and of ammonium."""
 _ACID_OR_BASE = re.compile(r"acid$|amine$|aniline|idine$|morpholine|phenol$|cresol|carbonate ion", re.IGNORECASE)

@@ -136,8 +136,7 @@ def material(
     name: NameOption = None,
     values: ValuesOption = None,
     pairs: Annotated[
-        Path | None,
-        typer.Option(help="Pair file to write for all named materials, bundled ones included."),
+        Path | None, typer.Option(help="Pair file to write for all named materials, bundled ones included.")
     ] = None,
     ideal: IdealOption = False,
     force: ForceOption = False,
@@ -273,8 +272,7 @@ def pairs(
 def reactions(
     smarts: Annotated[list[str], typer.Option(help="Template, reaction SMARTS; repeatable.", show_default=False)],
     reactants: Annotated[
-        list[str],
-        typer.Option(help="Material, CAS number, name or structure; repeatable.", show_default=False),
+        list[str], typer.Option(help="Material, CAS number, name or structure; repeatable.", show_default=False)
     ],
     more: Annotated[list[str] | None, typer.Argument(help="More reactants.")] = None,
     output: Annotated[Path, typer.Option("--out", "-o", help="Reaction file to write.")] = Path("reactions.toml"),
@@ -282,8 +280,7 @@ def reactions(
     rate: RateOption = None,
     activation: Annotated[list[str] | None, typer.Option(help="Activation energy in J/mol, given like --rate.")] = None,
     equilibrium: Annotated[
-        list[str] | None,
-        typer.Option(help="Equilibrium constant at 298.15 K, given like --rate; 0: not reversible."),
+        list[str] | None, typer.Option(help="Equilibrium constant at 298.15 K, given like --rate; 0: not reversible.")
     ] = None,
     source: Annotated[str, typer.Option(help="Source of the given constants.")] = "",
     catalyst: Annotated[

@@ -286,9 +286,7 @@ def make_pairs(
 
 
 def quick_pairs(
-    pairs: Sequence[tuple[str, str]],
-    materials: Materials,
-    progress: Callable[[int], None] = lambda _: None,
+    pairs: Sequence[tuple[str, str]], materials: Materials, progress: Callable[[int], None] = lambda _: None
 ) -> list[CataloguePair]:
     """Return the NRTL parameters of some pairs by UNIFAC, fitted on the quick grid.
 

@@ -61,9 +61,7 @@ INSTRUMENTS: dict[str, dict[str, Any]] = {
     "balance": {"kind": "balance", "price": 0.0005},
     "gas_chromatograph": {"kind": "gas_chromatograph", "price": 0.01, "sample_fraction": 0.001},
 }
-SAFETY: dict[str, Any] = {
-    "weights": {**dict.fromkeys(SAFETY_EVENTS, 1.0), "boiled_dry": 0.1, "dry_heating": 0.1},
-}
+SAFETY: dict[str, Any] = {"weights": {**dict.fromkeys(SAFETY_EVENTS, 1.0), "boiled_dry": 0.1, "dry_heating": 0.1}}
 
 
 @dataclass(frozen=True)
@@ -214,12 +212,7 @@ def _soluble(solute: str, solvent: str, kelvin: float, materials: Materials, pai
 
 
 def _dissolving_s(
-    fed: Mapping[str, float],
-    solvent: str,
-    solvent_mol: float,
-    kelvin: float,
-    materials: Materials,
-    pairs: Pairs,
+    fed: Mapping[str, float], solvent: str, solvent_mol: float, kelvin: float, materials: Materials, pairs: Pairs
 ) -> float:
     """Return the time in seconds in which the slowest charged crystals dissolve to 1/e.
 

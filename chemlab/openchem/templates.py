@@ -390,11 +390,7 @@ def _bundled_entries(keys: Iterable[str], materials: Materials) -> dict[str, lis
 
 
 def family_tables(
-    name: str,
-    found: Sequence[Found],
-    materials: Materials,
-    command: str,
-    catalysts: Sequence[str] = (),
+    name: str, found: Sequence[Found], materials: Materials, command: str, catalysts: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Return a validated reaction family.
 

@@ -64,9 +64,7 @@ def lock(command: str, *packages: str) -> dict[str, str]:
 
 
 def material_text(
-    tables: Mapping[str, Mapping[str, Any]],
-    command: str,
-    packages: Sequence[str] = ("chemicals", "thermo", "rdkit"),
+    tables: Mapping[str, Mapping[str, Any]], command: str, packages: Sequence[str] = ("chemicals", "thermo", "rdkit")
 ) -> str:
     """Return the text of a material file.
 
