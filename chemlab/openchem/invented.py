@@ -3,7 +3,7 @@
 | property | rule |
 |---|---|
 | molar mass, volume, heat capacity | sums over the invented atoms (the latter after Kopp, 1864; Neumann, 1831) |
-| boiling point | Kinney, J. Am. Chem. Soc. 60 (1938) 3032: 230.14 b^(1/3) - 543, in Celsius; b is a sum over the atoms, and more for what is polar |
+| boiling point | Kinney, J. Am. Chem. Soc. 60 (1938) 3032: 230.14 b^(1/3) - 543, in Celsius; b is a sum over the atoms, and larger for polar materials |
 | heat of vaporization | Everett, J. Chem. Soc. 1960, 2566 (Trouton's rule, the rising one): (36.6 + R ln T) T at the boiling point T, for liquids without hydrogen bonds |
 | vapour pressure | Antoine's equation through 101.325 kPa with that heat there; C after Thomson, Chem. Rev. 38 (1946) 1 |
 | critical temperature | 3/2 of the boiling point (Guldberg 1890) |

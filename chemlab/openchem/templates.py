@@ -90,8 +90,7 @@ class Template:
             agents = self.smarts.split(">")[1]
             raise DataError(
                 f"template {self.smarts!r}: {agents} over the arrow is not supported; write "
-                "REACTANTS>>PRODUCTS, name a catalyst with --catalyst, and put what is "
-                "consumed on the left"
+                "REACTANTS>>PRODUCTS, with consumed reagents on the left, and name a catalyst with --catalyst"
             )
         object.__setattr__(self, "reaction", made)
 

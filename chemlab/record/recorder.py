@@ -147,7 +147,7 @@ class EpisodeLines:
         labs, m = self._labs, self._m
         line: dict[str, Any] = {"turn": self.turns, "tick": tick, "play": {}}
         for play in plays:
-            # The action as the simulator uses it: continuous actions are float64, whatever their type was.
+            # The action as the simulator uses it: continuous actions are float64.
             action = np.asarray(play.action, dtype=None if labs.action_counts[play.agent] else np.float64)
             line["play"][labs.agents[play.agent]] = [seen_hash(play.observation, play.mask), action.tolist()]
         line |= turn_facts(labs, m, plays)

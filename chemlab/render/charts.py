@@ -156,9 +156,9 @@ def _timeline(record: Record, trust: bool) -> _Timeline:
         rewards += np.array([move.rewards[agent] for agent in labs.agents])
         if by_manager:
             timeline.decisions.append((unit, action_words(labs, labs.manager.index, move.plays[0].action)))
-        if move.begun:
-            experiments = labs.experiments[labs.bench_agents.index(move.begun)]
-            running[move.begun] = (unit + 1, labs.scenario.goals[int(experiments.goal[0])])
+        if move.started:
+            experiments = labs.experiments[labs.bench_agents.index(move.started)]
+            running[move.started] = (unit + 1, labs.scenario.goals[int(experiments.goal[0])])
         for agent, score in move.scores.items():
             start, goal = running.pop(agent)
             timeline.experiments.append((agent, start, unit if by_manager else unit + 1, goal, score))

@@ -38,7 +38,7 @@ class Move:
     """agents whose action was invalid"""
     rewards: dict[str, float]
     cost: dict[str, float]
-    begun: str
+    started: str
     """agent whose experiment started in this turn, or an empty string"""
     scores: dict[str, float]
     """scores of the experiments that ended in this turn, by agent"""
@@ -79,7 +79,7 @@ class RecordReplay(Replay):
             by_manager = plays[0].agent == labs.manager.index
             lost = tuple(labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0])
             ended = [labs.bench_roles[b].index for b in np.flatnonzero(busy & ~labs.state.busy[:, 0])]
-            begun = np.flatnonzero(~busy & labs.state.busy[:, 0])
+            started = np.flatnonzero(~busy & labs.state.busy[:, 0])
             yield Move(
                 number=number,
                 tick=tick,
@@ -88,7 +88,7 @@ class RecordReplay(Replay):
                 lost=lost,
                 rewards=dict(zip(labs.agents, labs.rewards[0].tolist(), strict=True)),
                 cost=dict(zip(labs.agents, labs.cost[0].tolist(), strict=True)),
-                begun=labs.bench_agents[begun[0]] if len(begun) else "",
+                started=labs.bench_agents[started[0]] if len(started) else "",
                 scores={labs.agents[agent]: float(labs.scores[0, agent]) for agent in ended},
                 last={labs.agents[agent]: self._last_look(before, plays, agent) for agent in ended},
             )

@@ -59,7 +59,7 @@ def protocol(record: Record, trust: bool = False) -> str:
         for play in move.plays:
             agent, words = labs.agents[play.agent], action_words(labs, play.agent, play.action)
             step = latest.get(agent)
-            if step is None or step.words != words or move.manager or move.begun == agent:
+            if step is None or step.words != words or move.manager or move.started == agent:
                 step = latest[agent] = _Step(move.tick, agent, words)
                 steps.append(step)
             step.times += 1
