@@ -21,6 +21,7 @@ import itertools
 import math
 import os.path
 import re
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -376,6 +377,14 @@ def _all_or_nothing(operation: Callable[Concatenate[Flask, P], R]) -> Callable[C
     return cast("Callable[Concatenate[Flask, P], R]", whole)
 
 
+def _warn(message: str, category: type[Warning]) -> None:
+    """Issue a warning at the line outside this module that called the operation."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals is globals():
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
+
+
 def _mapped(contents: Mapping[str, float] | None) -> dict[str, float]:
     """Return contents as a dict; None stands for an empty flask."""
     if contents is None or isinstance(contents, Mapping):
@@ -453,7 +462,7 @@ class Flask:
         self._names = frozenset(contents)
         self._chemistry = _build_chemistry(setting, self._names)
         self._insoluble: frozenset[str] = frozenset()
-        self._warn_of_salts(4)
+        self._warn_of_salts()
         self._shelf = Shelf(self._chemistry.table, 1, 1)
         self._work = np.zeros(backends.work_size(self._chemistry.table))
         self._events, self._spilled = np.zeros(len(SAFETY_EVENTS)), 0.0
@@ -693,11 +702,10 @@ class Flask:
         self._seconds += seconds
         self._equilibrate(clock=T_MIX - CLOCK_SETTLED)
         if closed and self.vapor_pressure_kpa > self.pressure_kpa:
-            warnings.warn(
+            _warn(
                 f"at {jacket:g} K the contents would boil (vapour {self.vapor_pressure_kpa:.4g} of "
                 f"{self.pressure_kpa:.4g} kPa); temperature_k alone closes the flask, jacket_w_k leaves it open",
                 BoilingWarning,
-                stacklevel=3,
             )
 
     @_all_or_nothing
@@ -1067,21 +1075,17 @@ class Flask:
             solvents = [new.layout.solvents.index(name) for name in layout.solvents]
             new.dissolved[0, 0][np.ix_(fluids, solvents)] = old.dissolved[0, 0]
         self._names, self._chemistry, self._shelf = names, chemistry, new
-        self._warn_of_salts(5)
+        self._warn_of_salts()
         self._work = np.zeros(backends.work_size(chemistry.table))
 
-    def _warn_of_salts(self, stacklevel: int) -> None:
+    def _warn_of_salts(self) -> None:
         """Warn once of each salt in water for which the user's reaction file has no ``[[salt]]`` entry."""
         scenario, family = self._chemistry.scenario, self._setting.reactions
         if not family.endswith(".toml") or "water" not in scenario.materials:
             return
         insoluble = frozenset(salts()) & set(scenario.materials) - {salt.solid for salt in scenario.family.salt}
         for name in sorted(insoluble - self._insoluble):
-            warnings.warn(
-                f"{name} has no [[salt]] entry in {Path(family).name}, so it does not dissolve; add one there",
-                SaltWarning,
-                stacklevel=stacklevel,
-            )
+            _warn(f"{name} has no [[salt]] entry in {Path(family).name}, so it does not dissolve; add one", SaltWarning)
         self._insoluble |= insoluble
 
     def _warn_of_acids(self) -> None:
@@ -1090,11 +1094,10 @@ class Flask:
         ionize = {name for acid in scenario.family.acid for name in acid.species}
         held = [name for name, mol in self.amounts.items() if mol > TRACE_MOL and name not in ionize]
         if found := [name for name in held if _ACID_OR_BASE.search(scenario.materials[name].name)]:
-            warnings.warn(
+            _warn(
                 f"no [[acid]] entry names {' or '.join(found)}, so the pH is as without it; write one into your own "
                 "reaction file",
                 IonizationWarning,
-                stacklevel=3,
             )
 
     def _state(self) -> list[FloatArray]:
@@ -1151,7 +1154,7 @@ class Flask:
         spilled = float(self._events[SPILL])
         if spilled > self._spilled:
             excess = spilled - self._spilled
-            warnings.warn(f"{excess:.4g} L spilled: the capacity is {self.capacity_l:g} L", SpillWarning, stacklevel=4)
+            _warn(f"{excess:.4g} L spilled: the capacity is {self.capacity_l:g} L", SpillWarning)
             self._spilled = spilled
 
 

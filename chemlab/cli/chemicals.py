@@ -541,7 +541,7 @@ def _ask(prompt: str, default: str = "") -> str:
 def _goal_and_solvent(
     goal: str, solvent: str, family: ReactionFamily, known: Mapping[str, Material]
 ) -> tuple[str, str]:
-    """Return goal and solvent of a new scenario, with a prompt or a default for those that are not given.
+    """Return goal and solvent of a new scenario, with prompts or defaults for missing ones.
 
     Raises:
         ValueError: a name is unknown, or there is no default.
