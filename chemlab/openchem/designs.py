@@ -70,7 +70,7 @@ class _Charge:
 
     Attributes:
         goal, solvent: materials.
-        fed, catalysts: mol of the starting materials, and of catalysts that are neither fed nor the solvent.
+        fed, reagents: mol of the starting materials, and of these and the catalysts that are charged with them.
         solvent_mol: mol of the solvent.
         tick: seconds per step of the reaction bench.
         warm_k: reaction temperature in K.
@@ -83,18 +83,13 @@ class _Charge:
     solvent: str
     fed: dict[str, float]
     solvent_mol: float
-    catalysts: dict[str, float]
+    reagents: dict[str, float]
     tick: float
     warm_k: float
     heat_j: float
     washing: bool
     crystallizing: bool
     liquids: list[str]
-
-    @property
-    def reagents(self) -> dict[str, float]:
-        """mol of the charged reagents."""
-        return {**self.fed, **self.catalysts}
 
 
 def steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
@@ -318,11 +313,10 @@ def design(
     liquid = max(litre - litres_of(fed, materials), 0.2 * litre)
     in_solvent = significant(liquid / litres_of({solvent: 1.0}, materials), 3)
     others = [key for key in _catalysts(goal, family) if key not in (*fed, solvent)]
-    catalysts = dict.fromkeys(others, significant(_CATALYST * mol, 3))
     violent = {key for step in family.violent if step.event != "none" for key in step.reactants}
     washing = wash and not violent & set(fed) and _washes(goal, solvent, family, materials, pairs)
     crystallizing = _crystallizes(materials[goal])
-    reagents = {**fed, **catalysts}
+    reagents = {**fed, **dict.fromkeys(others, significant(_CATALYST * mol, 3))}
     liquids = [materials[k].boiling_point_k for k in (*reagents, solvent) if _liquid(materials[k])]
     warm = min(min(liquids) - _BELOW_BOILING_K, 420.0)
     heat = sum(abs(_heat(step, materials)) for step in steps_to(goal, family).values()) * mol
@@ -331,7 +325,7 @@ def design(
     tick = max(_tick(goal, family, warm, litre, fed, contents), significant(2.0 * heat / (_STEPS * _CALM_W), 2))
     tick = max(tick, min(significant(dissolving / _STEPS, 2), _TICK_S[1]))
     present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
-    charge = _Charge(goal, solvent, fed, in_solvent, catalysts, tick, warm, heat, washing, crystallizing, present)
+    charge = _Charge(goal, solvent, fed, in_solvent, reagents, tick, warm, heat, washing, crystallizing, present)
     workup = {WATER: 80.0} if washing or crystallizing else {}
     workup |= {"ethanol": 20.0, goal: 0.01} if crystallizing else {}
     stock = {

@@ -263,13 +263,8 @@ def _add_byproducts(network: Network, draws: Draws, number: int, reactions: int)
 def _side_reactions(network: Network, kind: Kind, j: int, partner: str, name: str, twice: bool) -> list[Step]:
     """Return the side reactions that compete with main step ``j`` and make the by-product ``name``.
 
-    Args:
-        network: the network.
-        kind: kind of the side reaction.
-        j: index of the main step.
-        partner: reactant of the main step that takes part in a dimer or a further reaction.
-        name: the by-product.
-        twice: whether an isomer is formed both directly and from the product.
+    ``partner`` is the reactant of a dimer or a further reaction. If ``twice``, an isomer is formed both directly and
+    from the product.
     """
     main, product = network.steps[j], network.route[j]
     leaving = {key: 1 for key in main.products if key != product}

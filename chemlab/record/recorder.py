@@ -98,16 +98,7 @@ class EpisodeLines:
         environment: Mapping[str, str],
         version: str = __version__,
     ) -> dict[str, Any]:
-        """Return the first line.
-
-        Args:
-            seed: seed of the reset, or None.
-            options: options of the reset.
-            rounds: whether turns are rounds of several agents.
-            policies: names of the agents' policies.
-            environment: versions and platform (:func:`environment_here`).
-            version: version of chemlab.
-        """
+        """Return the first line; the arguments are its keys that do not follow from the laboratory."""
         labs = self._labs
         split: dict[str, Any] = {}
         hidden: dict[str, Any] = {}
