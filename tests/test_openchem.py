@@ -601,7 +601,7 @@ def test_hydrogen_is_matched_but_no_gas_is_put_in(tmp_path: Path) -> None:
     (step,) = load_reactions(str(family), shipped_materials()).reaction
     assert step.words == "1-hexene + H2 -> hexane"
     shown = command("new", "hydrogenation", "--reactions", family, "-o", tmp_path / "lab.toml", code=2)
-    assert "made of 'H2', a gas" in shown
+    assert "made from 'H2', a gas" in shown
 
 
 def test_what_the_goal_falls_apart_into_is_not_made_of_it() -> None:
