@@ -1,8 +1,8 @@
-"""Campaigns for optimizers: run a recipe in the laboratory, read what was measured, and what it cost.
+"""Campaigns for optimizers: run recipes in a laboratory and receive their measured results and costs.
 
-A scenario in ``scenarios/campaigns`` has many equal vessels, reaction benches and one chromatograph. An optimizer asks
-for recipes; each :meth:`Campaign.run` starts a vessel on a bench, controls the bench by the recipe, and measures the
-vessel. All of it happens in one laboratory by ordinary actions, so the costs, limits and noise are the laboratory's.
+A scenario in ``scenarios/campaigns`` has many equal vessels, reaction benches and one chromatograph. The optimizer
+proposes recipes. Each :meth:`Campaign.run` starts a vessel at a bench, controls the bench by the recipe, and measures
+the vessel. All of this consists of ordinary actions in one laboratory, with its costs, limits and noise.
 
 >>> campaign = Campaign(seed=1)
 >>> result = campaign.run(catalyst="catalyst_a", percent=1.5, equivalents=1.3, temperature_k=378.0, minutes=20)
@@ -29,12 +29,15 @@ from .roles.reaction_bench import ReactionBench
 
 _TRACE = 1e-9
 _LEAST = 0.2
-"""Least share of what a bench takes at most: the publication's catalyst is 0.5 to 2.5 % (reactions.toml)."""
+"""Lower bounds of ``percent`` and ``equivalents`` as a share of the upper bounds.
+
+The publication's range of the catalyst is 0.5 to 2.5 % (reactions.toml).
+"""
 
 
 @dataclass(frozen=True)
 class Range:
-    """Numbers that a parameter may have; ``step`` is 1 for integers, else 0."""
+    """Range of a numeric parameter; ``step`` is 1 for integers, else 0."""
 
     low: float
     high: float
@@ -43,7 +46,7 @@ class Range:
 
 @dataclass(frozen=True)
 class Choice:
-    """Names that a parameter may have."""
+    """Options of a categorical parameter."""
 
     options: tuple[str, ...]
 
@@ -54,14 +57,14 @@ class Result:
 
     Attributes:
         recipe: the parameters.
-        slot: the vessel.
-        amount_mol: mol of the product, measured with noise.
-        purity: share of the product among what counts, measured with noise.
+        slot: slot of the vessel.
+        amount_mol: amount of the product in mol, measured with noise.
+        purity: purity of the product, measured with noise.
         reagents: price of the reagents used, in units of the score.
-        measuring: price of the measurement.
+        measuring: price of the measurement, in units of the score.
         ticks: duration in ticks.
-        value: amount x purity / theoretical maximum, less the price of the reagents for a batch: what a batch by this
-            recipe is worth, as the score counts it. This is the number to maximize.
+        value: objective to maximize, in units of the score: amount x purity / theoretical maximum, minus the price of
+            the reagents times the number of orders.
     """
 
     recipe: Mapping[str, float | str]
@@ -75,12 +78,15 @@ class Result:
 
 
 class Campaign:
-    """One hidden world, in which recipes are run until there are no more vessels.
+    """Optimization of a recipe in one hidden world; every experiment uses up a vessel.
 
     Args:
-        scenario: a campaign's name, its path, or a loaded scenario of the same form.
+        scenario: name or path of a campaign scenario, or a loaded scenario of the same form.
         seed: seed of the hidden world and of the noise.
-        split: split that the world is drawn from.
+        split: split from which the world is drawn.
+
+    Raises:
+        ValueError: the scenario does not have the form of a campaign.
     """
 
     def __init__(self, scenario: str | Scenario = "optimize_coupling", seed: int = 0, split: str = "train") -> None:
@@ -117,7 +123,7 @@ class Campaign:
 
     @property
     def left(self) -> int:
-        """Number of vessels that no experiment has used."""
+        """Number of unused vessels; 0 after the end of the campaign."""
         return len(self._fresh) if self._running else 0
 
     @property
@@ -126,14 +132,15 @@ class Campaign:
 
     @property
     def score(self) -> float:
-        """Raw score of the episode so far; what is submitted counts (see :meth:`finish`)."""
+        """Raw score of the episode so far; only submitted batches count (see :meth:`finish`)."""
         return float(self._labs.result(self._labs.members)[0])
 
     def run(self, **recipe: float | str) -> Result:
         """Run one recipe; see :attr:`space` for its parameters.
 
         Raises:
-            ValueError: a parameter is missing, unknown or out of bounds, or no vessel is left; nothing has happened.
+            ValueError: a parameter is missing, unknown or out of bounds, or no vessel is left; the campaign is
+                unchanged.
         """
         return self.run_batch([recipe])[0]
 
@@ -148,17 +155,17 @@ class Campaign:
         ]
         if len(checked) > self.left:
             raise ValueError(f"campaign: {self.left} vessels are left, given {len(checked)} recipes; finish() ends it")
-        found: list[Result] = []
-        benches = list(self._labs.bench_agents)
+        results: list[Result] = []
+        benches = self._labs.bench_agents
         for first in range(0, len(checked), len(benches)):
-            found += self._together(dict(zip(benches, checked[first : first + len(benches)], strict=False)))
-        self.results += found
-        return found
+            results += self._run_parallel(dict(zip(benches, checked[first:], strict=False)))
+        self.results += results
+        return results
 
     def finish(self) -> float:
-        """Submit the best batches by value, one for each order, and return the raw score of the episode.
+        """Submit the batches of highest value, one for each order, and return the raw score of the episode.
 
-        It ends the campaign: no further recipe can be run, and a second call only returns the score.
+        This ends the campaign: no further recipe can be run. A second call only returns the score.
         """
         best = sorted(self.results, key=lambda result: -result.value)
         for order, result in zip(range(self.scenario.orders), best, strict=False):
@@ -168,7 +175,7 @@ class Campaign:
         return self.score
 
     def true_value(self, **recipe: float | str) -> float:
-        """Return a recipe's value without noise, in a copy of the world; for judging optimizers, not for them."""
+        """Return a recipe's value without noise, from a copy of the world; for the evaluation of optimizers only."""
         return float(self.true_values([recipe])[0])
 
     def true_values(self, recipes: Sequence[Mapping[str, float | str]]) -> Any:
@@ -180,28 +187,28 @@ class Campaign:
         return self.values_in(labs, recipes)
 
     def values_in(self, laboratories: Laboratories, recipes: Sequence[Mapping[str, float | str]], slot: int = 0) -> Any:
-        """Return [n] values without noise of one recipe in each of n laboratories of this scenario, each in its own
-        world; for training optimizers.
+        """Return the values [n] of one recipe in each of n laboratories, without noise; for training optimizers.
 
         Args:
-            laboratories: whose first bench is idle; it runs the recipes.
-            recipes: one for each laboratory.
-            slot: with the vessel that is used.
+            laboratories: laboratories of this scenario, each with its own world. The first bench has to be idle; it
+                runs the recipes.
+            recipes: one recipe for each laboratory.
+            slot: slot of the vessel that is used.
 
         Raises:
-            ValueError: a parameter is missing, unknown or out of bounds, or there is not one recipe for each
-                laboratory; nothing has happened.
+            ValueError: a parameter is missing, unknown or out of bounds, or the number of recipes differs from the
+                number of laboratories; the laboratories are unchanged.
         """
         labs, checked = laboratories, [self._checked(recipe, "") for recipe in recipes]
         if len(checked) != len(labs.members):
             raise ValueError(f"recipes: give one for each of {len(labs.members)} laboratories; given {len(checked)}")
         before = labs.shelf.stock.copy()
-        bench = labs.bench_agents[0]
-        number = labs.agents.index(bench)
-        for action in (labs.actions.encode("start", bench, slot, self._goal), labs.actions.encode("wait")):
-            labs.act(labs.manager.index, labs.members, np.full(len(checked), action))
+        for action in (("start", labs.bench_agents[0], slot, self._goal), ("wait",)):
+            labs.act(labs.manager.index, labs.members, np.full(len(checked), labs.actions.encode(*action)))
         for turn in range(self._bench.spec.step_limit):
-            labs.act(number, labs.members, np.stack([self._control(recipe, turn) for recipe in checked]))
+            labs.act(
+                labs.bench_roles[0].index, labs.members, np.stack([self._control(recipe, turn) for recipe in checked])
+            )
         amounts, rules = labs.shelf.amounts[:, slot], labs.rules.arrays
         goal = self.scenario.goals.index(self._goal)
         made, counted = amounts[:, rules.parts[goal, 0]], amounts @ rules.counts[goal]
@@ -224,30 +231,30 @@ class Campaign:
         return dict(recipe)
 
     def _control(self, recipe: Mapping[str, Any], turn: int) -> Any:
-        """Return the bench's action: fill and heat at first, cool down as far as it goes after the given minutes."""
+        """Return the bench's action: add reagents and heat in the first turn, cool after the recipe's minutes."""
         span, names = self._bench.options.temperature_k, self._bench.reagent_names
         shares = np.zeros(len(names))
         if turn == 0:
-            wanted = {
+            amounts = {
                 recipe["catalyst"]: recipe["percent"] / 100.0 * self._limiting,
                 self._reagent: recipe["equivalents"] * self._limiting,
             }
-            for name, mol in wanted.items():
+            for name, mol in amounts.items():
                 shares[names.index(name)] = min(mol / self._bench.options.reagents[name], 1.0)
         change = {0: recipe["temperature_k"] - self.scenario.ambient_temperature_k, recipe["minutes"]: -span.step}
-        warm = min(max(0.5 + change.get(turn, 0.0) / (2.0 * span.step), 0.0), 1.0)
-        return np.array([warm, 0.5, *shares])
+        heating = min(max(0.5 + change.get(turn, 0.0) / (2.0 * span.step), 0.0), 1.0)
+        return np.array([heating, 0.5, *shares])
 
     def _manage(self, kind: str, *arguments: str | int) -> None:
         labs = self._labs
         labs.act(labs.manager.index, labs.members, np.array([labs.actions.encode(kind, *arguments)]))
 
-    def _together(self, recipes: Mapping[str, dict[str, Any]]) -> list[Result]:
-        """Run one recipe on each of some benches at the same time, then measure them."""
+    def _run_parallel(self, recipes: Mapping[str, dict[str, Any]]) -> list[Result]:
+        """Run one recipe on each of some benches at the same time, and measure the vessels."""
         labs, state = self._labs, self._labs.state
         slots = {agent: self._fresh.pop(0) for agent in recipes}
         price, used = labs.rules.arrays.stock_price, dict.fromkeys(recipes, 0.0)
-        begun = int(state.ticks[0])
+        begin = int(state.ticks[0])
         for agent, slot in slots.items():
             self._manage("start", agent, slot, self._goal)
         self._manage("wait")
@@ -255,21 +262,21 @@ class Campaign:
             agent, before = labs.agents[turn], labs.shelf.stock[0].copy()
             labs.act(turn, labs.members, self._control(recipes[agent], int(labs.turns_had(turn)[0]))[None])
             used[agent] += float((before - labs.shelf.stock[0]) @ price)
-        ticks, cost = int(state.ticks[0]) - begun, self.scenario.instruments[self._instrument].price
-        found = []
+        ticks, cost = int(state.ticks[0]) - begin, self.scenario.instruments[self._instrument].price
+        results = []
         for agent, slot in slots.items():
             self._manage("measure", slot, self._instrument)
             amount, purity = self._read(slot)
             value = amount * purity / self._limiting - self.scenario.orders * used[agent]
-            found.append(Result(recipes[agent], slot, amount, purity, used[agent], cost, ticks, value))
-        return found
+            results.append(Result(recipes[agent], slot, amount, purity, used[agent], cost, ticks, value))
+        return results
 
     def _read(self, slot: int) -> tuple[float, float]:
-        """Return amount and purity from a vessel's chromatogram; the solvent is the internal standard."""
+        """Return amount in mol and purity from a vessel's chromatogram; the solvent is the internal standard."""
         labs, spec = self._labs, self.scenario
-        names = labs.instruments.analytes[labs.instruments.names.index(self._instrument)]
+        (names,) = labs.instruments.analytes  # of the only instrument
         shares = dict(zip(names, labs.state.reading[0, slot, : len(names)].tolist(), strict=True))
-        among = spec.specifications[self._goal].purity_among or names
-        solvents = {name: mol for name, mol in spec.shelf.vessel[slot].contents.items() if name not in among}
+        counted = spec.specifications[self._goal].purity_among or names
+        solvents = {name: mol for name, mol in spec.shelf.vessel[slot].contents.items() if name not in counted}
         standard = sum(solvents.values()) / max(sum(shares[name] for name in solvents), _TRACE)
-        return shares[self._goal] * standard, shares[self._goal] / max(sum(shares[n] for n in among), _TRACE)
+        return shares[self._goal] * standard, shares[self._goal] / max(sum(shares[n] for n in counted), _TRACE)

@@ -1,11 +1,11 @@
 """Interactive physics: a flask for notebooks, with the same kernels as the laboratory.
 
-All operations use the laboratory's kernels (:mod:`chemlab.physics.backends`), without agents, turns and random numbers.
+A flask has no agents, turns or random numbers. Its operations call the kernels of :mod:`chemlab.physics.backends`.
 
 >>> ether = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
 >>> receiver = ether.another(capacity_l=2.0)
 >>> heated = ether.heat(150e3, receiver)
->>> round(ether.amounts["diethyl_ether"] + receiver.amounts["diethyl_ether"], 9)  # none is lost
+>>> round(ether.amounts["diethyl_ether"] + receiver.amounts["diethyl_ether"], 9)  # nothing is lost
 4.0
 """
 
@@ -21,6 +21,7 @@ import itertools
 import math
 import os.path
 import re
+import sys
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -57,8 +58,7 @@ from .config.pairs import Pair, log_activity_coefficients, pair_table
 from .config.reactions import PROTON
 from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario
 from .kernels.arrays import FloatArray, Handle
-from .physics import backends as laws
-from .physics import transfer
+from .physics import backends, transfer
 from .physics.chemistry import AMOUNTS, CAPACITY, CLOCK, TEMPERATURE, ChemistryTable, build_chemistry
 from .physics.constants import FIRST_PHASE, TRACE_MOL
 from .physics.events import SPILL
@@ -71,27 +71,30 @@ if TYPE_CHECKING:
     from .render.scene import Scene
 
 _PIXELS = 4000
-"""Resolution of heights in a drained flask; a real separating funnel is not more precise."""
+"""Number of height steps when a flask is drained; a real separating funnel is not more precise."""
 _MOST_PARTS = 10_000
+"""Maximum number of time steps of one :meth:`Flask.wait`."""
 _MOST_JOULES = 1e9
-"""Of a step; a heat is exact to 1e-7 J up to here."""
+"""Maximum heat of one operation in J; up to this amount the heat balance is exact to 1e-7 J."""
 _RTOL, _ATOL = 1e-6, 1e-9
+"""Error tolerances of reactions: relative, and in mol/L."""
 _SHOWN_MOL = 1e-6
 _NEUTRAL = 1e-9
+"""Maximum net charge of neutral contents, as a share of all charges."""
 _SALT = re.compile(
     r"(?:Li|Na|K|Rb|Cs|Mg|Ca|Sr|Ba|Al|Fe|Cu|Zn|Ag|Mn|Ni|Co|NH4)(?:[A-Z][a-z]?|[\d()])+"
     r"|(?:lithium|sodium|potassium|rubidium|caesium|cesium|magnesium|calcium|strontium|barium|alumini?um|iron|ferrous|"
-    r"ferric|copper|cupric|cuprous|zinc|silver|manganese|nickel|cobalt|ammonium)(?:\([iv]+\))?[ _][a-z ]+",
+    r"ferric|copper|cupric|cuprous|zinc|silver|manganese|nickel|cobalt|ammonium)(?:\([iv]+\))?[ _][a-z ]+"
 )
 """Formulas and names of salts of metals and of ammonium."""
 _ACID_OR_BASE = re.compile(r"acid$|amine$|aniline|idine$|morpholine|phenol$|cresol|carbonate ion", re.IGNORECASE)
 """Names of acids and bases: carboxylic acids, phenols, amines, carbonate ions."""
 EVERYDAY = "everyday"
-"""Reactions by default: salts dissolve, acids ionize in water, and nothing else."""
+"""Default of ``reactions``: salts dissolve and acids ionize in water; nothing else reacts."""
 _MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
-"""Of the dew point: rounds; heat of vaporization over the gas constant, which steps are taken with."""
-_REMEMBERED = 10_000
-"""Operations that a flask's history keeps."""
+"""Dew point: maximum number of iterations; heat of vaporization over the gas constant in K, which sets their step."""
+_LONGEST_HISTORY = 10_000
+"""Number of operations that a flask's history keeps."""
 
 
 class SpillWarning(UserWarning):
@@ -99,54 +102,54 @@ class SpillWarning(UserWarning):
 
 
 class BoilingWarning(UserWarning):
-    """A thermostat has heated a closed flask beyond the point where its contents boil in the open."""
+    """A thermostat holds a closed flask at a temperature at which its contents would boil in an open one."""
 
 
 class SaltWarning(UserWarning):
-    """A reaction file does not tell how a salt dissolves, so that it stays solid in water."""
+    """A salt stays solid in water because the reaction file has no ``[[salt]]`` entry for it."""
 
 
 class IonizationWarning(UserWarning):
-    """A pH was measured of an acid or a base that no ``[[acid]]`` entry names, so that it does not ionize."""
+    """The measured pH ignores an acid or a base that no ``[[acid]]`` entry names: it does not ionize."""
 
 
 class Heated(NamedTuple):
     """Result of a heating step, J."""
 
     taken_j: float
-    """heat absorbed by the flask: less than offered if it is as hot as the mantle or empty"""
+    """heat absorbed by the flask; less than offered if the flask is empty or reaches the mantle's temperature"""
     condensed_j: float
     """heat removed by the condenser"""
 
 
 class Amounts(dict[str, float]):
-    """mol by material; ``amounts["DCM"]`` finds ``dichloromethane``."""
+    """Amounts in mol by material; other names of a material are accepted: ``amounts["DCM"]``."""
 
     def __missing__(self, name: str) -> float:
         found = [key for key in matches(name) if key in self]
         if len(found) != 1:
-            raise KeyError(f"{name!r} is not in the flask; it knows {', '.join(self)}")
+            raise KeyError(f"{name!r} is not in the flask; choose from {', '.join(self)}")
         return self[found[0]]
 
 
 class Moment(NamedTuple):
-    """A flask after an operation."""
+    """State of a flask after an operation."""
 
     operation: str
     seconds: float
-    """s that it has stood, stirred or reacted so far"""
+    """total time in s for which the flask has stood or reacted"""
     joules: float
-    """J that ``heat`` has given so far, less what ``cool`` has taken; thermostats and jackets are not counted"""
+    """total heat in J supplied by ``heat`` minus heat removed by ``cool``; thermostats and jackets are not counted"""
     temperature_k: float
     volume_l: float
     amounts: Mapping[str, float]
     """mol by material"""
     head_temperature_k: float | None = None
-    """K, of the vapour at the still's head while something distils"""
+    """temperature in K of the vapour at the still head; None if nothing distilled"""
     distillate: Mapping[str, float] = {}
     """mol by material that this operation distilled"""
     solids: Mapping[str, float] = {}
-    """mol by material that is not dissolved: crystals, salts, metals"""
+    """mol by material of undissolved solids: crystals, salts, metals"""
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ class Layer:
 
 @dataclass(frozen=True)
 class Measurement:
-    """Reading of an instrument, without noise and sample."""
+    """Reading of an instrument, without noise; no sample is consumed."""
 
     values: FloatArray
     """[size] in ``unit``"""
@@ -182,7 +185,7 @@ class Measurement:
         return self.words
 
     def __float__(self) -> float:
-        """Return the only value.
+        """Return the value of a reading that has only one.
 
         Raises:
             TypeError: there are several values.
@@ -193,7 +196,7 @@ class Measurement:
 
 
 class _Setting(NamedTuple):
-    """Settings that flasks must share to exchange matter."""
+    """Settings that flasks must share to exchange material."""
 
     physics: str
     reactions: str
@@ -202,7 +205,7 @@ class _Setting(NamedTuple):
     room_k: float
     room_kpa: float
     content: str
-    """Digest of the files' content: after an edit, the same paths are another setting."""
+    """Digest of the files' content when the flask was made; it distinguishes versions of an edited file."""
 
     def read(self) -> str:
         """Return the digest of the files' current content.
@@ -210,8 +213,7 @@ class _Setting(NamedTuple):
         Raises:
             DataError: a file cannot be read.
         """
-        names = [self.reactions] if self.reactions.endswith(".toml") else []
-        files = [Path(name) for name in names]
+        files = [Path(self.reactions)] if self.reactions.endswith(".toml") else []
         for path in map(Path, self.material_files):
             files += sorted(path.glob("*.toml")) if path.is_dir() else [path]
         digest = hashlib.sha256()
@@ -221,7 +223,7 @@ class _Setting(NamedTuple):
         return digest.hexdigest()
 
 
-class _Known(NamedTuple):
+class _Chemistry(NamedTuple):
     """Chemistry of some materials and of their reaction products."""
 
     scenario: Scenario
@@ -233,7 +235,7 @@ def _listed(amounts: Mapping[str, float]) -> str:
 
 
 @functools.lru_cache(maxsize=64)
-def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
+def _build_chemistry(setting: _Setting, names: frozenset[str]) -> _Chemistry:
     """Build the chemistry of a laboratory with one vessel that can contain ``names``.
 
     Raises:
@@ -244,12 +246,12 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
             "flask: a file of its materials, pairs or reactions was edited after this flask was made; make a new flask"
         )
     listed = sorted(names) or ["water"]
-    own = _materials(setting.material_files, setting.content)
-    used = {*listed, *_reacting(setting.reactions)}
-    found = {name: known for name in sorted(used) if name not in own and (known := catalogue_material(name))}
-    files, reactions = {path for path, _ in found.values()}, setting.reactions
+    loaded = _materials(setting.material_files, setting.content)
+    used = {*listed, *_reaction_materials(setting.reactions)}
+    found = [known for name in sorted(used) if name not in loaded and (known := catalogue_material(name))]
+    files, reactions = {path for path, _ in found}, setting.reactions
     if reactions == EVERYDAY:
-        # Acids and the catalogue's salts need more materials than are in the flask: read only where there are some.
+        # Acids and the catalogue's salts need materials beyond the contents; these are loaded only if required.
         ionic = SALTS in files or ("water" in names and not acids_and_bases().isdisjoint(names))
         ionic = ionic and setting.physics == "real"
         reactions = str(FAMILY) if ionic else "sodium_salts"
@@ -275,49 +277,50 @@ def _chemistry(setting: _Setting, names: frozenset[str]) -> _Known:
         scenario = load_scenario(values)
         scenario._origin = "flask"
         if setting.physics == "real":
-            scenario._pairs |= _pairs_of(scenario, set(load_materials(map(Path, setting.material_files))))
-        return _Known(scenario, build_chemistry(scenario))
+            scenario._pairs |= _missing_pairs(scenario, set(load_materials(map(Path, setting.material_files))))
+        return _Chemistry(scenario, build_chemistry(scenario))
     except DataError as error:
         raise DataError(str(error).replace("(scenario given as a mapping)", "flask")) from error
 
 
-def _reacting(reactions: str) -> set[str]:
-    """Return what the materials of a reaction file may be: all names in its reactions; none for a shipped family."""
+def _reaction_materials(reactions: str) -> set[str]:
+    """Return the materials that a reaction file's reactions name; an empty set for a bundled family."""
     tables = read_toml(Path(reactions)).get("reaction", []) if reactions.endswith(".toml") else []
     sides = [table.get(key) for table in tables if isinstance(table, dict) for key in ("reactants", "products")]
     return {name for side in sides if isinstance(side, dict) for name in side}
 
 
-def _pairs_of(scenario: Scenario, own: set[str]) -> dict[frozenset[str], Pair]:
-    """Activity coefficients of the catalogue that a scenario lacks.
+def _missing_pairs(scenario: Scenario, excluded: set[str]) -> dict[frozenset[str], Pair]:
+    """Return activity coefficients for pairs of molecules that a scenario has none for, except ``excluded`` materials.
 
-    Pairs of materials that were added on this machine are fitted when they first meet, and kept.
+    They are read from the catalogue. Other pairs, with materials that were added on this machine, are fitted on first
+    use and saved.
 
     Raises:
-        ImportError: the extra ``chem`` is not installed, which fits them.
+        ImportError: a pair has to be fitted, and the extra ``chem`` is not installed.
         OSError: the user's folder cannot be written to.
     """
-    molecules = [name for name, m in scenario.materials.items() if m.role in ("solvent", "solute") and name not in own]
-    wanted = {frozenset(two) for two in itertools.combinations(molecules, 2)} - set(scenario.pairs)
-    found = catalogue_pairs(wanted) if wanted else {}
-    left = sorted(tuple(sorted(two)) for two in wanted - set(found))
-    if left:
+    molecules = {name for name, m in scenario.materials.items() if m.role in ("solvent", "solute")} - excluded
+    missing = {frozenset(two) for two in itertools.combinations(molecules, 2)} - set(scenario.pairs)
+    found = catalogue_pairs(missing) if missing else {}
+    unfitted = sorted(tuple(sorted(two)) for two in missing - set(found))
+    if unfitted:
         from .openchem.activity import quick_pairs
 
-        rows = quick_pairs(cast("list[tuple[str, str]]", left), scenario.materials)
+        rows = quick_pairs(cast("list[tuple[str, str]]", unfitted), scenario.materials)
         keep_pairs(rows)
         found |= {frozenset((row.one, row.other)): row.pair() for row in rows}
     return found
 
 
-def _dew_point(distillate: Mapping[str, float], known: _Known, guess: float) -> float:
-    """K, at which a vapour begins to condense at the room's pressure; of acids as if they had no dimers."""
-    names = [name for name, mol in distillate.items() if mol > 0.0 and known.scenario.materials[name].real]
-    materials = [known.scenario.materials[name] for name in names]
-    curves = [m.real.vapor_pressure for m in materials if m.real is not None]
+def _dew_point(distillate: Mapping[str, float], chemistry: _Chemistry, guess: float) -> float:
+    """Return the temperature in K at which a vapour begins to condense at the room's pressure, without acid dimers."""
+    known = chemistry.scenario.materials
+    names = [name for name, mol in distillate.items() if mol > 0.0 and known[name].real]
+    curves = [real.vapor_pressure for name in names if (real := known[name].real)]
     y = np.array([distillate[name] for name in names])
-    y, x, kpa = y / y.sum(), y / y.sum(), float(known.table.world().ambient_pressure)
-    pairs, temperature = pair_table(names, known.scenario.pairs), guess
+    y, x, kpa = y / y.sum(), y / y.sum(), float(chemistry.table.world().ambient_pressure)
+    pairs, temperature = pair_table(names, chemistry.scenario.pairs), guess
     for _ in range(_MOST_ROUNDS):
         pure = np.array([float(curve.pascal(temperature)) / 1000.0 if curve else 1e-9 for curve in curves])
         ratio = pure * np.exp(log_activity_coefficients(x, pairs.tau(temperature), pairs.alpha)) / kpa
@@ -349,35 +352,41 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class _Saved(NamedTuple):
-    """Everything that an operation changes of a flask."""
-
-    attributes: dict[str, Any]
-    arrays: list[FloatArray]
-
-
 def _all_or_nothing(operation: Callable[Concatenate[Flask, P], R]) -> Callable[Concatenate[Flask, P], R]:
-    """Restore the flasks if an operation is interrupted or fails, so that no material is lost or duplicated."""
+    """Restore the flasks if an operation fails or is interrupted; otherwise append it to their histories.
+
+    No material is lost or duplicated in either case.
+    """
 
     @functools.wraps(operation)
     def whole(self: Flask, *args: P.args, **kwargs: P.kwargs) -> R:
         flasks = [self, *(other for other in (*args, *kwargs.values()) if isinstance(other, Flask))]
-        saved = [flask._saved() for flask in flasks]
+        saved = [(dict(vars(flask)), [array.copy() for array in flask._state()]) for flask in flasks]
         try:
             result = operation(self, *args, **kwargs)
         except BaseException:
-            for flask, before in zip(flasks, saved, strict=True):
-                flask._put_back(before)
+            for flask, (attributes, arrays) in zip(flasks, saved, strict=True):
+                vars(flask).update(attributes)
+                for array, before in zip(flask._state(), arrays, strict=True):
+                    array[:] = before
             raise
         for flask in flasks:
-            flask._remember(operation.__name__)
+            flask._append_moment(operation.__name__)
         return result
 
     return cast("Callable[Concatenate[Flask, P], R]", whole)
 
 
+def _warn(message: str, category: type[Warning]) -> None:
+    """Issue a warning at the line outside this module that called the operation."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_globals is globals():
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
+
+
 def _mapped(contents: Mapping[str, float] | None) -> dict[str, float]:
-    """Return contents as a dict (None: nothing)."""
+    """Return contents as a dict; None stands for an empty flask."""
     if contents is None or isinstance(contents, Mapping):
         return dict(contents or {})
     raise ValueError(f'contents must be a mapping such as {{"water": 1.0}}, given {contents!r:.100}')
@@ -386,26 +395,27 @@ def _mapped(contents: Mapping[str, float] | None) -> dict[str, float]:
 class Flask:
     """An open flask in a room.
 
-    Materials are loaded on first use, together with the products of their reactions. A new flask has settled, its
-    layers at equilibrium. Additions stir it a little; :meth:`mix` shakes it, which brings the layers to equilibrium.
-    Crystals of molecules dissolve and grow in time (:meth:`wait`), salts at once. All amounts are in mol, volumes in
-    L, temperatures in K, heats in J.
+    Materials are loaded on first use, together with the products of their reactions. The layers of a new flask are
+    settled and at equilibrium. Additions stir the contents partially; :meth:`mix` shakes them, which brings the layers
+    to equilibrium. Crystals of molecules dissolve and grow in time (:meth:`wait`); salts dissolve and precipitate at
+    once. All amounts are in mol, volumes in L, temperatures in K, heats in J.
 
     Args:
-        contents: mol by material, which is named as a chemist does: ``acetone``, ``DCM``, ``CCO``, ``67-64-1``,
-            ``NaOH``; :meth:`known` lists them, :meth:`material` adds others. Strong acids are ions in water.
+        contents: mol by material. Names, formulas, CAS numbers and structures (SMILES) are accepted: ``acetone``,
+            ``DCM``, ``CCO``, ``67-64-1``, ``NaOH``. :meth:`known` lists the names, :meth:`material` adds materials.
+            Strong acids become ions and need water.
         physics: physics backend: ``real`` or ``paper``.
         capacity_l: capacity in L; the excess overflows.
         temperature_k: temperature of the contents, molten above their melting points; default: the room's.
-        reactions: what can happen: a shipped family's name or the path of a reaction file. By default salts dissolve,
-            acids ionize in water, and nothing else. A family replaces these: in it, only its own salts dissolve, and
-            only its own acids ionize. Materials of the catalogue may be in a reaction file.
+        reactions: possible reactions: the name of a bundled family or the path of a reaction file. By default, salts
+            dissolve and acids ionize in water, and nothing else reacts. A family replaces this default: only the salts
+            and acids that it lists dissolve and ionize. A reaction file may use materials of the catalogue.
         material_files: files with your own materials.
         pair_files: files with activity coefficients of your own pairs of liquids (``real``).
-        room_k, room_kpa: temperature and pressure around it.
+        room_k, room_kpa: temperature and pressure of the surroundings.
 
-    Files are read when a flask is made. After an edit, new flasks have the new chemistry; old ones keep theirs, and
-    exchange nothing with new ones.
+    Files are read when a flask is made. After an edit, new flasks have the new chemistry. Old flasks keep theirs and
+    cannot exchange material with new ones.
 
     Raises:
         DataError: a material is unknown, or lacks data that the backend needs.
@@ -425,12 +435,12 @@ class Flask:
         room_k: float = 298.15,
         room_kpa: float = 101.325,
     ) -> None:
-        given = [[files] if isinstance(files, (str, os.PathLike)) else files for files in (material_files, pair_files)]
-        own = [tuple(os.path.abspath(file) for file in files) for files in given]
+        lists = [[files] if isinstance(files, (str, os.PathLike)) else files for files in (material_files, pair_files)]
+        paths = [tuple(os.path.abspath(file) for file in files) for files in lists]
         family = os.fspath(reactions)
         family = os.path.abspath(family) if family.endswith(".toml") else family
         room = _number("room_k", room_k, 200.0, 350.0), _number("room_kpa", room_kpa, 1.0, 1000.0)
-        setting = _Setting(physics, family, own[0], own[1], *room, "")
+        setting = _Setting(physics, family, paths[0], paths[1], *room, "")
         self._fill(setting._replace(content=setting.read()), _mapped(contents), capacity_l, temperature_k)
 
     def _fill(
@@ -438,43 +448,45 @@ class Flask:
     ) -> None:
         self._setting = setting
         capacity_l = _number("capacity_l", capacity_l, 1e-6, 100.0)
-        contents = self._sorted_out(contents)
+        contents = self._resolve_contents(contents)
         materials = {name: self._material(name) for name in contents}
         filled = litres_of(contents, materials)
         if filled > capacity_l:
             raise ValueError(f"contents: {filled:.4g} L do not fit in capacity_l = {capacity_l:g}")
         charges = [mol * materials[name].charge for name, mol in contents.items()]
         if abs(sum(charges)) > _NEUTRAL * sum(map(abs, charges)):
-            raise ValueError(f"contents: have a charge of {sum(charges):+.4g} mol; give the ions that balance it")
+            raise ValueError(f"contents: have a charge of {sum(charges):+.4g} mol; add the ions that balance it")
         self._seconds, self._joules = 0.0, 0.0
         self._head: tuple[float | None, dict[str, float]] = (None, {})
-        self._history: collections.deque[Moment] = collections.deque(maxlen=_REMEMBERED)
+        self._history: collections.deque[Moment] = collections.deque(maxlen=_LONGEST_HISTORY)
         self._names = frozenset(contents)
-        self._known = _chemistry(setting, self._names)
+        self._chemistry = _build_chemistry(setting, self._names)
         self._insoluble: frozenset[str] = frozenset()
-        self._warn_of_salts(4)
-        self._shelf = Shelf(self._known.table, 1, 1)
+        self._warn_of_salts()
+        self._shelf = Shelf(self._chemistry.table, 1, 1)
+        self._work = np.zeros(backends.work_size(self._chemistry.table))
         self._events, self._spilled = np.zeros(len(SAFETY_EVENTS)), 0.0
-        self._make_scratch()
         self._shelf.fill(0, 0, capacity_l, contents)
         if temperature_k is not None:
             self._row[TEMPERATURE] = _number("temperature_k", temperature_k, 150.0, 900.0)
-            self._put_in_molten(contents)
+            self._melt(contents)
         self._row[CLOCK] = T_MIX  # shaken to equilibrium, then settled
-        self._after()
+        self._equilibrate()
         self.settle()
 
     # -- contents -----------------------------------------------------------------------------------------------------
 
     @property
     def amounts(self) -> dict[str, float]:
-        """mol of each material that is in it, as {name: mol}; 0 for what it knows and does not hold. Other names of a
-        material find it, too."""
+        """Amounts in mol by material; 0 for reaction products and materials that are used up.
+
+        Other names of a material are accepted, such as ``flask.amounts["DCM"]``.
+        """
         return Amounts(self._vessel.amounts(-1.0))
 
     @property
     def history(self) -> tuple[Moment, ...]:
-        """The flask after each of the last 10,000 operations, oldest first."""
+        """State of the flask after each of the last 10,000 operations, oldest first."""
         return tuple(self._history)
 
     @property
@@ -484,13 +496,13 @@ class Flask:
 
     @property
     def pressure_kpa(self) -> float:
-        """Pressure above the contents in kPa: the room's, because the flask is open."""
-        return float(self._known.table.world().ambient_pressure)
+        """Pressure above the contents in kPa; it equals the room's pressure, because the flask is open."""
+        return float(self._chemistry.table.world().ambient_pressure)
 
     @property
     def vapor_pressure_kpa(self) -> float:
         """Vapour pressure of the liquids in kPa; they boil when it reaches :attr:`pressure_kpa`."""
-        return float(laws.vapor_pressure(self._row, self._chem))
+        return float(backends.vapor_pressure(self._row, self._chem))
 
     @property
     def capacity_l(self) -> float:
@@ -505,27 +517,27 @@ class Flask:
     @property
     def mass_kg(self) -> float:
         """Mass of the contents in kg."""
-        return float(self._vessel.row[self._columns] @ self._known.table.world().molar_mass) / 1000.0
+        return float(self._vessel.row[self._columns] @ self._chemistry.table.world().molar_mass) / 1000.0
 
     @property
     def layers(self) -> tuple[Layer, ...]:
         """Layers after settling: solids, then liquids, from the bottom up."""
-        layout, air = self._shelf.layout, self._known.table.world().air
-        layers, volumes = np.zeros(layout.fluid_columns + 1, dtype=np.int64), np.zeros(layout.fluid_columns)
-        count = laws.find_layers(self._row, self._chem, layers, volumes)
-        found = []
-        for code, litres in zip(layers[1 : 1 + count].tolist(), volumes.tolist(), strict=False):
+        layout, air = self._shelf.layout, self._chemistry.table.world().air
+        codes, volumes = np.zeros(layout.fluid_columns + 1, dtype=np.int64), np.zeros(layout.fluid_columns)
+        count = backends.find_layers(self._row, self._chem, codes, volumes)
+        layers = []
+        for code, litres in zip(codes[1 : 1 + count].tolist(), volumes.tolist(), strict=False):
             if code == air or litres <= 0.0:
                 continue
             rest, out = self._row.copy(), np.zeros_like(self._row)
-            laws.drain_layer(rest, out, code, 1.0, self._chem)
-            held = dict(zip(layout.materials, out[self._columns].tolist(), strict=True))
+            backends.drain_layer(rest, out, code, 1.0, self._chem)
+            amounts = zip(layout.materials, out[self._columns].tolist(), strict=True)
             name = layout.materials[code] if code >= 0 else "solids"
             if code <= FIRST_PHASE:
                 name = layout.solvents[FIRST_PHASE - code]
-            contents = {name: mol for name, mol in held.items() if mol > TRACE_MOL}
-            found.append(Layer(name, litres, litres / max(self.volume_l, litres), contents))
-        return tuple(found)
+            contents = {key: mol for key, mol in amounts if mol > TRACE_MOL}
+            layers.append(Layer(name, litres, litres / max(self.volume_l, litres), contents))
+        return tuple(layers)
 
     @property
     def waste(self) -> dict[str, float]:
@@ -541,17 +553,20 @@ class Flask:
     # -- operations ---------------------------------------------------------------------------------------------------
 
     def another(self, contents: Mapping[str, float] | None = None, capacity_l: float | None = None) -> Flask:
-        """Return another flask in the same room, with the same physics and reactions; by default of the same
-        capacity.
+        """Return another flask in the same room, with the same physics, reactions and files.
+
+        Args:
+            contents: mol by material.
+            capacity_l: capacity in L; default: that of this flask.
         """
         other = Flask.__new__(Flask)
         other._fill(self._setting, _mapped(contents), self.capacity_l if capacity_l is None else capacity_l, None)
         return other
 
     def copy(self) -> Flask:
-        """Return a copy of the flask, for experiments."""
+        """Return an independent copy of the flask."""
         other = self.another()
-        other._learn(self._names)
+        other._extend(self._names)
         other._row[:] = self._row
         other._shelf.waste[:] = self._shelf.waste
         other._events[:], other._spilled = self._events, self._spilled
@@ -566,24 +581,25 @@ class Flask:
             DataError: the material is unknown, or lacks data that the backend needs.
             ValueError: an amount or a temperature is out of bounds, or the material is an ion.
         """
-        key = self._resolved(name)
+        key = self._resolve(name)
         mol = _number(f"add: {name}", mol, 0.0, 1e4)
-        warm = self._setting.room_k if temperature_k is None else temperature_k
-        warm = _number("temperature_k", warm, 150.0, 900.0)
-        if key in REAGENTS:
-            self._pour_ions(key, mol, warm)
-            return
-        if self._material(key).charge:
+        kelvin = self._setting.room_k if temperature_k is None else temperature_k
+        kelvin = _number("temperature_k", kelvin, 150.0, 900.0)
+        if key in REAGENTS:  # a strong acid, added as its ions
+            if self.amounts.get("water", 0.0) <= 0.0:
+                raise ValueError(f"add: {key!r} is supported only as its ions in water; add water first")
+            self._pour_in({part: mol * number for part, number in REAGENTS[key].items()}, kelvin)
+        elif self._material(key).charge:
             raise ValueError(
                 f"add: {name!r} is an ion; pour a neutral mixture: flask.another({{{name!r}: ..., ...}}).pour(flask, 1)"
             )
-        if self._is_molten(key, warm):
-            self._pour_in({key: mol}, warm)
-            return
-        self._learn(self._names | {key})
-        material = self._shelf.layout.index(key)
-        transfer.add(self._row, material, mol, warm, self._chem, self._shelf.waste[0], self._events)
-        self._after()
+        elif self._is_molten(key, kelvin):
+            self._pour_in({key: mol}, kelvin)
+        else:
+            self._extend(self._names | {key})
+            material = self._shelf.layout.index(key)
+            transfer.add(self._row, material, mol, kelvin, self._chem, self._shelf.waste[0], self._events)
+        self._equilibrate()
 
     @_all_or_nothing
     def heat(
@@ -598,10 +614,10 @@ class Flask:
 
         Args:
             joules: offered heat in J.
-            receiver: flask for the distillate; without one it is lost (:attr:`waste`).
+            receiver: flask for the distillate; without one the distillate is lost (:attr:`waste`).
             stages: theoretical stages of a column between pot and condenser, of which the pot is one (``real``).
-            reflux: reflux ratio: mol that the column's head returns per mol that passes.
-            hottest_k: temperature of the mantle in K: hotter contents are not heated.
+            reflux: reflux ratio: mol returned by the column's head per mol of distillate.
+            hottest_k: temperature of the heating mantle in K; contents at this temperature or above are not heated.
 
         Returns:
             The heat balance in J.
@@ -614,18 +630,18 @@ class Flask:
         limits = np.array(
             [_number("hottest_k", hottest_k, COLDEST_K, HOTTEST_K), 0.0, stages, _number("reflux", reflux, 0.0, 100.0)]
         )
-        lost = self.another(capacity_l=100.0) if receiver is None else receiver
-        self._join(lost)
-        row, target = self._row, lost._row
+        collecting = self.another(capacity_l=100.0) if receiver is None else receiver
+        self._connect(collecting)
+        row, target = self._row, collecting._row
         before = target[self._columns].copy()
-        taken, condensed = laws.heat(row, target, joules, limits, self._chem, self._shelf.waste[0], self._events)
+        taken, condensed = backends.heat(row, target, joules, limits, self._chem, self._shelf.waste[0], self._events)
         self._joules += float(taken)
-        self._note_head(target[self._columns] - before, stages)
+        self._set_head(target[self._columns] - before, stages)
         if receiver is None:
             self._shelf.waste[0] += target[self._columns]
         else:
-            receiver._after()
-        self._after()
+            receiver._equilibrate()
+        self._equilibrate()
         return Heated(float(taken), float(condensed))
 
     @_all_or_nothing
@@ -633,13 +649,13 @@ class Flask:
         """Remove up to ``joules`` by a coolant at ``coolest_k``.
 
         Returns:
-            Removed heat in J: less than requested once the contents are as cold as the coolant.
+            Removed heat in J; less than requested if the contents reach the coolant's temperature.
         """
         limits = np.array([0.0, _number("coolest_k", coolest_k, COLDEST_K, HOTTEST_K), 1.0, 0.0])
-        asked = -_number("joules", joules, 0.0, _MOST_JOULES)
-        taken, _ = laws.heat(self._row, self._row, asked, limits, self._chem, self._shelf.waste[0], self._events)
+        offered = -_number("joules", joules, 0.0, _MOST_JOULES)
+        taken, _ = backends.heat(self._row, self._row, offered, limits, self._chem, self._shelf.waste[0], self._events)
         self._joules += float(taken)
-        self._after()
+        self._equilibrate()
         return abs(float(taken))
 
     @_all_or_nothing
@@ -657,17 +673,17 @@ class Flask:
             temperature_k: temperature of a thermostat around the closed flask, or of the jacket with
                 ``jacket_w_k``. None: no heat exchange.
             jacket_w_k: heat transfer in W/K between contents and jacket (``real``).
-            condenser_w: cooling power in W of a reflux condenser above the open flask; vapour beyond
-                it is lost and counts as a safety event. Default: unlimited (``real``).
+            condenser_w: cooling power in W of a reflux condenser above the open flask. Vapour that it cannot condense
+                is lost and counts as a safety event. Default: unlimited (``real``).
 
         Raises:
             ArithmeticError: the reactions are too stiff; nothing has changed.
         """
         seconds = _number("seconds", seconds, 0.0)
         condenser = math.inf if condenser_w is None else _number("condenser_w", condenser_w, 0.0)
-        through = -1.0
+        transfer_w_k = -1.0
         if jacket_w_k is not None:
-            through = _number("jacket_w_k", jacket_w_k, 0.0)
+            transfer_w_k = _number("jacket_w_k", jacket_w_k, 0.0)
             if temperature_k is None:
                 raise ValueError("jacket_w_k: requires temperature_k, the temperature of the jacket")
         jacket = self.temperature_k if temperature_k is None else _number("temperature_k", temperature_k, 150.0, 900.0)
@@ -675,51 +691,49 @@ class Flask:
         if closed:
             self._row[TEMPERATURE] = jacket
         elif temperature_k is None:
-            through = 0.0
-        around = Surroundings(jacket, through, -1.0 if closed else condenser, _RTOL, _ATOL)
+            transfer_w_k = 0.0
+        surroundings = Surroundings(jacket, transfer_w_k, -1.0 if closed else condenser, _RTOL, _ATOL)
         waste = self._shelf.waste[0]
-        if laws.react(self._row, seconds, around, self._chem, waste, self._events, self._work) < 0:
+        if backends.react(self._row, seconds, surroundings, self._chem, waste, self._events, self._work) < 0:
             raise ArithmeticError(
                 f"react: too stiff for {seconds:g} s at {self.temperature_k:.1f} K, and nothing has changed; "
                 "use a shorter time, a jacket, or smaller rate constants"
             )
         self._seconds += seconds
-        self._after(clock=T_MIX - CLOCK_SETTLED)
+        self._equilibrate(clock=T_MIX - CLOCK_SETTLED)
         if closed and self.vapor_pressure_kpa > self.pressure_kpa:
-            warnings.warn(
+            _warn(
                 f"at {jacket:g} K the contents would boil (vapour {self.vapor_pressure_kpa:.4g} of "
                 f"{self.pressure_kpa:.4g} kPa); temperature_k alone closes the flask, jacket_w_k leaves it open",
                 BoilingWarning,
-                stacklevel=3,
             )
 
     @_all_or_nothing
     def wait(self, seconds: float) -> None:
-        """Let the flask stand in the room: layers separate, heat is exchanged, crystals grow or dissolve, reactions go
-        on.
+        """Let the flask stand in the room.
 
-        With the backend ``paper`` only the layers separate.
+        Layers separate, heat is exchanged, crystals grow or dissolve, and reactions continue. With the backend
+        ``paper``, only the layers separate.
         """
         seconds = _number("seconds", seconds, 0.0)
-        tick = self._known.scenario.real.tick_s
-        ticks = seconds / tick
-        whole = min(max(math.ceil(ticks), 1), _MOST_PARTS)
+        ticks = seconds / self._chemistry.scenario.real.tick_s
+        parts = min(max(math.ceil(ticks), 1), _MOST_PARTS)
         waste = self._shelf.waste[0]
-        for _ in range(whole):
-            if laws.elapse(self._row, ticks / whole, self._chem, waste, self._events, self._work):
-                laws.partition(self._row, self._chem, self._work)
+        for _ in range(parts):
+            if backends.elapse(self._row, ticks / parts, self._chem, waste, self._events, self._work):
+                backends.partition(self._row, self._chem, self._work)
         self._seconds += seconds
-        self._after(clock=CLOCK_SETTLED - T_MIX)
+        self._equilibrate(clock=CLOCK_SETTLED - T_MIX)
 
     @_all_or_nothing
     def settle(self) -> None:
         """Let the layers separate at once."""
-        self._after(clock=CLOCK_SETTLED - T_MIX)
+        self._equilibrate(clock=CLOCK_SETTLED - T_MIX)
 
     @_all_or_nothing
     def mix(self) -> None:
-        """Shake the flask: the layers are mixed and at equilibrium with each other."""
-        self._after(clock=T_MIX - CLOCK_SETTLED)
+        """Shake the flask: mix the layers and bring them to equilibrium."""
+        self._equilibrate(clock=T_MIX - CLOCK_SETTLED)
 
     @_all_or_nothing
     def drain(self, receiver: Flask, share: float) -> None:
@@ -728,21 +742,21 @@ class Flask:
         For a settled flask, ``flask.drain(other, flask.layers[0].share)`` drains the lowest layer.
 
         Raises:
-            ValueError: the share is out of bounds, or the other flask has other physics.
+            ValueError: the share is out of bounds, or the flasks differ in their settings.
         """
         share = _number("share", share, 0.0, 1.0)
-        self._join(receiver)
+        self._connect(receiver)
         columns = self._shelf.layout.fluid_columns
         layers, shares = np.zeros(columns + 1, dtype=np.int64), np.zeros((columns, _PIXELS))
         work = np.zeros((columns + 9, max(columns + 1, _PIXELS)))
         lost, events, capacity_l = receiver._shelf.waste[0], receiver._events, self.capacity_l
-        # Heights are those of a funnel that the contents fill, so that little is drained as exactly as much.
+        # Heights refer to a funnel that the contents fill, so that small volumes have the same relative precision.
         self._row[CAPACITY] = max(min(self.volume_l, capacity_l), 1e-9)
         profile(self._row, self._chem, layers, shares, work)
         transfer.drain(self._row, receiver._row, share * _PIXELS, shares, layers, self._chem, lost, events)
         self._row[CAPACITY] = capacity_l
-        self._after()
-        receiver._after()
+        self._equilibrate()
+        receiver._equilibrate()
 
     @_all_or_nothing
     def filter(self, receiver: Flask, cake_liquid: float = 0.0) -> None:
@@ -753,40 +767,40 @@ class Flask:
             cake_liquid: litres of liquid retained per litre of solids.
 
         Raises:
-            ValueError: a number is out of bounds, or the other flask has other physics.
+            ValueError: a number is out of bounds, or the flasks differ in their settings.
         """
         cake_liquid = _number("cake_liquid", cake_liquid, 0.0, 100.0)
-        self._join(receiver)
+        self._connect(receiver)
         litres = transfer.free_liquid(self._row, cake_liquid, self._chem)
         columns = self._shelf.layout.fluid_columns
         layers, volumes = np.zeros(columns + 1, dtype=np.int64), np.zeros(columns)
-        laws.find_layers(self._row, self._chem, layers, volumes)
+        backends.find_layers(self._row, self._chem, layers, volumes)
         lost, events = receiver._shelf.waste[0], receiver._events
         transfer.strain(self._row, receiver._row, litres, layers, self._chem, lost, events)
-        self._after()
-        receiver._after()
+        self._equilibrate()
+        receiver._equilibrate()
 
     @_all_or_nothing
     def dry(self, litres: float) -> None:
-        """Draw ``litres`` of air over the contents, which leave saturated with vapour that is lost.
+        """Pass ``litres`` of air over the contents; it removes vapour up to saturation, which is lost.
 
         Temperature and solids are unchanged.
         """
-        laws.dry(self._row, _number("litres", litres, 0.0, 1e6), self._chem, self._shelf.waste[0])
-        self._after()
+        backends.dry(self._row, _number("litres", litres, 0.0, 1e6), self._chem, self._shelf.waste[0])
+        self._equilibrate()
 
     @_all_or_nothing
     def pour(self, other: Flask, share: float) -> None:
         """Pour ``share`` (0 to 1) of everything into another flask; the excess spills.
 
         Raises:
-            ValueError: the share is out of bounds, or the other flask has other physics.
+            ValueError: the share is out of bounds, or the flasks differ in their settings.
         """
         share = _number("share", share, 0.0, 1.0)
-        self._join(other)
+        self._connect(other)
         transfer.pour(self._row, other._row, share, self._chem, other._shelf.waste[0], other._events)
-        self._after()
-        other._after()
+        self._equilibrate()
+        other._equilibrate()
 
     def measure(self, kind: str) -> Measurement:
         """Measure the contents with an instrument.
@@ -798,7 +812,9 @@ class Flask:
             DataError: the kind is unknown, or not supported by the backend.
         """
         instruments = {"reading": validated(InstrumentSpec, {"kind": kind}, "measure")}
-        table = InstrumentTable(self._known.scenario.model_copy(update={"instruments": instruments}), self._known.table)
+        table = InstrumentTable(
+            self._chemistry.scenario.model_copy(update={"instruments": instruments}), self._chemistry.table
+        )
         channel, instrument = table.channels[0], table.kinds[0]
         readings, first = np.zeros((1, 1, channel.size)), np.zeros(1, dtype=np.int64)
         # Only the assignment of layers to pixels is random.
@@ -815,42 +831,42 @@ class Flask:
             words,
         )
 
-    # -- what flasks know ---------------------------------------------------------------------------------------------
+    # -- available materials ------------------------------------------------------------------------------------------
 
     @staticmethod
     def known() -> tuple[str, ...]:
-        """Return the names of all chemicals that flasks can hold without files of your own."""
+        """Return the names of all materials that flasks can contain without your own files."""
         return tuple(sorted({key for keys in spellings().values() for key in keys}, key=str.lower))
 
     @staticmethod
     def material(name: str) -> Material:
-        """Return the data of a chemical with their sources; look up and keep what the catalogue lacks.
+        """Return a material's data with their sources; if the catalogue lacks it, look it up and save it.
 
         Args:
             name: a name, a CAS number or a structure (SMILES).
 
         Raises:
-            DataError: it means no single compound, or data are missing that a flask needs.
-            ImportError: the extra ``chem`` is not installed, which looks things up.
-            OSError: the folder of what is kept (:func:`chemlab.config.catalogue.user_folder`) cannot be written to.
+            DataError: the name does not denote a single compound, or required data are missing.
+            ImportError: the material has to be looked up, and the extra ``chem`` is not installed.
+            OSError: the folder of saved materials (:func:`chemlab.config.catalogue.user_folder`) cannot be written to.
         """
         name = str(name)
-        if found := _named(name):
+        if found := _find(name):
             return found[1]
-        from .openchem.compounds import checked_materials, known_as, material_tables
-        from .openchem.identity import compound_of
+        from .openchem.compounds import checked_materials, material_tables
+        from .openchem.identity import compound_of, structures
         from .openchem.writing import material_text
 
         compound = compound_of(name)
         known_name = "" if compound.name == compound.formula else compound.name
-        for spelling in (known_as(compound, shipped_materials()), compound.cas, compound.smiles):
-            if spelling and (found := _named(spelling)):
+        for spelling in (structures().get(compound.smiles), compound.cas, compound.smiles):
+            if spelling and (found := _find(spelling)):
                 keep_names(found[0], filter(None, (name.strip(), normalized(known_name))))
                 return found[1]
         key = key_of(known_name or compound.common_name, compound.inchi_key)
         tables = material_tables([replace(compound, key=key)])
         names = [normalized(text) for text in (key, known_name, compound.cas, compound.common_name) if text]
-        structure = [compound.smiles] if len(compound.smiles) > 2 else []  # CO is a formula, too
+        structure = [compound.smiles] if len(compound.smiles) > 2 else []  # a short structure, as CO, is also a formula
         text = material_text(tables, f"Flask.material({name!r})")
         keep_material(key, text, [*names, name.strip(), *structure])
         return checked_materials(tables)[key]
@@ -865,9 +881,9 @@ class Flask:
         for layer in reversed(self.layers):
             shown = {name: mol for name, mol in layer.contents.items() if mol > _SHOWN_MOL}
             lines.append(f"  {Layer(layer.name, layer.volume_l, layer.share, shown)}")
-        for what, found in (("lost", self.waste), ("events", self.events)):
-            if found:
-                lines.append(f"  {what}: " + ", ".join(f"{key} {value:.4g}" for key, value in found.items()))
+        for label, values in (("lost", self.waste), ("events", self.events)):
+            if values:
+                lines.append(f"  {label}: " + ", ".join(f"{key} {value:.4g}" for key, value in values.items()))
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -880,7 +896,7 @@ class Flask:
             return text
 
     def plot(self, path: str | Path | None = None) -> Any:
-        """Draw the history: temperatures, amounts and compositions, over time, or over heat if no time has passed.
+        """Plot the history of temperatures, amounts and compositions over time, or over heat if no time has passed.
 
         Args:
             path: file to write the figure to (png, svg, pdf).
@@ -890,20 +906,20 @@ class Flask:
 
         Raises:
             ImportError: matplotlib is not installed (``pip install '.[plot]'``).
-            ValueError: nothing was done with the flask yet.
+            ValueError: no operation has been performed yet.
         """
         from .render.bottles import flask_figure
         from .render.figure import save_figure
 
         if len(self._history) < 2:
-            raise ValueError("plot: there is no history yet; heat, add, react or wait first")
-        figure = flask_figure(self.history, {name: m.color for name, m in self._known.scenario.materials.items()})
+            raise ValueError("plot: the history is empty; heat, add, react or wait first")
+        figure = flask_figure(self.history, {name: m.color for name, m in self._chemistry.scenario.materials.items()})
         if path is not None:
             save_figure(figure, Path(path))
         return figure
 
     def report(self) -> str:
-        """Return the contents, the history, and the data that are estimates, as text."""
+        """Return contents, history and a list of estimated or doubtful data as text."""
         lines = [repr(self), "", f"{'operation':<10} {'s':>8} {'kJ':>8} {'K':>7} {'head K':>7} {'L':>7}"]
         for moment in self._history:
             head = "" if moment.head_temperature_k is None else f"{moment.head_temperature_k:.1f}"
@@ -912,17 +928,17 @@ class Flask:
                 f"{moment.temperature_k:>7.1f} {head:>7} {moment.volume_l:>7.3f}"
             )
         held = {name for name, mol in self.amounts.items() if mol > 0.0}
-        weak = list(_weak(self._known.scenario, held)) if self._setting.physics == "real" else []
-        return "\n".join([*lines, *(["", "estimates and doubts:", *weak] if weak else [])])
+        doubts = list(_uncertain_data(self._chemistry.scenario, held)) if self._setting.physics == "real" else []
+        return "\n".join([*lines, *(["", "estimates and doubts:", *doubts] if doubts else [])])
 
     def scene(self) -> Scene:
-        """Return the content of its picture as plain data."""
+        """Return the content of the flask's picture as plain data."""
         from .render.scene import vessel_scene
 
-        return vessel_scene(self._known.scenario, self._shelf)
+        return vessel_scene(self._chemistry.scenario, self._shelf)
 
     def picture(self, width: int = 240, height: int = 240) -> npt.NDArray[np.uint8]:
-        """Return its picture as RGB [height, width, 3].
+        """Return a picture of the flask as RGB values [height, width, 3].
 
         Raises:
             ImportError: Pillow is not installed (``pip install '.[plot]'``).
@@ -954,93 +970,89 @@ class Flask:
         return _materials(self._setting.material_files, self._setting.content)
 
     def _material(self, key: str) -> Material:
-        known = self._materials()
-        found = None if key in known else catalogue_material(key)
-        if found is None and key not in known:
-            raise DataError(
-                f"{user_folder() / 'names.csv'}: lists {key!r}, whose file is missing; Flask.material({key!r}) makes "
-                "it again"
-            )
-        return found[1] if found else known[key]
-
-    def _resolved(self, name: str) -> str:
-        """The key of a material that a flask can hold, or of a strong acid, by any of its names.
+        """Return the material with a key.
 
         Raises:
-            DataError: none or several are called so, or it is a gas.
+            DataError: the file of a material that was added on this machine is missing.
         """
-        known, name = self._materials(), str(name)
-        if name in known and known[name].role != "gas":
+        if key in (loaded := self._materials()):
+            return loaded[key]
+        if found := catalogue_material(key):
+            return found[1]
+        raise DataError(
+            f"{user_folder() / 'names.csv'}: lists {key!r}, but its file is missing; Flask.material({key!r}) makes it "
+            "again"
+        )
+
+    def _resolve(self, name: str) -> str:
+        """Return the key of a liquid, a solid or a strong acid from any of its names.
+
+        Raises:
+            DataError: the name is unknown or ambiguous, or denotes a gas.
+        """
+        loaded, name = self._materials(), str(name)
+        if name in loaded and loaded[name].role != "gas":
             return name
-        keys = matches(name) or _of_structure(name)
+        keys = matches(name) or _match_structure(name)
         keys = (name,) if name in keys else keys
-        kept = catalogue_material(keys[0]) if len(keys) == 1 else None
-        only = kept[1] if kept else known.get(keys[0]) if len(keys) == 1 else None
-        gas = keys[0] if only is not None and only.role == "gas" else ""
-        if not keys:  # bundled gases
-            called = (key for key, m in known.items() if m.role == "gas" and normalized(name) == normalized(m.name))
-            gas = name if name in known else next(called, "")
+        if len(keys) > 1:
+            raise _ambiguous(name, keys)
+        if keys:
+            found = catalogue_material(keys[0])
+            material = found[1] if found else loaded.get(keys[0])
+            if material is None or material.role != "gas":
+                return keys[0]
+            gas = keys[0]
+        else:  # bundled gases are not in the catalogue
+            gases = (key for key, m in loaded.items() if m.role == "gas" and normalized(name) == normalized(m.name))
+            gas = name if name in loaded else next(gases, "")
         if gas:
             formula = "" if gas == name else f" ({gas})"
             raise DataError(f"{name!r}{formula} is a gas, which an open flask cannot hold")
-        if len(keys) == 1:
-            return keys[0]
-        if keys:
-            raise _several(name, keys)
         if wrong_cas(name):
-            raise DataError(f"{name!r} is no CAS number: its check digit is wrong; correct it, or give a name")
-        near = list(dict.fromkeys([*difflib.get_close_matches(name, known, 1, 0.9), *closest(name)]))[:3]
+            raise DataError(f"{name!r} is not a CAS number: its check digit is wrong; correct it, or give a name")
+        near = list(dict.fromkeys([*difflib.get_close_matches(name, loaded, 1, 0.9), *closest(name)]))[:3]
         hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
         if _SALT.fullmatch(name.strip()):
             raise DataError(
-                f"{name!r} is a salt that is not in the catalogue; {hint}it has {', '.join(salts())}; others need "
-                "files of your own in material_files"
+                f"{name!r} is a salt that is not in the catalogue; {hint}it has {', '.join(salts())}; other salts need "
+                "your own files in material_files"
             )
         raise DataError(
-            f"unknown material {name!r}; {hint}Flask.known() lists all names; Flask.material({name!r}) looks another "
-            "molecule up (needs pip install '.[chem]'); other salts, and what is not found, need files of your own in "
-            "material_files"
+            f"unknown material {name!r}; {hint}Flask.known() lists all names; Flask.material({name!r}) looks up "
+            "another molecule (needs pip install '.[chem]'); other salts, and materials that are not found, need your "
+            "own files in material_files"
         )
 
-    def _sorted_out(self, contents: Mapping[str, float]) -> dict[str, float]:
-        """Contents by key, strong acids as their ions."""
-        found: dict[str, float] = {}
-        for name, given in contents.items():
-            key, mol = self._resolved(name), _number(f"contents: {name}", given, 0.0, 1e4)
-            parts = {key: 1.0}
-            if key in REAGENTS:
-                if not any(self._resolved(other) == "water" for other in contents):
-                    raise ValueError(f"contents: {name!r} is known as its ions in water only; add water to them")
-                parts = REAGENTS[key]
-            for part, number in parts.items():
-                found[part] = found.get(part, 0.0) + number * mol
-        return found
-
-    def _pour_ions(self, key: str, mol: float, temperature_k: float) -> None:
-        """Add a strong acid as its ions."""
-        if self.amounts.get("water", 0.0) <= 0.0:
-            raise ValueError(f"add: {key!r} is known as its ions in water only; add water first")
-        self._pour_in({part: mol * number for part, number in REAGENTS[key].items()}, temperature_k)
+    def _resolve_contents(self, contents: Mapping[str, float]) -> dict[str, float]:
+        """Return mol by key, with strong acids split into their ions."""
+        amounts: dict[str, float] = {}
+        for name, value in contents.items():
+            key, mol = self._resolve(name), _number(f"contents: {name}", value, 0.0, 1e4)
+            if key in REAGENTS and not any(self._resolve(other) == "water" for other in contents):
+                raise ValueError(f"contents: {name!r} is supported only as its ions in water; add water to them")
+            for part, number in REAGENTS.get(key, {key: 1.0}).items():
+                amounts[part] = amounts.get(part, 0.0) + number * mol
+        return amounts
 
     def _pour_in(self, contents: dict[str, float], temperature_k: float) -> None:
-        """Add contents that another flask has at a temperature."""
+        """Add contents at a temperature."""
         other = Flask.__new__(Flask)
         other._fill(self._setting, contents, 100.0, temperature_k)
-        other._join(self)
+        other._connect(self)
         transfer.pour(other._row, self._row, 1.0, other._chem, self._shelf.waste[0], self._events)
-        self._after()
 
-    def _note_head(self, distilled: FloatArray, stages: int) -> None:
-        """Remember what a heating step distilled, and the temperature at the head."""
-        named = dict(zip(self._shelf.layout.materials, distilled.tolist(), strict=True))
-        moved = {name: mol for name, mol in named.items() if mol > TRACE_MOL}
+    def _set_head(self, distilled: FloatArray, stages: int) -> None:
+        """Store the distillate of a heating step and the temperature at the still head for the history."""
+        named = zip(self._shelf.layout.materials, distilled.tolist(), strict=True)
+        moved = {name: mol for name, mol in named if mol > TRACE_MOL}
         if moved and self._setting.physics == "real":
-            # Vapour of a pot alone leaves it as hot as it boils.
+            # Without a column, the vapour leaves at the boiling temperature of the pot.
             pot = self.temperature_k
-            self._head = (pot if stages == 1 else min(_dew_point(moved, self._known, pot), pot), moved)
+            self._head = (pot if stages == 1 else min(_dew_point(moved, self._chemistry, pot), pot), moved)
 
-    def _remember(self, operation: str) -> None:
-        """Append what it is like now to its history."""
+    def _append_moment(self, operation: str) -> None:
+        """Append the current state to the history."""
         head, distilled = self._head
         self._head = (None, {})
         held = {name: mol for name, mol in self._vessel.amounts(-1.0).items() if mol > TRACE_MOL}
@@ -1048,91 +1060,79 @@ class Flask:
         now = self._seconds, self._joules, self.temperature_k, self.volume_l
         self._history.append(Moment(operation, *now, held, head, distilled, solids))
 
-    def _make_scratch(self) -> None:
-        rows, columns = laws.work_size(self._known.table)
-        self._work = np.zeros((rows, columns))
-
-    def _learn(self, names: frozenset[str]) -> None:
-        """Extend the chemistry to ``names``; the contents are kept."""
+    def _extend(self, names: frozenset[str]) -> None:
+        """Extend the chemistry to the materials ``names``; the contents are kept."""
         if names == self._names:
             return
-        known = _chemistry(self._setting, names)
-        old, was = self._shelf, self._known.table.layout
-        new = Shelf(known.table, 1, 1)
+        chemistry = _build_chemistry(self._setting, names)
+        old, layout = self._shelf, self._shelf.layout
+        new = Shelf(chemistry.table, 1, 1)
         new.rows[0, :AMOUNTS] = old.rows[0, :AMOUNTS]
         if self._names:  # an empty flask has water in its chemistry, but no amount of it
-            same = [new.layout.materials.index(name) for name in was.materials]
+            same = [new.layout.materials.index(name) for name in layout.materials]
             new.amounts[0, 0, same], new.waste[0, same] = old.amounts[0, 0], old.waste[0]
-            fluids = [new.layout.dissolved.index(name) for name in was.dissolved]
-            solvents = [new.layout.solvents.index(name) for name in was.solvents]
+            fluids = [new.layout.dissolved.index(name) for name in layout.dissolved]
+            solvents = [new.layout.solvents.index(name) for name in layout.solvents]
             new.dissolved[0, 0][np.ix_(fluids, solvents)] = old.dissolved[0, 0]
-        self._names, self._known, self._shelf = names, known, new
-        self._warn_of_salts(5)
-        self._make_scratch()
+        self._names, self._chemistry, self._shelf = names, chemistry, new
+        self._warn_of_salts()
+        self._work = np.zeros(backends.work_size(chemistry.table))
 
-    def _warn_of_salts(self, stacklevel: int) -> None:
-        """Warn of salts that meet water, and that a reaction file of the user's has no solubility of."""
-        materials, family = self._known.scenario.materials, self._setting.reactions
-        if not family.endswith(".toml") or "water" not in materials:
+    def _warn_of_salts(self) -> None:
+        """Warn once of each salt in water for which the user's reaction file has no ``[[salt]]`` entry."""
+        scenario, family = self._chemistry.scenario, self._setting.reactions
+        if not family.endswith(".toml") or "water" not in scenario.materials:
             return
-        known = {salt.solid for salt in self._known.scenario.family.salt}
-        found = frozenset(salts()) & set(materials) - known
-        for name in sorted(found - self._insoluble):
-            warnings.warn(
-                f"{name} has no [[salt]] entry in {Path(family).name}, so it does not dissolve; give it one there",
-                SaltWarning,
-                stacklevel=stacklevel,
-            )
-        self._insoluble |= found
+        insoluble = frozenset(salts()) & set(scenario.materials) - {salt.solid for salt in scenario.family.salt}
+        for name in sorted(insoluble - self._insoluble):
+            _warn(f"{name} has no [[salt]] entry in {Path(family).name}, so it does not dissolve; add one", SaltWarning)
+        self._insoluble |= insoluble
 
     def _warn_of_acids(self) -> None:
-        """Warn of acids and bases in the water that do not ionize; their names tell what they are."""
-        scenario = self._known.scenario
+        """Warn of acids and bases, recognized by their names, that do not ionize in this chemistry."""
+        scenario = self._chemistry.scenario
         ionize = {name for acid in scenario.family.acid for name in acid.species}
         held = [name for name, mol in self.amounts.items() if mol > TRACE_MOL and name not in ionize]
         if found := [name for name in held if _ACID_OR_BASE.search(scenario.materials[name].name)]:
-            warnings.warn(
-                f"no [[acid]] entry names {' or '.join(found)}, so the pH is as without it; write one into a reaction "
-                "file of your own",
+            _warn(
+                f"no [[acid]] entry names {' or '.join(found)}, so the pH is as without it; write one into your own "
+                "reaction file",
                 IonizationWarning,
-                stacklevel=3,
             )
 
-    def _changing(self) -> list[FloatArray]:
+    def _state(self) -> list[FloatArray]:
+        """Return the arrays that operations change."""
         return [self._shelf.rows, self._shelf.waste, self._events]
-
-    def _saved(self) -> _Saved:
-        """Return the state for :meth:`_put_back`."""
-        return _Saved(dict(vars(self)), [array.copy() for array in self._changing()])
-
-    def _put_back(self, saved: _Saved) -> None:
-        vars(self).update(saved.attributes)
-        for array, before in zip(self._changing(), saved.arrays, strict=True):
-            array[:] = before
 
     def _is_molten(self, name: str, temperature_k: float) -> bool:
         """Return True for a molecule that is solid in the room and liquid at a temperature (backend ``real``)."""
         material = self._material(name)
-        melts, fluid = material.melting_point_k, material.role in ("solvent", "solute")
-        melts = melts if fluid and self._setting.physics == "real" else None
+        if self._setting.physics != "real" or material.role not in ("solvent", "solute"):
+            return False
+        melts = material.melting_point_k
         return melts is not None and self._setting.room_k < melts < temperature_k
 
-    def _put_in_molten(self, contents: Mapping[str, float]) -> None:
-        """Make contents above their melting point liquid."""
+    def _melt(self, contents: Mapping[str, float]) -> None:
+        """Make contents above their melting points liquid."""
         layout = self._shelf.layout
         for name, mol in contents.items():
             if self._is_molten(name, self.temperature_k):
                 self._shelf.dissolved[0, 0, layout.dissolved.index(name), layout.solvents.index("organic")] = mol
 
-    def _join(self, other: Flask) -> None:
-        """Check that material can pass to another flask."""
+    def _connect(self, other: Flask) -> None:
+        """Give two flasks the same chemistry, so that material can pass to the other one.
+
+        Raises:
+            TypeError: ``other`` is not a flask.
+            ValueError: it is this flask, or differs in its settings.
+        """
         if not isinstance(other, Flask):
             raise TypeError(f"receiver: must be a Flask, given {other!r:.100}; make one: flask.another()")
         if other is self:
             raise ValueError("receiver: is the flask itself; make another one: flask.another()")
         if other._setting != self._setting:
-            pairs = zip(self._setting._asdict().items(), other._setting, strict=True)
-            key, mine, theirs = next((key, mine, theirs) for (key, mine), theirs in pairs if mine != theirs)
+            settings = zip(self._setting._fields, self._setting, other._setting, strict=True)
+            key, mine, theirs = next(setting for setting in settings if setting[1] != setting[2])
             if key == "content":
                 raise ValueError(
                     "receiver: a file of its materials, pairs or reactions was edited after this flask was made; make "
@@ -1142,48 +1142,48 @@ class Flask:
                 f"receiver: has {key} = {theirs!r}, and this flask {mine!r}; make the receiver by flask.another()"
             )
         names = self._names | other._names
-        self._learn(names)
-        other._learn(names)
+        self._extend(names)
+        other._extend(names)
 
-    def _after(self, clock: float = 0.0) -> None:
-        """Settle or mix by ``clock``, bring phases to equilibrium, and warn of spills."""
+    def _equilibrate(self, clock: float = 0.0) -> None:
+        """Advance the settling clock by ``clock``, bring phases to equilibrium, and warn of spills."""
         transfer.turn_clock(self._row, float(clock))
-        for _ in range(2 if PROTON in self._shelf.layout.materials else 1):  # dissolved bases meet acids
-            laws.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
-            laws.partition(self._row, self._chem, self._work)
+        for _ in range(2 if PROTON in self._shelf.layout.materials else 1):  # newly dissolved bases react with acids
+            backends.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
+            backends.partition(self._row, self._chem, self._work)
         spilled = float(self._events[SPILL])
         if spilled > self._spilled:
-            more = spilled - self._spilled
-            warnings.warn(f"{more:.4g} L ran over the rim of {self.capacity_l:g} L", SpillWarning, stacklevel=4)
+            excess = spilled - self._spilled
+            _warn(f"{excess:.4g} L spilled: the capacity is {self.capacity_l:g} L", SpillWarning)
             self._spilled = spilled
 
 
-def _named(name: str) -> tuple[str, Material] | None:
-    """Key and material of what is called so, None if nothing is.
+def _find(name: str) -> tuple[str, Material] | None:
+    """Return key and material for a name; None if it is unknown.
 
     Raises:
-        DataError: several are, or it is known as its ions only.
+        DataError: the name is ambiguous, or denotes a strong acid, which is supported only as its ions.
     """
     keys = matches(name)
     for key in (name, *keys):
         if key != name and len(keys) > 1:
-            raise _several(name, keys)
+            raise _ambiguous(name, keys)
         if found := shipped_materials().get(key):
             return key, found
         if kept := catalogue_material(key):
             return key, kept[1]
         if key in REAGENTS:
             ions = " and ".join(REAGENTS[key])
-            raise DataError(f"{name!r} is known as its ions in water only: see the materials {ions}")
+            raise DataError(f"{name!r} is supported only as its ions in water: see the materials {ions}")
     return None
 
 
-def _several(name: str, keys: Iterable[str]) -> DataError:
+def _ambiguous(name: str, keys: Iterable[str]) -> DataError:
     return DataError(f"{name!r} may be {' or '.join(map(repr, keys))}; give one of these names")
 
 
-def _of_structure(text: str) -> tuple[str, ...]:
-    """Keys of a structure that is written in another way than the catalogue has it; none without RDKit."""
+def _match_structure(text: str) -> tuple[str, ...]:
+    """Return the keys of a structure that is not in the catalogue's notation; an empty tuple without RDKit."""
     if importlib.util.find_spec("rdkit") is None or not re.search(r"[=#()\[\]]|[A-Zcnos]{3}", text):
         return ()
     from .openchem.identity import canonical
@@ -1194,8 +1194,8 @@ def _of_structure(text: str) -> tuple[str, ...]:
         return ()
 
 
-def _weak(scenario: Scenario, names: set[str]) -> Iterator[str]:
-    """A line for each number of some materials, and for each of their pairs, that was not measured."""
+def _uncertain_data(scenario: Scenario, names: set[str]) -> Iterator[str]:
+    """Yield a line for each estimated or doubtful number of some materials, and one for each of their pairs."""
     for name in sorted(names):
         material = scenario.materials[name]
         cited = {**material.source, **(material.real.source if material.real else {})}
@@ -1209,5 +1209,5 @@ def _weak(scenario: Scenario, names: set[str]) -> Iterator[str]:
 
 @functools.lru_cache(maxsize=16)
 def _materials(files: tuple[str, ...], content: str) -> dict[str, Material]:
-    """Return materials by id; ``content`` is part of the cache key, so that an edited file is read again."""
+    """Return the bundled materials and those of files, by id; ``content`` is part of the cache key."""
     return {**shipped_materials(), **load_materials(Path(file) for file in files)}

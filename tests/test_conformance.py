@@ -26,7 +26,7 @@ CREATED = ("turn.waste[turn.material] += mol", "turn.waste[turn.material] += 0.5
 FAULTS = {
     "spaces": (SEEN, "return 2.0 + litres[:, None]", "must be from 0 to 1"),
     "seeds": (SEEN, "return np.random.random((len(members), 1))", "the same seed gives another episode"),
-    "copies": (SEEN, COUNTED, "plays on differently"),
+    "copies": (SEEN, COUNTED, "continues differently"),
 }
 
 
@@ -101,8 +101,8 @@ def test_bundled_scenarios_leave_no_doubt(name: str) -> None:
 @pytest.mark.parametrize(
     ("key", "value", "words"),
     [
-        ("stock", {"Na": 0.0}, "benches.rxn: adds 'Na', of which there is none"),
-        ("stock", {"Na": 0.0}, "goals: no reaction makes 'dodecane' of what is in stock"),
+        ("stock", {"Na": 0.0}, "benches.rxn: adds 'Na', which is not in stock"),
+        ("stock", {"Na": 0.0}, "goals: no reaction makes 'dodecane' from the materials in stock"),
         ("theoretical_maximum_mol", {"dodecane": 500.0}, "dodecane: 500 mol, but the atoms in stock .* enough for"),
         ("temperature_k", {"low": 60.0, "high": 100.0, "step": 10.0}, "high = 100 K is -173 degrees Celsius"),
     ],

@@ -103,7 +103,7 @@ def test_a_size_is_what_was_asked_for_or_there_is_none(name: str, materials: int
         ({"reactions": 0}, "reactions = 0: must be from 1 to 75"),
         ({"steps": 9}, "steps = 9: must be from 1 to 8"),
         ({"materials": 5, "reactions": 9}, "materials = 5, reactions = 9: there is no such network"),
-        ({"materials": 5, "steps": 3}, "leave one of them out"),
+        ({"materials": 5, "steps": 3}, "omit one of the numbers"),
         ({"goals": 3}, "goals = 3: must be from 1 to 2"),
         ({"difficulty": "dire"}, "difficulty = 'dire': must be one of easy, medium, hard"),
         ({"physics": "none"}, "physics = 'none': must be one of paper, real"),

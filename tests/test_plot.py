@@ -166,25 +166,25 @@ def test_spectra_are_those_that_were_seen(scripted: Path) -> None:
 
 
 def test_timeline_has_every_decision_and_experiment(scripted: Path) -> None:
-    from chemlab.render.charts import _tell, draw_timeline
+    from chemlab.render.charts import _timeline, draw_timeline
 
     found = read_record(scripted)
-    story = _tell(found, trust=False)
+    timeline = _timeline(found, trust=False)
     assert found.end is not None
     end = found.end["end"]
-    assert len(story.decisions) == end["manager_actions"]
-    assert story.ticks[-1] == end["ticks"]
-    assert len(story.ticks) - 1 == end["manager_actions"] + end["ticks"]
-    assert story.strips["manager_0"][-1].stop == len(story.ticks) - 1  # submitting was the last thing done
+    assert len(timeline.decisions) == end["manager_actions"]
+    assert timeline.ticks[-1] == end["ticks"]
+    assert len(timeline.ticks) - 1 == end["manager_actions"] + end["ticks"]
+    assert timeline.strips["manager_0"][-1].stop == len(timeline.ticks) - 1  # submitting was the last thing done
     # One agent acts at a time in this episode, so that nobody's time is anybody else's.
-    taken = [unit for strips in story.strips.values() for strip in strips for unit in range(strip.start, strip.stop)]
+    taken = [unit for strips in timeline.strips.values() for strip in strips for unit in range(strip.start, strip.stop)]
     assert sorted(taken) == list(range(len(found.turns)))
     ended = [(agent, score) for turn in found.turns for agent, score in turn.get("scores", {}).items()]
-    assert [(agent, score) for agent, _, _, _, score in story.experiments] == ended
-    assert dict(zip(found.header["agents"], story.rewards[-1], strict=True)) == pytest.approx(end["rewards"])
-    assert sum(story.costs[-1]) == pytest.approx(sum(end["costs"].values()))
-    measured = [unit for unit, words in story.decisions if words.startswith("measure")]
-    paid = np.diff(np.array(story.costs)[:, INSTRUMENTS])
+    assert [(agent, score) for agent, _, _, _, score in timeline.experiments] == ended
+    assert dict(zip(found.header["agents"], timeline.rewards[-1], strict=True)) == pytest.approx(end["rewards"])
+    assert sum(timeline.costs[-1]) == pytest.approx(sum(end["costs"].values()))
+    measured = [unit for unit, words in timeline.decisions if words.startswith("measure")]
+    paid = np.diff(np.array(timeline.costs)[:, INSTRUMENTS])
     assert measured
     assert measured == np.flatnonzero(paid).tolist(), "a measurement costs when it is taken"
     texts = "\n".join(text.get_text() for text in draw_timeline(found).texts)

@@ -117,8 +117,8 @@ def test_the_hash_of_the_state_has_every_field_of_a_running_experiment(tmp_path:
         experiments = labs.experiments[labs.bench_agents.index(turn.agent)]
         if not experiments.busy[0]:
             return
-        witness = recorder_module.Witness(labs, 0)
-        before = witness._state()
+        lines = recorder_module.EpisodeLines(labs, 0)
+        before = lines._state()
         for declared in experiments.table._fields:
             array = getattr(experiments, declared.name)
             if f"{turn.agent} {declared.name}" in tried or not declared.field.kept or not array.size:
@@ -126,9 +126,9 @@ def test_the_hash_of_the_state_has_every_field_of_a_running_experiment(tmp_path:
             tried.add(f"{turn.agent} {declared.name}")
             kept = array.copy()
             array[...] = ~array if array.dtype == bool else array + 1
-            assert witness._state() != before or declared.name == "life", declared.name  # which is infinite
+            assert lines._state() != before or declared.name == "life", declared.name  # which is infinite
             array[...] = kept
-            assert witness._state() == before
+            assert lines._state() == before
 
     play_episode(env, make_policies("scripted", labs, 3), 3, watch=watch)
     assert {"rxn_0 jacket", "rxn_0 supply", "rxn_0 baseline", "ext_0 image", "ext_0 profile", "ext_0 events"} <= tried
@@ -694,19 +694,19 @@ def test_the_state_of_a_record_is_all_of_the_laboratory_s(laboratories: int) -> 
     """Each array's last number, changed as time goes on, is another state; those of other laboratories are not."""
     labs = Laboratories("failing", laboratories)
     labs.reset(labs.members)
-    witness, tried = recorder_module.Witness(labs, 0), 0
+    lines, tried = recorder_module.EpisodeLines(labs, 0), 0
     for field, array in zip(labs.table._fields, labs.table._own, strict=True):
         if "N" not in field.axes or field.name == "reading" or not array.size:
             continue
         own = array.swapaxes(0, field.axes.index("N"))
-        before = witness._state()
+        before = lines._state()
         for member in range(laboratories):
             place = (member, *(-1,) * (own.ndim - 1))
             kept = own[place].copy()
             own[place] = not kept if own.dtype == bool else np.nan_to_num(kept) + 1
-            assert (witness._state() != before) == (member == 0), field.name
+            assert (lines._state() != before) == (member == 0), field.name
             own[place] = kept
-        assert witness._state() == before
+        assert lines._state() == before
         tried += 1
     assert tried > 20
 

@@ -587,12 +587,15 @@ def test_a_copy_is_a_flask_of_its_own() -> None:
 
 def test_what_does_not_fit_runs_over() -> None:
     flask = Flask({"water": 5.0}, capacity_l=0.1)
-    with pytest.warns(SpillWarning, match=r"ran over the rim of 0\.1 L"):
+    with pytest.warns(SpillWarning, match=r"spilled: the capacity is 0\.1 L"):
         flask.add("water", 2.0)
     assert flask.volume_l == pytest.approx(0.1)
     assert flask.amounts["water"] + flask.waste["water"] == pytest.approx(7.0)
     molar = MATERIALS["water"].molar_mass_g_mol / 1000.0 / MATERIALS["water"].density_kg_l
     assert flask.events["spill_l"] == pytest.approx(7.0 * molar - 0.1)
+    with pytest.warns(SpillWarning) as caught:
+        flask.add("H2SO4", 1.0)  # added as its ions
+    assert [one.filename for one in caught] == [__file__]
 
 
 def test_a_thermostat_that_would_boil_an_open_flask() -> None:
@@ -610,7 +613,10 @@ def test_a_salt_that_a_reaction_file_forgets(decay: str) -> None:
         flask = Flask({"water": 10.0, "NaOH": 0.1}, reactions=decay)
     with pytest.warns(SaltWarning, match="NaCl has no") as more:
         flask.add("NaCl", 0.1)
-    assert [one.filename for one in (*caught, *more)] == [__file__, __file__]
+    salt = flask.another({"KCl": 0.1})
+    with pytest.warns(SaltWarning) as poured:
+        salt.pour(flask, 1.0)
+    assert {one.filename for one in (*caught, *more, *poured)} == {__file__}
 
 
 @pytest.mark.parametrize(

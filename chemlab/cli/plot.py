@@ -1,4 +1,4 @@
-"""The command plot: pages and figures of training runs and records."""
+"""Command ``plot``: pages and figures of training runs and records."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OutputOption = Annotated[
 
 
 def _save(path: Path, force: bool, draw: Callable[[], Any], *read: Path) -> None:
-    """Draw into a file; an existing file or an unknown format is reported before anything is drawn."""
+    """Draw a figure into a file, after a check of its format and of an existing file."""
     from ..render.figure import SETTINGS, check_format, import_matplotlib, save_figure
 
     check_format(path)

@@ -38,8 +38,7 @@ def verify(
     ] = None,
     trust: TrustOption = False,
     split: Annotated[
-        str | None,
-        typer.Option(help="private:SALT, to prove that a record's world follows from its seed."),
+        str | None, typer.Option(help="private:SALT, to prove that a record's world follows from its seed.")
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -73,7 +72,7 @@ def verify(
 
 
 def _verify_leaderboard(path: Path, as_json: bool) -> Status:
-    """Verify a leaderboard; print what is wrong and what is not proven."""
+    """Verify a leaderboard, print the faults, and return the status."""
     from ..agents.evaluate.leaderboard import check_leaderboard, summary
 
     with counting() as progress:

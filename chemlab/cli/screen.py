@@ -1,4 +1,4 @@
-"""Terminal output: consoles that print text from files verbatim, and tables that break no word."""
+"""Terminal output: consoles that print text from files verbatim, and tables that do not break words."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from rich.table import Table
 from rich.text import Text
 
 _NARROWEST, _USUAL = 20, 80
-"""Widths below this many columns are ignored; the default width if the terminal reports none."""
+"""Minimum width in columns, and the width that is assumed if the terminal reports none."""
 _NOISE = 1e-9
 """Safety events below this amount (in their own unit) are rounding errors."""
 
 
 class TextConsole(Console):
-    """A console that neutralizes control characters in text and keeps ``:words:`` verbatim.
+    """A console that shows control characters of texts as visible signs and prints ``:words:`` verbatim.
 
-    Characters that would control the terminal are shown as visible signs. Styles of the message itself are kept.
+    Styles of the message itself are kept.
     """
 
     def __init__(self, *, stderr: bool = False, soft_wrap: bool = False) -> None:
@@ -49,7 +49,7 @@ class _Signs(dict[int, int]):
 
 _SIGNS = _Signs()
 
-# Messages for people go to standard error if a program reads standard output.
+# Commands print messages to standard error if standard output is read by a program.
 out = TextConsole(soft_wrap=True)
 err = TextConsole(stderr=True, soft_wrap=True)
 page = TextConsole()
@@ -62,7 +62,7 @@ def plain(text: object) -> str:
 
 
 def hanging(head: str, body: str) -> None:
-    """Print a line with markup; in a terminal, its further lines are indented below the body."""
+    """Print a line with markup; in a terminal, continuation lines are indented to the start of the body."""
     line = Text.from_markup(head + body)
     indent = cell_len(Text.from_markup(head).plain)
     if not out.is_terminal or out.width < 2 * indent:
@@ -84,7 +84,7 @@ def event_words(events: Mapping[str, float]) -> list[str]:
 def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]], right: Iterable[int] = ()) -> None:
     """Print a table that fits the terminal.
 
-    Cells are broken between words only. If the longest words do not fit beside each other, every row is printed as a
+    Cells are broken between words only. If the longest words do not fit side by side, every row is printed as a
     paragraph.
 
     Args:
@@ -112,9 +112,9 @@ def show_table(title: str, head: Sequence[str], rows: Iterable[Sequence[object]]
 
 
 def _widths(rows: Sequence[Sequence[Text]], most: int) -> list[int] | None:
-    """Return a width for each column, none below its longest word; None if they do not fit.
+    """Return a width for each column, at least that of its longest word; None if they do not fit.
 
-    The first column, which names the row, is not broken if the others leave it enough room.
+    The first column, which names the row, is not broken if the others leave enough room.
     """
     columns = list(zip(*rows, strict=True))
     widths = [max(cell_len(line) for cell in column for line in cell.plain.splitlines() or [""]) for column in columns]

@@ -1,11 +1,12 @@
 """Binary NRTL parameters from UNIFAC.
 
-The Dortmund form of UNIFAC is used if it has all groups and interactions and does not extrapolate them too far (except
-for water with hydrocarbons and their chlorides), else the original, else the Dortmund form with interactions completed
-by machine learning. Parameters are
-fitted to ln gamma from 270 to 480 K at all compositions that do not split into two liquids, infinite dilution included.
-Groups come from thermo's list for a CAS number, else from ugropy for the structure. ``studies/tools/pairs.py`` fits
-measured pairs to the measurements instead.
+The first suitable form of UNIFAC is used: the Dortmund form, the original, or the Dortmund form with interactions
+completed by machine learning. A form is suitable if it has all groups and interactions and does not extrapolate them
+too far. For water with hydrocarbons and their chlorides, the original comes first.
+
+Parameters are fitted to ln gamma from 270 to 480 K at all compositions that do not split into two liquids, infinite
+dilution included. Groups are from thermo's list for a CAS number, else from ugropy for the structure.
+``studies/tools/pairs.py`` fits measured pairs to the measurements instead.
 """
 
 from __future__ import annotations
@@ -31,10 +32,12 @@ with needs("activity coefficients need thermo", "chem"):
     import thermo.unifac
 
 _WIDEST, _LEAST = 6.0, -8.0
-"""Largest change of ln gamma at infinite dilution from 270 to 480 K, and least ln gamma. Beyond either, a form's group
-parameters are extrapolated too far in temperature, and the next form is used."""
+"""Largest change of ln gamma at infinite dilution from 270 to 480 K, and least ln gamma.
+
+Beyond either, a form's group parameters are extrapolated too far in temperature, and the next form is used.
+"""
 _CHUNK = 20
-"""Pairs that are fitted side by side."""
+"""Number of pairs that are fitted at once."""
 
 GROUPS: dict[str, dict[str, int]] = {
     # Groups of an isomer, for molecules that neither form of UNIFAC can represent.
@@ -48,11 +51,9 @@ GROUPS: dict[str, dict[str, int]] = {
     "bis_pyrrolidinyl": {"ACH": 3, "AC": 2, "ACNO2": 1, "CY-CH2": 6, "CH2N": 2},
 }
 
-APOLAR = {"CH3", "CH2", "CH", "C", "CH2=CH", "CH=CH", "CH2=C", "CH=C", "ACH", "AC", "ACCH3", "ACCH2", "ACCH"} | {
-    "CH2CL",
-    "CHCL",
-    "CCL",
-}
+_ALIPHATIC = {"CH3", "CH2", "CH", "C", "CH2=CH", "CH=CH", "CH2=C", "CH=C"}
+_AROMATIC = {"ACH", "AC", "ACCH3", "ACCH2", "ACCH"}
+APOLAR = _ALIPHATIC | _AROMATIC | {"CH2CL", "CHCL", "CCL"}
 """Groups of materials that hardly mix with water.
 
 For the water that they dissolve, the original UNIFAC is right within 0.5 (hexane: x = 7e-4, measured 5e-4), and the
@@ -76,13 +77,12 @@ class Model:
         """Return the groups of a material, or None if unknown."""
         if key in GROUPS:
             numbers = {group.group: number for number, group in self.subgroups.items()}
-            if not numbers.keys() >= GROUPS[key].keys():
-                return None
-            return {numbers[name]: n for name, n in GROUPS[key].items()}
+            known = numbers.keys() >= GROUPS[key].keys()
+            return {numbers[name]: n for name, n in GROUPS[key].items()} if known else None
         if material.cas is not None:
             try:
                 listed = self.assignments.get(chemicals.search_chemical(material.cas).InChI_key)
-            except ValueError:  # the CAS number is in no list
+            except ValueError:  # the CAS number is not listed
                 listed = None
             if listed:
                 return dict(listed)
@@ -95,7 +95,7 @@ class Model:
 
     def log_gamma(self, groups: list[Groups], grid: Grid = FINE) -> Array:
         """Return [T, X, 2] ln of the activity coefficients of two materials."""
-        made = thermo.unifac.UNIFAC.from_subgroups(
+        mixture = thermo.unifac.UNIFAC.from_subgroups(
             T=300.0,
             xs=[0.5, 0.5],
             chemgroups=groups,
@@ -104,7 +104,7 @@ class Model:
             subgroups=self.subgroups,
         )
         rows = [
-            [made.to_T_xs(t, [x, 1.0 - x]).gammas() for x in grid.fractions.tolist()]
+            [mixture.to_T_xs(t, [x, 1.0 - x]).gammas() for x in grid.fractions.tolist()]
             for t in grid.temperatures_k.tolist()
         ]
         return np.log(np.array(rows))
@@ -112,7 +112,7 @@ class Model:
 
 @functools.cache
 def _groups_of_structure(smiles: str, version: int) -> Groups | None:
-    """Return the groups that ugropy finds in a structure, for the form of UNIFAC with this thermo version number."""
+    """Return the groups of a structure by ugropy for a form of UNIFAC, given by thermo's version number; or None."""
     try:
         import ugropy
     except ImportError:
@@ -125,7 +125,7 @@ def _groups_of_structure(smiles: str, version: int) -> Groups | None:
 
 @functools.cache
 def models() -> list[Model]:
-    """Return the forms of UNIFAC, the best first."""
+    """Return the forms of UNIFAC in the order of preference."""
     u = thermo.unifac
     u.load_unifac_ip()
     u.load_group_assignments_DDBST()
@@ -148,24 +148,24 @@ def nrtl(parameters: Array, alpha: float, temperatures: Array, fractions: Array)
 
 
 class Fit(NamedTuple):
-    """NRTL parameters a12, a21, b12, b21, c12, c21, and the largest error of ln gamma."""
+    """NRTL parameters a12, a21, b12, b21, c12, c21; alpha; and the largest error of ln gamma."""
 
     parameters: Array
     alpha: float
     error: float
 
 
-def _apart(names: tuple[str, str], materials: Materials, form: Model) -> bool:
+def _hardly_mix(names: tuple[str, str], materials: Materials, form: Model) -> bool:
     """Return True if one of two materials is water and the other a hydrocarbon or its chloride."""
     others = [name for name in names if name != "water"]
-    found = form.groups(others[0], materials[others[0]]) if len(others) == 1 else None
-    return found is not None and {form.subgroups[number].group for number in found} <= APOLAR
+    groups = form.groups(others[0], materials[others[0]]) if len(others) == 1 else None
+    return groups is not None and {form.subgroups[number].group for number in groups} <= APOLAR
 
 
 def _forms(names: tuple[str, str], materials: Materials) -> Iterator[tuple[Model, list[Groups]]]:
-    """The forms of UNIFAC that have all groups and interactions of two materials, the best first, and their groups."""
+    """Yield the forms of UNIFAC that have all groups and interactions of two materials, and the groups in each."""
     forms = models()
-    if _apart(names, materials, forms[0]):
+    if _hardly_mix(names, materials, forms[0]):
         forms = sorted(forms, key=lambda form: form.name != "UNIFAC")
     for form in forms:
         groups = [found for name in names if (found := form.groups(name, materials[name])) is not None]
@@ -194,7 +194,7 @@ def _sorted(groups: Groups) -> tuple[tuple[int, int], ...]:
 
 @functools.cache
 def _curve(form: str, *groups: tuple[tuple[int, int], ...]) -> Array:
-    """ln gamma by a form of UNIFAC on the quick grid."""
+    """Return [T, X, 2] ln gamma by a form of UNIFAC on the quick grid."""
     (model,) = (model for model in models() if model.name == form)
     with np.errstate(divide="ignore"):
         return model.log_gamma([dict(found) for found in groups], QUICK)
@@ -212,22 +212,21 @@ def pair_row(names: Sequence[str], found: Fit, low_k: float, high_k: float, sour
 def _fitted(
     pairs: Sequence[tuple[str, str]], materials: Materials, grid: Grid, progress: Callable[[int], None]
 ) -> list[tuple[str, Fit]]:
-    """Return the form and the fit of each pair; :data:`~chemlab.config.catalogue.IDEAL_PAIR` where no form is sound."""
+    """Return the form's name and the fit of each pair; without a suitable form, an ideal mixture (``IDEAL_PAIR``)."""
     keys: list[Any] = []
     curves: dict[Any, tuple[Model, list[Groups]]] = {}
     for two in pairs:
         chosen = best_form(two, materials)
         keys.append(None if chosen is None else (chosen[0].name, *map(_sorted, chosen[1])))
         curves |= {} if chosen is None else {keys[-1]: chosen}
-    made: dict[Any, tuple[str, Fit]] = {None: (IDEAL_PAIR, Fit(np.zeros(6), 0.3, 0.0))}
-    for at in range(0, len(curves), _CHUNK):
-        part = list(curves.items())[at : at + _CHUNK]
-        log_gamma = [_curve(*key) if grid is QUICK else form.log_gamma(groups, grid) for key, (form, groups) in part]
-        found = fits(np.array(log_gamma), grid)
-        for (key, (form, _)), parameters, alpha, error in zip(part, *found, strict=True):
-            made[key] = form.name, Fit(parameters, float(alpha), float(error))
-        progress(sum(key in made for key in keys))
-    return [made[key] for key in keys]
+    results: dict[Any, tuple[str, Fit]] = {None: (IDEAL_PAIR, Fit(np.zeros(6), 0.3, 0.0))}
+    for first in range(0, len(curves), _CHUNK):
+        chunk = list(curves.items())[first : first + _CHUNK]
+        log_gamma = [_curve(*key) if grid is QUICK else form.log_gamma(groups, grid) for key, (form, groups) in chunk]
+        for (key, (form, _)), parameters, alpha, error in zip(chunk, *fits(np.array(log_gamma), grid), strict=True):
+            results[key] = form.name, Fit(parameters, float(alpha), float(error))
+        progress(sum(key in results for key in keys))
+    return [results[key] for key in keys]
 
 
 def is_molecule(material: Material) -> bool:
@@ -247,13 +246,13 @@ def make_pairs(
         pairs: pairs of materials.
         materials: materials by id.
         progress: called with the number of finished pairs.
-        ideal: whether pairs that UNIFAC does not describe become ideal mixtures, as their source then states.
+        ideal: whether pairs that UNIFAC does not describe are treated as ideal mixtures; their source says so.
 
     Raises:
-        DataError: a material is unknown, not a molecule, or paired with itself; or ``ideal`` is False and no form of
-            UNIFAC describes some pairs, all of which are named.
+        DataError: a material is unknown, not a molecule, or paired with itself; or ``ideal`` is False and UNIFAC does
+            not describe some pairs, all of which are listed.
     """
-    for name in (name for two in pairs for name in two):
+    for name in itertools.chain(*pairs):
         if name not in materials:
             raise DataError(
                 f"pairs: unknown material {name!r}; make it with chemlab data material, then give its file: --materials"
@@ -268,9 +267,9 @@ def make_pairs(
             raise DataError(f"pairs: {one!r} with itself; a pair needs two different materials")
     if not ideal and (without := [two for two in pairs if best_form(two, materials) is None]):
         listed = "; ".join(f"{one!r} with {other!r}" for one, other in without)
-        named = dict.fromkeys(itertools.chain(*without))
-        strange = [name for name in named if all(form.groups(name, materials[name]) is None for form in models())]
-        groups = f" (without groups: {', '.join(map(repr, strange))})" if strange else ""
+        names = dict.fromkeys(itertools.chain(*without))
+        ungrouped = [name for name in names if all(form.groups(name, materials[name]) is None for form in models())]
+        groups = f" (without groups: {', '.join(map(repr, ungrouped))})" if ungrouped else ""
         raise DataError(
             f"pairs: no form of UNIFAC in thermo describes {listed}{groups}: it lacks groups or interactions, or "
             "extrapolates them too far; write measured parameters into your own pair file (docs: Write a material or a "
@@ -278,31 +277,29 @@ def make_pairs(
         )
     span = float(FINE.temperatures_k[0]), float(FINE.temperatures_k[-1])
     rows = []
-    for two, (form, found) in zip(pairs, _fitted(pairs, materials, FINE, progress), strict=True):
-        borrowed = [name for name in two if name in GROUPS and form != IDEAL_PAIR]
+    for two, (form, fit) in zip(pairs, _fitted(pairs, materials, FINE, progress), strict=True):
+        by_isomer = [name for name in two if name in GROUPS and form != IDEAL_PAIR]
         source = SOURCES.get(form, form)
-        source += f", {' and '.join(borrowed)} by the groups of an isomer" if borrowed else ""
-        rows.append(pair_row(two, found, *span, source))
+        source += f", {' and '.join(by_isomer)} by the groups of an isomer" if by_isomer else ""
+        rows.append(pair_row(two, fit, *span, source))
     return rows
 
 
 def quick_pairs(
-    pairs: Sequence[tuple[str, str]],
-    materials: Materials,
-    progress: Callable[[int], None] = lambda _: None,
+    pairs: Sequence[tuple[str, str]], materials: Materials, progress: Callable[[int], None] = lambda _: None
 ) -> list[CataloguePair]:
-    """Return the NRTL parameters of some pairs by UNIFAC.
+    """Return the NRTL parameters of some pairs by UNIFAC, fitted on the quick grid.
 
     Args:
-        pairs: of two materials each.
-        materials: what they are, by id.
+        pairs: pairs of materials.
+        materials: materials by id.
         progress: called with the number of finished pairs.
 
     Returns:
-        A row for each pair; pairs that no form of UNIFAC describes are ideal, which their form says.
+        A row for each pair; a pair that UNIFAC does not describe is an ideal mixture (``IDEAL_PAIR``).
     """
     rows = []
-    for two, (form, found) in zip(pairs, _fitted(pairs, materials, QUICK, progress), strict=True):
-        rounded = tuple(float(f"{value:.5g}") for value in found.parameters.tolist())
-        rows.append(CataloguePair(*two, form, found.alpha, float(f"{found.error:.2g}"), rounded))
+    for two, (form, fit) in zip(pairs, _fitted(pairs, materials, QUICK, progress), strict=True):
+        rounded = tuple(float(f"{value:.5g}") for value in fit.parameters.tolist())
+        rows.append(CataloguePair(*two, form, fit.alpha, float(f"{fit.error:.2g}"), rounded))
     return rows

@@ -10,8 +10,8 @@ from typing import Any
 
 from ..config.datafile import DataError, read_toml, toml_key
 from ..config.datamodel import validated
-from ..config.materials import Material, Materials, shipped_materials
-from .identity import Compound, canonical, compound_of
+from ..config.materials import Material, shipped_materials
+from .identity import Compound, compound_of
 from .names import is_mineral
 from .properties import DOUBTFUL, Properties, Value
 from .writing import significant, toml_tables
@@ -24,12 +24,15 @@ OWN_FIELDS = (
 _PALETTE = ("#332288", "#88ccee", "#44aa99", "#117733", "#999933", "#ddcc77", "#cc6677", "#882255", "#aa4499")
 """Paul Tol's muted colours."""
 _WATERY = 0.14
-"""The camera classifies grey values this close to water's as water."""
+"""Maximum distance of grey values that the camera takes for water's."""
 _DESIGN = "design value: palette colour, spread shade, artificial bands"
 
 
 def own_values(paths: Iterable[Path]) -> dict[str, dict[str, Value]]:
-    """Read the user's own values, by material and field: tables as in a material file, each with a ``source``.
+    """Read files with the user's own values, which are tables as in a material file, each with a ``source``.
+
+    Returns:
+        The values by material and field.
 
     Raises:
         DataError: a file is malformed, or a field is unknown, not a number, or without a source.
@@ -37,19 +40,19 @@ def own_values(paths: Iterable[Path]) -> dict[str, dict[str, Value]]:
     found: dict[str, dict[str, Value]] = {}
     for path in paths:
         for key, table in read_toml(path).items():
-            here = f"{path}: {key}"
+            place = f"{path}: {key}"
             if not isinstance(table, dict):
-                raise DataError(f"{here}: must be a table [{toml_key(key)}]")
+                raise DataError(f"{place}: must be a table [{toml_key(key)}]")
             sources = table.get("source", {})
             for field, number in table.items():
                 if field == "source":
                     continue
                 if field not in OWN_FIELDS:
-                    raise DataError(f"{here}: {field}: unknown; known: {', '.join(OWN_FIELDS)}")
+                    raise DataError(f"{place}: {field}: unknown; choose from {', '.join(OWN_FIELDS)}")
                 if isinstance(number, bool) or not isinstance(number, (int, float)):
-                    raise DataError(f"{here}: {field}: must be a number, given {number!r}")
+                    raise DataError(f"{place}: {field}: must be a number, given {number!r}")
                 if not isinstance(sources, dict) or not isinstance(sources.get(field), str) or not sources[field]:
-                    raise DataError(f"{here}: source: must say where {field} is from")
+                    raise DataError(f"{place}: source: must state the source of {field}")
                 found.setdefault(key, {})[field] = Value(float(number), sources[field])
     return found
 
@@ -58,35 +61,27 @@ def compounds(texts: Sequence[str], named: Mapping[str, str] | None = None) -> l
     """Return the compounds denoted by some texts, in order and without repetition.
 
     Args:
-        texts: CAS numbers, names, structures.
-        named: further ones by required id.
+        texts: CAS numbers, names or structures.
+        named: further texts by the id that their compound shall have.
 
     Raises:
-        DataError: some texts denote no compound; all of them are named.
+        DataError: some texts do not denote a compound; the message lists all of them.
     """
     found: dict[str, Compound] = {}
-    wrong = []
+    errors = []
     for key, text in [*(("", text) for text in texts), *(named or {}).items()]:
         try:
-            made = compound_of(text, key)
+            compound = compound_of(text, key)
         except DataError as error:
-            wrong.append(str(error))
+            errors.append(str(error))
             continue
-        twin = next((other for other in found.values() if made.key == other.key and made.smiles != other.smiles), None)
-        if twin is not None:
-            wrong.append(f"{text!r}: would have the id {made.key!r} of {twin.smiles}; use --name KEY={text}")
-        found.setdefault(made.smiles, made)
-    if wrong:
-        raise DataError("\n".join(wrong))
+        for other in found.values():
+            if compound.key == other.key and compound.smiles != other.smiles:
+                errors.append(f"{text!r}: would have the id {other.key!r} of {other.smiles}; use --name KEY={text}")
+        found.setdefault(compound.smiles, compound)
+    if errors:
+        raise DataError("\n".join(errors))
     return list(found.values())
-
-
-def known_as(compound: Compound, known: Materials) -> str | None:
-    """Return the id of a compound among some materials, or None."""
-    return next(
-        (key for key, m in known.items() if m.smiles and canonical(m.smiles, key) == compound.smiles),
-        None,
-    )
 
 
 def _looks(compound: Compound, used: list[float], liquid: bool) -> dict[str, Any]:
@@ -97,9 +92,9 @@ def _looks(compound: Compound, used: list[float], liquid: bool) -> dict[str, Any
     number = int(hashlib.sha256(compound.inchi_key.encode()).hexdigest()[:8], 16)
     water = shipped_materials()["water"].shade
     shades = [round(0.12 + 0.01 * i, 2) for i in range(82)]
-    fit = [s for s in shades if not liquid or abs(s - water) > _WATERY]
-    turn = number % len(fit)
-    shade = max(fit[turn:] + fit[:turn], key=lambda s: min(abs(s - other) for other in used))
+    allowed = [s for s in shades if not liquid or abs(s - water) > _WATERY]
+    first = number % len(allowed)
+    shade = max(allowed[first:] + allowed[:first], key=lambda s: min(abs(s - other) for other in used))
     used.append(shade)
     centers = 210.0 + (number % 97) * 2.0, 420.0 + (number // 97 % 181) * 2.0
     bands = [
@@ -110,7 +105,11 @@ def _looks(compound: Compound, used: list[float], liquid: bool) -> dict[str, Any
 
 
 def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[dict[str, Any], list[str]]:
-    """Return a material's table, and its missing fields."""
+    """Return a material's table and its missing fields.
+
+    Raises:
+        DataError: the compound is a salt or a mineral.
+    """
     metal, state = found.metal, found.state
     if state == "s" and is_mineral(compound.composition):
         raise DataError(
@@ -160,15 +159,6 @@ def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[di
     return {**values, "source": source, "real": {**real, "source": cited}}, missing
 
 
-def _wanted(missing: Mapping[str, Sequence[str]]) -> str:
-    """Return a template file for values that were not found."""
-    tables = {
-        key: {**dict.fromkeys(fields, 0.0), "source": dict.fromkeys(fields, "where it is from")}
-        for key, fields in missing.items()
-    }
-    return "\n".join(toml_tables(tables)).strip()
-
-
 def material_tables(
     wanted: Sequence[Compound],
     given: Mapping[str, Mapping[str, Value]] | None = None,
@@ -179,28 +169,31 @@ def material_tables(
     Args:
         wanted: the compounds.
         given: own values by id and field, see :func:`own_values`.
-        progress: called with every finished compound.
+        progress: called with the id of every finished compound.
 
     Raises:
-        DataError: some values were not found; the message names all of them and states how to give them.
+        DataError: some values were not found; the message lists all of them and states how to supply them.
     """
-    strangers = sorted(set(given or {}) - {compound.key for compound in wanted})
-    if strangers:
-        known = ", ".join(compound.key for compound in wanted)
-        raise DataError(f"values: {strangers[0]!r} is not among the requested compounds: {known}")
+    unknown = sorted(set(given or {}) - {compound.key for compound in wanted})
+    if unknown:
+        requested = ", ".join(compound.key for compound in wanted)
+        raise DataError(f"values: {unknown[0]!r} is not among the requested compounds: {requested}")
     used = [m.shade for m in shipped_materials().values() if m.role in ("solvent", "gas")]
     tables, missing = {}, {}
     for compound in wanted:
-        table, lacks = _table(compound, Properties(compound, (given or {}).get(compound.key)), used)
-        if lacks:
-            missing[compound.key] = lacks
-        tables[compound.key] = table
+        tables[compound.key], fields = _table(compound, Properties(compound, (given or {}).get(compound.key)), used)
+        if fields:
+            missing[compound.key] = fields
         progress(compound.key)
     if missing:
         listed = "; ".join(f"{key}: {', '.join(fields)}" for key, fields in missing.items())
+        template = {
+            key: {**dict.fromkeys(fields, 0.0), "source": dict.fromkeys(fields, "where it is from")}
+            for key, fields in missing.items()
+        }
         raise DataError(
             f"not found: {listed}. Write each with its source into a file as below, with the "
-            f"number for 0.0, and name the file with {_OWN}:\n{_wanted(missing)}"
+            f"number for 0.0, and name the file with {_VALUES_OPTION}:\n" + "\n".join(toml_tables(template)).strip()
         )
     checked_materials(tables)
     return tables
@@ -210,16 +203,18 @@ def checked_materials(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, Mate
     """Return the materials of some tables.
 
     Raises:
-        DataError: a table is invalid, as where compilations contradict each other.
+        DataError: a table is invalid, for instance because compilations contradict each other.
     """
     try:
         return {key: validated(Material, table, f"material {key!r}") for key, table in tables.items()}
     except DataError as error:
-        raise DataError(f"{error}; numbers of your own, with their source, go into a file named with {_OWN}") from error
+        raise DataError(
+            f"{error}; write your own numbers, with their sources, into a file named with {_VALUES_OPTION}"
+        ) from error
 
 
-_OWN = "--values (of chemlab data material or reactions)"
-"""The option by which all commands take a user's own numbers; Flask.material has none."""
+_VALUES_OPTION = "--values (of chemlab data material or reactions)"
+"""Option of the commands for the user's own numbers; ``Flask.material`` has none."""
 
 
 def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
@@ -231,8 +226,10 @@ def estimates(tables: Mapping[str, Mapping[str, Any]]) -> dict[str, list[str]]:
 
 
 def doubts(tables: Mapping[str, Mapping[str, Any]]) -> list[str]:
-    """Return a line for each number, own ones included, that compilations or an estimate contradict, and for each
-    rejected number."""
+    """Return a line for each number that compilations or an estimate contradict, and for each rejected number.
+
+    The user's own numbers are included.
+    """
     return [
         f"{key}: {field} = {table.get(field, table['real'].get(field))}: {source}"
         for key, table in tables.items()

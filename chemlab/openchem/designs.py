@@ -29,15 +29,18 @@ _MOL_PER_L = 0.8
 _CAPACITY_L, _CRYSTALS_L = 1.5, 2.0
 """Capacity in litres of vessels, and of vessels for crystallization, which needs more solvent."""
 _BELOW_BOILING_K = 8.0
+"""Distance in K of the reaction temperature below the lowest boiling point."""
 _LIFETIMES = (8.0, 40.0)
 """Duration of an experiment in time constants 1/k of the slowest step to the goal at full concentration.
 
 The first is for first-order steps, the second for higher orders, which slow down with conversion.
 """
 _STEPS = 60
+"""Steps of an experiment at the reaction bench."""
 _ROUNDS = 50
 """Iterations of the solubility calculation."""
 _CLOCK_S = 60.0
+"""Seconds per tick of the other benches; twice as many if the goal crystallizes."""
 _CALM_W = 150.0
 """Heat of reaction in W that a flask of this size can remove, if released within half an experiment."""
 _PARTED = 30.0
@@ -49,20 +52,38 @@ _CATALYST = 0.1
 _STAYS, _SOLVENT_STAYS = 20.0, 10.0
 """Distribution criteria: ratio of activity coefficients in water and in the solvent, by litre, at infinite dilution.
 
-Above the first a wash leaves a liquid in the solvent, above the second the solvent itself stays. A liquid below a tenth
-of the first is washed out.
+Above the first, washing leaves a liquid in the solvent; above the second, the solvent itself remains. A liquid below a
+tenth of the first is washed out.
 """
+INSTRUMENTS: dict[str, dict[str, Any]] = {
+    "uv_vis": {"kind": "uv_vis", "price": 0.002},
+    "layer_camera": {"kind": "layer_camera", "price": 0.001},
+    "balance": {"kind": "balance", "price": 0.0005},
+    "gas_chromatograph": {"kind": "gas_chromatograph", "price": 0.01, "sample_fraction": 0.001},
+}
+SAFETY: dict[str, Any] = {"weights": {**dict.fromkeys(SAFETY_EVENTS, 1.0), "boiled_dry": 0.1, "dry_heating": 0.1}}
 
 
 @dataclass(frozen=True)
 class _Charge:
-    """Composition of one preparation."""
+    """Composition and conditions of one preparation.
+
+    Attributes:
+        goal, solvent: materials.
+        fed, reagents: mol of the starting materials, and of these and the catalysts that are charged with them.
+        solvent_mol: mol of the solvent.
+        tick: seconds per step of the reaction bench.
+        warm_k: reaction temperature in K.
+        heat_j: heat of reaction in J.
+        washing, crystallizing: whether the product is washed with water, and whether it crystallizes.
+        liquids: liquids that can occur.
+    """
 
     goal: str
     solvent: str
     fed: dict[str, float]
     solvent_mol: float
-    catalysts: dict[str, float]
+    reagents: dict[str, float]
     tick: float
     warm_k: float
     heat_j: float
@@ -70,23 +91,18 @@ class _Charge:
     crystallizing: bool
     liquids: list[str]
 
-    @property
-    def reagents(self) -> dict[str, float]:
-        """mol of the charged reagents."""
-        return {**self.fed, **self.catalysts}
-
 
 def steps_to(goal: str, family: ReactionFamily) -> dict[str, Reaction]:
-    """Return the first reaction that makes each material on the route to the goal."""
+    """Return the route to the goal: for each material on it, the first reaction that makes the material."""
     ways = family.ways(goal)
-    found: dict[str, Reaction] = {}
-    wanted = [goal]
-    while wanted:
-        name = wanted.pop()
-        if name in ways and name not in found:
-            found[name] = ways[name][0]
-            wanted += list(found[name].reactants)
-    return found
+    route: dict[str, Reaction] = {}
+    names = [goal]
+    while names:
+        name = names.pop()
+        if name in ways and name not in route:
+            route[name] = ways[name][0]
+            names += list(route[name].reactants)
+    return route
 
 
 def feeds(goal: str, family: ReactionFamily, mol: float) -> dict[str, float]:
@@ -97,19 +113,19 @@ def feeds(goal: str, family: ReactionFamily, mol: float) -> dict[str, float]:
     """
     steps = steps_to(goal, family)
     if goal not in steps:
-        made = sorted({name for step in family.reaction for name in step.products})
-        raise DataError(f"goal {goal!r}: no reaction of {family.name!r} makes it; choose from {', '.join(made)}")
-    need, fed = {goal: mol}, dict[str, float]()
+        products = sorted({name for step in family.reaction for name in step.products})
+        raise DataError(f"goal {goal!r}: no reaction of {family.name!r} makes it; choose from {', '.join(products)}")
+    needed, fed = {goal: mol}, dict[str, float]()
     for _ in range(len(steps) + 1):
-        following: dict[str, float] = {}
-        for name, amount in need.items():
+        reactants: dict[str, float] = {}
+        for name, amount in needed.items():
             if name not in steps:
                 fed[name] = fed.get(name, 0.0) + amount
                 continue
             step = steps[name]
             for reactant, number in step.reactants.items():
-                following[reactant] = following.get(reactant, 0.0) + amount * number / step.products[name]
-        need = following
+                reactants[reactant] = reactants.get(reactant, 0.0) + amount * number / step.products[name]
+        needed = reactants
     return fed
 
 
@@ -131,17 +147,17 @@ def _catalysts(goal: str, family: ReactionFamily) -> list[str]:
 def solvent_for(goal: str, family: ReactionFamily, materials: Materials) -> str:
     """Return a bundled solvent that boils far from the goal, preferably below it.
 
-    A solvent that is a required catalyst is used first, else one that takes no part in reactions.
+    A solvent that is a required catalyst is preferred, else one that takes no part in reactions.
 
     Raises:
-        DataError: there is none.
+        DataError: no bundled solvent is suitable.
     """
     boils = materials[goal].boiling_point_k
-    changed = {name for step in family.reaction for name in (*step.reactants, *step.products)}
-    needed = [name for name in SOLVENTS if name in _catalysts(goal, family) and name not in changed]
-    free = needed or [name for name in SOLVENTS if name not in family.materials() and name != goal]
-    below = [name for name in free if materials[name].boiling_point_k < boils - _APART_K]
-    above = [name for name in free if materials[name].boiling_point_k > boils + _APART_K]
+    reacting = {name for step in family.reaction for name in (*step.reactants, *step.products)}
+    catalysts = [name for name in SOLVENTS if name in _catalysts(goal, family) and name not in reacting]
+    candidates = catalysts or [name for name in SOLVENTS if name not in family.materials() and name != goal]
+    below = [name for name in candidates if materials[name].boiling_point_k < boils - _APART_K]
+    above = [name for name in candidates if materials[name].boiling_point_k > boils + _APART_K]
     if not below and not above:
         raise DataError(f"solvent: none of {', '.join(SOLVENTS)} fits; name one with --solvent")
     # The highest boiling solvent that can be distilled off, because most reactions are slow in the cold.
@@ -150,8 +166,8 @@ def solvent_for(goal: str, family: ReactionFamily, materials: Materials) -> str:
 
 def _dilute(solute: str, solvent: str, materials: Materials, pairs: Pairs) -> float:
     """Return the activity coefficient at infinite dilution, per litre instead of per mole of solvent, at 298.15 K."""
-    tau = pair_table((solute, solvent), pairs).tau(ROOM_K)
-    gamma = log_activity_coefficients(np.array([0.0, 1.0]), tau, pair_table((solute, solvent), pairs).alpha)[0]
+    pair = pair_table((solute, solvent), pairs)
+    gamma = log_activity_coefficients(np.array([0.0, 1.0]), pair.tau(ROOM_K), pair.alpha)[0]
     return litres_of({solvent: math.exp(float(gamma))}, materials)
 
 
@@ -191,29 +207,24 @@ def _soluble(solute: str, solvent: str, kelvin: float, materials: Materials, pai
 
 
 def _dissolving_s(
-    fed: Mapping[str, float],
-    solvent: str,
-    solvent_mol: float,
-    kelvin: float,
-    materials: Materials,
-    pairs: Pairs,
+    fed: Mapping[str, float], solvent: str, solvent_mol: float, kelvin: float, materials: Materials, pairs: Pairs
 ) -> float:
     """Return the time in seconds in which the slowest charged crystals dissolve to 1/e.
 
-    If the solvent takes up only a part at a time, as it is consumed, the time is correspondingly longer.
+    If the solvent dissolves only a part at a time, the rest dissolves as the solute is consumed, which takes longer.
     """
-    lengthier = [
+    factors = [
         max(mol / max(solvent_mol * _soluble(key, solvent, kelvin, materials, pairs), 1e-9), 1.0)
         for key, mol in fed.items()
         if key != solvent and _crystallizes(materials[key])
     ]
-    return max(lengthier, default=0.0) / RealSpec().crystal_rate
+    return max(factors, default=0.0) / RealSpec().crystal_rate
 
 
 def _column(goal: str, others: Collection[str], materials: Materials) -> tuple[int, float]:
     """Return theoretical stages and reflux ratio that separate the goal from its neighbours in boiling point.
 
-    By Fenske (1932), with twice the stages of total reflux and ideal vapour pressures.
+    The estimate is by Fenske (1932), with ideal vapour pressures and twice the number of stages at total reflux.
     """
     boils = materials[goal].boiling_point_k
     nearest = 1e9
@@ -251,12 +262,14 @@ def check_design(goal: str, solvent: str, family: ReactionFamily, materials: Mat
         salts = [salt.solid for salt in family.salt if ions[0] in (salt.cation, salt.anion)]
         hint = f" ({', '.join(salts)})" if salts else ""
         raise DataError(
-            f"goal {goal!r}: is made of {ions[0]!r}, an ion, which cannot be charged alone; write the reaction with a "
-            f"salt of it{hint}, which dissociates in water"
+            f"goal {goal!r}: is made from {ions[0]!r}, an ion, which cannot be charged alone; write the reaction with "
+            f"a salt of it{hint}, which dissociates in water"
         )
     gases = [key for key in fed if materials[key].role == "gas"]
     if gases:
-        raise DataError(f"goal {goal!r}: is made of {gases[0]!r}, a gas; starting materials must be liquids or solids")
+        raise DataError(
+            f"goal {goal!r}: is made from {gases[0]!r}, a gas; starting materials must be liquids or solids"
+        )
     litre = _charge_litres(fed, mol, materials)
     if litre > 0.8 * _CAPACITY_L:
         raise DataError(f"mol = {mol:g}: {litre:.3g} L exceed a vessel's {_CAPACITY_L:g} L; use a smaller amount")
@@ -264,7 +277,7 @@ def check_design(goal: str, solvent: str, family: ReactionFamily, materials: Mat
         if materials[key].role in ("ion", "gas"):
             raise DataError(
                 f"catalyst {key!r}: is {'an ion' if materials[key].role == 'ion' else 'a gas'}, of which there is no "
-                "bottle; write the scenario by hand, with it in a vessel, as in the shipped fischer"
+                "bottle; write the scenario by hand, with it in a vessel, as in the bundled scenario fischer"
             )
 
 
@@ -299,31 +312,28 @@ def design(
     litre = _charge_litres(fed, mol, materials)
     liquid = max(litre - litres_of(fed, materials), 0.2 * litre)
     in_solvent = significant(liquid / litres_of({solvent: 1.0}, materials), 3)
-    strange = [key for key in _catalysts(goal, family) if key not in fed]
-    catalysts = {key: significant(_CATALYST * mol, 3) for key in strange if key != solvent}
-    reacts = {key for step in family.violent if step.event != "none" for key in step.reactants}
-    washing = wash and not reacts & set(fed) and _washes(goal, solvent, family, materials, pairs)
+    others = [key for key in _catalysts(goal, family) if key not in (*fed, solvent)]
+    violent = {key for step in family.violent if step.event != "none" for key in step.reactants}
+    washing = wash and not violent & set(fed) and _washes(goal, solvent, family, materials, pairs)
     crystallizing = _crystallizes(materials[goal])
-    put_in = {**fed, **catalysts}
-    liquids = [materials[k].boiling_point_k for k in (*put_in, solvent) if _liquid(materials[k])]
+    reagents = {**fed, **dict.fromkeys(others, significant(_CATALYST * mol, 3))}
+    liquids = [materials[k].boiling_point_k for k in (*reagents, solvent) if _liquid(materials[k])]
     warm = min(min(liquids) - _BELOW_BOILING_K, 420.0)
     heat = sum(abs(_heat(step, materials)) for step in steps_to(goal, family).values()) * mol
-    there = {**put_in, solvent: in_solvent + put_in.get(solvent, 0.0)}
-    dissolving = _LIFETIMES[0] * _dissolving_s(put_in, solvent, in_solvent, warm, materials, pairs)
-    tick = max(_tick(goal, family, warm, litre, fed, there), significant(2.0 * heat / (_STEPS * _CALM_W), 2))
+    contents = {**reagents, solvent: in_solvent + reagents.get(solvent, 0.0)}
+    dissolving = _LIFETIMES[0] * _dissolving_s(reagents, solvent, in_solvent, warm, materials, pairs)
+    tick = max(_tick(goal, family, warm, litre, fed, contents), significant(2.0 * heat / (_STEPS * _CALM_W), 2))
     tick = max(tick, min(significant(dissolving / _STEPS, 2), _TICK_S[1]))
     present = [key for key in dict.fromkeys((*fed, solvent, *sorted(family.materials()))) if _liquid(materials[key])]
-    charge = _Charge(goal, solvent, fed, in_solvent, catalysts, tick, warm, heat, washing, crystallizing, present)
-    benches = _benches(charge, materials)
-    others = {WATER: 80.0} if washing or crystallizing else {}
-    others |= {"ethanol": 20.0, goal: 0.01} if crystallizing else {}
+    charge = _Charge(goal, solvent, fed, in_solvent, reagents, tick, warm, heat, washing, crystallizing, present)
+    workup = {WATER: 80.0} if washing or crystallizing else {}
+    workup |= {"ethanol": 20.0, goal: 0.01} if crystallizing else {}
     stock = {
-        **put_in,
+        **reagents,
         solvent: significant(2.0 * in_solvent, 3),
-        **{k: v for k, v in others.items() if k not in put_in},
+        **{key: amount for key, amount in workup.items() if key not in reagents},
     }
-    prices = {key: 5e-5 if key == WATER else 1e-3 if key not in put_in else 5e-3 for key in stock}
-    safety: dict[str, float] = dict.fromkeys(SAFETY_EVENTS, 1.0) | {"boiled_dry": 0.1, "dry_heating": 0.1}
+    prices = {key: 5e-5 if key == WATER else 1e-3 if key not in reagents else 5e-3 for key in stock}
     vessel = {"capacity_l": _CRYSTALS_L if crystallizing else _CAPACITY_L, "contents": {solvent: in_solvent}}
     return {
         "name": name,
@@ -333,25 +343,17 @@ def design(
         **files,
         "goals": [goal],
         "lab_goals": [goal],
-        "theoretical_maximum_mol": {goal: significant(mol + (others.get(goal, 0.0) if crystallizing else 0.0), 3)},
-        # On other benches: a distillate cools down in between, and crystals need time.
+        "theoretical_maximum_mol": {goal: significant(mol + workup.get(goal, 0.0), 3)},
+        # Ticks of the other benches are long, because a distillate has to cool and crystals need time.
         "real": {"tick_s": 2.0 * _CLOCK_S if crystallizing else _CLOCK_S},
         "stock": stock,
         "shelf": {"slots": 8, "vessel": [vessel]},
-        "benches": benches,
+        "benches": _benches(charge, materials),
         "instruments": INSTRUMENTS,
         "limits": {"manager_actions": 60, "ticks": 500, "budget": 0.2},
         "costs": {"waste_per_l": 0.002, "tick": 0.0002, "illegal_action": 0.005, "stock_per_mol": prices},
-        "safety": {"weights": safety},
+        "safety": SAFETY,
     }
-
-
-INSTRUMENTS: dict[str, dict[str, Any]] = {
-    "uv_vis": {"kind": "uv_vis", "price": 0.002},
-    "layer_camera": {"kind": "layer_camera", "price": 0.001},
-    "balance": {"kind": "balance", "price": 0.0005},
-    "gas_chromatograph": {"kind": "gas_chromatograph", "price": 0.01, "sample_fraction": 0.001},
-}
 
 
 def _heat(step: Reaction, materials: Materials) -> float:
@@ -365,9 +367,9 @@ def _heat(step: Reaction, materials: Materials) -> float:
 
 
 def _washes(goal: str, solvent: str, family: ReactionFamily, materials: Materials, pairs: Pairs) -> bool:
-    """Return True if water removes something from the solvent, but neither the solvent nor the goal.
+    """Return True if washing with water removes a salt, another liquid, or water that a reaction makes.
 
-    The same holds for water that a reaction makes.
+    Solvent and goal have to remain in the organic layer.
     """
     if WATER in (goal, solvent) or materials[goal].role == "solid":
         return False
@@ -452,24 +454,14 @@ def occurring(goal: str, solvent: str, family: ReactionFamily, materials: Materi
 
 def scenario_text(tables: Mapping[str, Any], command: str) -> str:
     """Return the text of a scenario file."""
-    inline = (
-        "contents",
-        "reagents",
-        "start",
-        "temperature_k",
-        "volume_l",
-        "process",
-        "vessel",
-        "weights",
-        *INSTRUMENTS,
-    )
+    inline = "contents", "reagents", "start", "temperature_k", "volume_l", "process", "vessel", "weights"
     made_by = " ".join(command.split())  # the comment has one line
     lines = [f"# Made by {made_by}; every key: see chemlab's pages Write a scenario, and Keys of data files"]
-    return "\n".join([*lines, *toml_tables(tables, inline)]) + "\n"
+    return "\n".join([*lines, *toml_tables(tables, (*inline, *INSTRUMENTS))]) + "\n"
 
 
 def beside(path: Path, folder: Path) -> str:
-    """Return a file's path relative to a scenario's folder."""
+    """Return a file's path relative to a scenario's folder, or its absolute path if it is outside."""
     try:
         return path.resolve().relative_to(folder.resolve()).as_posix()
     except ValueError:

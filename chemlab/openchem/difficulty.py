@@ -12,9 +12,9 @@
 | ``chance`` | share of episodes of a random manager, over scripted benches, that score above 0.1 |
 | ``decisions`` | decisions of that manager in an episode |
 
-Constant conditions are a temperature, set at once and kept, and the reagents on the route to the goal. They are added
-at once, or evenly over half of the experiment: all of them or one of them. All variants are tried from the bench's
-initial state.
+Constant conditions are a constant temperature, set at the beginning, and the reagents on the route to the goal. All
+reagents are added at once, or one or all of them evenly over half of the experiment. All variants are tried from the
+bench's initial state.
 """
 
 from __future__ import annotations
@@ -43,8 +43,9 @@ from ..roles.reaction_bench import ReactionBench, ReactionOptions
 from .designs import feeds, steps_to
 
 _TEMPERATURES = 8
+"""Number of temperatures that are tried."""
 _SLOWLY = 0.5
-"""Share of an experiment over which slow additions extend."""
+"""Duration of slow additions as a share of the experiment."""
 _SAFE_PRESSURE = 0.68
 """Reading of the pressure gauge above which heating stops, as in the scripted policy."""
 _TRACE_MOL = 1e-12
@@ -60,7 +61,7 @@ class Conditions:
         temperature_k: constant temperature.
         slowly: reagents that are added over half of the experiment.
         reached: yield: mol of the goal relative to its maximum.
-        selectivity: mol of the goal relative to the maximum from the most consumed feed.
+        selectivity: mol of the goal relative to the maximum from the feed that is consumed most.
     """
 
     temperature_k: float
@@ -71,7 +72,7 @@ class Conditions:
 
 @dataclass(frozen=True)
 class GoalDifficulty:
-    """Difficulty of a goal; None for measures without a route, a bench or a boiling liquid."""
+    """Difficulty of a goal; measures are None if they need a route, a bench, a boiling liquid or a search."""
 
     goal: str
     steps: int
@@ -86,12 +87,12 @@ class GoalDifficulty:
 
 
 class _Constant:
-    """Keeps a temperature and adds reagents, without observations; environment i follows ``recipes[i]``.
+    """Policy of constant conditions: keeps a temperature and adds reagents; environment i follows ``recipes[i]``.
 
     Args:
         bench: the bench.
-        recipes: temperature in K, and the slowly added reagents, by environment index.
-        wanted: reagents that are added at all.
+        recipes: temperature in K and slowly added reagents by environment index.
+        wanted: all added reagents.
     """
 
     def __init__(self, bench: ReactionBench, recipes: list[tuple[float, tuple[str, ...]]], wanted: set[str]) -> None:
@@ -107,14 +108,14 @@ class _Constant:
         self._wanted = np.array([name in wanted for name in names])
 
     def act(self, observation: npt.NDArray[Any], step: int) -> npt.NDArray[Any]:
-        """Return the actions [B, n]."""
+        """Return the actions [B, n] for observations [B, m]."""
         now = self._channel.unscaled(observation[:, self._gauge])
-        turn = np.clip(0.5 + (self._kelvin - now) / (2.0 * self._step_k), 0.0, 1.0)
-        close = observation[:, self._pressure] > _SAFE_PRESSURE
-        turn = np.where(close, np.minimum(turn, 0.5), turn)
-        # The share of the remainder that gives equal portions.
+        heating = np.clip(0.5 + (self._kelvin - now) / (2.0 * self._step_k), 0.0, 1.0)
+        unsafe = observation[:, self._pressure] > _SAFE_PRESSURE
+        heating = np.where(unsafe, np.minimum(heating, 0.5), heating)
+        # Shares of the remainder, so that portions are equal.
         share = np.where(self._slow, 1.0 / max(self._steps - step, 1), 1.0) * self._wanted
-        return np.column_stack((turn, np.where(close, 1.0, 0.5), share))
+        return np.column_stack((heating, np.where(unsafe, 1.0, 0.5), share))
 
 
 def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
@@ -154,8 +155,8 @@ def constant_conditions(scenario: Scenario, goal: str) -> Conditions | None:
     return Conditions(round(kelvin, 1), slow, float(made[best] / most), float(made[best] / max(used[best], _TRACE_MOL)))
 
 
-def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:
-    """Return the distance in K to the nearest boiling point of another liquid, and that liquid."""
+def _nearest_boiling(scenario: Scenario, goal: str) -> tuple[float, str] | None:
+    """Return the distance in K to the nearest boiling point of another liquid, and that liquid; or None."""
     liquids = {name: m for name, m in scenario.materials.items() if m.role in ("solvent", "solute")}
     if goal not in liquids or len(liquids) < 2:
         return None
@@ -165,7 +166,7 @@ def _boils_next(scenario: Scenario, goal: str) -> tuple[float, str] | None:
 
 
 def waiting(labs: Laboratories) -> Callable[[ObservationArray, MaskArray | None], IntArray]:
-    """Return a manager that waits, and takes the first legal action where it cannot."""
+    """Return a policy of the manager that waits, or takes the first legal action if waiting is illegal."""
     wait = int(np.flatnonzero(labs.actions.table[:, 0] == WAIT)[0])
 
     def choose(observation: ObservationArray, mask: MaskArray | None) -> IntArray:
@@ -206,22 +207,22 @@ def difficulty(
     for goal in spec.lab_goals:
         labs = Laboratories(spec, episodes)
         scripted = play_laboratory(labs, make_policies("scripted", labs), goal, seed).returns
-        apart = _boils_next(spec, goal)
-        wide = Laboratories(spec, explored)
-        drawn = play_laboratory(wide, make_policies("scripted,manager=random", wide), goal, seed)
+        nearest = _nearest_boiling(spec, goal)
+        others = Laboratories(spec, explored)
+        random = play_laboratory(others, make_policies("scripted,manager=random", others), goal, seed)
         idle = make_policies("scripted", labs) | {MANAGER_AGENT: as_policy(waiting(labs))}
         rows.append(
             GoalDifficulty(
                 goal=goal,
                 steps=len(steps_to(goal, spec.family)),
                 conditions=constant_conditions(spec, goal),
-                boils_apart_k=apart and apart[0],
-                boils_next=apart and apart[1],
+                boils_apart_k=nearest and nearest[0],
+                boils_next=nearest and nearest[1],
                 scripted=float(scripted.mean()),
                 plan=by_goal.get(goal),
                 nothing=float(play_laboratory(labs, idle, goal, seed).returns.mean()),
-                chance=float((drawn.returns > _SUCCESS).mean()),
-                decisions=float(drawn.measures["manager_actions"].mean()),
+                chance=float((random.returns > _SUCCESS).mean()),
+                decisions=float(random.measures["manager_actions"].mean()),
             )
         )
     return rows

@@ -14,7 +14,7 @@ Array = npt.NDArray[np.float64]
 
 
 class Grid(NamedTuple):
-    """Temperatures and fractions at which ln gamma is compared, and the length of a fit.
+    """Points at which ln gamma is compared, and the settings of a fit.
 
     Attributes:
         temperatures_k: [T] temperatures.
@@ -42,8 +42,10 @@ FINE = Grid(
     30,
     6,
 )
-"""For pair files: a pair takes some seconds. Renon and Prausnitz propose alpha from 0.2 to 0.47; alcohol mixtures often
-need more, nearly immiscible mixtures less."""
+"""Grid for pair files; a pair takes some seconds.
+
+Renon and Prausnitz propose alpha from 0.2 to 0.47; alcohol mixtures often need more, nearly immiscible mixtures less.
+"""
 QUICK = Grid(
     np.array([270.0, 300.0, 340.0, 400.0, 480.0]),
     _both_sides([1e-10, 1e-3, 0.01, 0.04, 0.12, 0.25]),
@@ -51,25 +53,28 @@ QUICK = Grid(
     10,
     3,
 )
-"""For everyday chemicals: a pair takes 0.02 s."""
+"""Grid for everyday chemicals; a pair takes 0.02 s."""
 
 _TRIES = ((1.0, 20.0), (0.1, 20.0), (1.0, 0.0))
 """Candidate weights of high dilution, and of a spurious second liquid.
 
-A liquid is spurious if an activity falls with its mole fraction although the reference has one liquid. The later
-candidates are for mixtures whose dilute ends NRTL cannot meet otherwise.
+A second liquid is spurious if an activity falls with its mole fraction although the reference has one liquid. The later
+candidates are for mixtures whose coefficients at high dilution NRTL cannot reproduce otherwise.
 """
 _ENOUGH = 0.1
-"""Score from which on the later tries are made, too; and penalty, as an error of ln gamma, of each temperature with a
-spurious second liquid."""
+"""Score above which the later candidates are tried; and penalty, as an error of ln gamma, of each temperature with a
+spurious second liquid.
+"""
 _DILUTE = 0.03
+"""Mole fraction below which a mixture counts as highly dilute."""
 _ENDS = 3.0
 """Weight of infinite dilution relative to one mixture."""
 _RIDGE, _SMALL = 1e-3, 1e-5
+"""Weight of the regularization; step of numerical derivatives."""
 
 
 def stable(log_gamma: Array, fractions: Array = FINE.fractions) -> npt.NDArray[np.bool_]:
-    """Return [T, X] True where a mixture stays one liquid: on the lower hull of the Gibbs energy of mixing."""
+    """Return [T, X] True where a mixture is stable as one liquid: on the lower hull of the Gibbs energy of mixing."""
     x = fractions
     ideal = x * np.log(x) + (1.0 - x) * np.log(1.0 - x)
     energy = ideal + x * log_gamma[..., 0] + (1.0 - x) * log_gamma[..., 1]
@@ -88,7 +93,7 @@ def stable(log_gamma: Array, fractions: Array = FINE.fractions) -> npt.NDArray[n
 
 
 class _Best(NamedTuple):
-    """The best parameters of N pairs so far."""
+    """The best parameters of N pairs so far, with the score, alpha and the largest error of each."""
 
     score: Array
     parameters: Array
@@ -96,16 +101,16 @@ class _Best(NamedTuple):
     error: Array
 
     def improve(self, other: _Best, where: Any = slice(None)) -> None:
-        """Take what is better of another result, which is of the pairs ``where``."""
-        for mine, theirs in zip(self[1:], other[1:], strict=True):
-            kept = mine[where]
-            kept[other.score < self.score[where]] = theirs[other.score < self.score[where]]
-            mine[where] = kept
-        self.score[where] = np.minimum(self.score[where], other.score)
+        """Replace the results of pairs ``where`` that have a lower score in ``other``."""
+        better = other.score < self.score[where]
+        for array, candidates in zip(self, other, strict=True):
+            values = array[where]
+            values[better] = candidates[better]
+            array[where] = values
 
 
 def _log_gamma(tau: Array, alpha: float, fractions: Array) -> Array:
-    """[N, T, X, 2] ln gamma by NRTL of tau [N, T, 2]."""
+    """Return ln gamma [N, T, X, 2] by NRTL for tau [N, T, 2]."""
     x, y = fractions, 1.0 - fractions
     one, two = tau[..., None, 0], tau[..., None, 1]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -117,7 +122,15 @@ def _log_gamma(tau: Array, alpha: float, fractions: Array) -> Array:
 
 
 class _Problem:
-    """Curves of N pairs and what counts of them: mixtures of one liquid, and both ends."""
+    """Least-squares problem of N pairs; only mixtures of one liquid and infinite dilution have a weight.
+
+    Args:
+        log_gamma: [N, T, X, 2] reference values.
+        one_liquid: [N, T, X] True where the reference has one liquid.
+        grid: temperatures, fractions and length of the fit.
+        tails: relative weight of highly dilute mixtures.
+        splits: weight of spurious second liquids.
+    """
 
     def __init__(
         self, log_gamma: Array, one_liquid: npt.NDArray[np.bool_], grid: Grid, tails: float, splits: float
@@ -136,19 +149,19 @@ class _Problem:
         self.whole = one_liquid[:, :, 1:] & one_liquid[:, :, :-1]
 
     def model(self, parameters: Array, alpha: float) -> tuple[Array, Array]:
-        """tau [N, T, 2] and ln gamma [N, T, X, 2]."""
+        """Return tau [N, T, 2] and ln gamma [N, T, X, 2] for parameters [N, 6]."""
         tau = np.einsum("tb,nbi->nti", self.basis, parameters.reshape(self.count, 3, 2))
         return tau, _log_gamma(tau, alpha, self.grid.fractions)
 
     def residuals(self, made: Array, parameters: Array, weight: Array) -> Array:
-        """[N, residuals]"""
+        """Return the residuals [N, R]: weighted errors of ln gamma, falling activities, and the regularization."""
         off = np.where(weight > 0.0, (made - self.curves) * weight, 0.0)
         falls = np.where(self.whole, np.minimum(np.diff(made[..., 0], axis=2) + self.rises, 0.0), 0.0)
         flat = [off.reshape(self.count, -1), self.splits * falls.reshape(self.count, -1), _RIDGE * parameters]
         return np.concatenate(flat, axis=1)
 
     def slopes(self, tau: Array, made: Array, weight: Array, alpha: float, size: int) -> Array:
-        """[N, residuals, 6] derivatives of the residuals."""
+        """Return the derivatives [N, R, 6] of the residuals."""
         falling = self.whole & (np.diff(made[..., 0], axis=2) + self.rises < 0.0)
         out, cut = np.zeros((self.count, size, 6)), made[0].size
         for i in range(2):
@@ -163,30 +176,33 @@ class _Problem:
         return out
 
     def descend(self, parameters: Array, weight: Array, alpha: float) -> tuple[Array, Array]:
-        """Parameters and ln gamma after some steps."""
+        """Return parameters and ln gamma after the grid's number of Levenberg-Marquardt steps."""
         tau, made = self.model(parameters, alpha)
-        found = self.residuals(made, parameters, weight)
-        cost, damping = np.sum(found**2, axis=1), np.full(self.count, 1e-2)
+        residuals = self.residuals(made, parameters, weight)
+        cost, damping = np.sum(residuals**2, axis=1), np.full(self.count, 1e-2)
         for _ in range(self.grid.steps):
-            slopes = self.slopes(tau, made, weight, alpha, found.shape[1])
+            slopes = self.slopes(tau, made, weight, alpha, residuals.shape[1])
             square = slopes.transpose(0, 2, 1) @ slopes
             square += (damping[:, None] * np.einsum("nii->ni", square))[:, :, None] * np.eye(6)
-            step = np.linalg.solve(square, -(slopes.transpose(0, 2, 1) @ found[..., None]))[..., 0]
+            step = np.linalg.solve(square, -(slopes.transpose(0, 2, 1) @ residuals[..., None]))[..., 0]
             new_tau, new_made = self.model(parameters + step, alpha)
             new = self.residuals(new_made, parameters + step, weight)
             new_cost = np.sum(new**2, axis=1)
             better = np.isfinite(new_cost) & (new_cost < cost)
             damping = np.clip(np.where(better, 0.2 * damping, 8.0 * damping), 1e-9, 1e9)
-            parameters, cost = (
-                np.where(better[:, None], parameters + step, parameters),
-                np.where(better, new_cost, cost),
+            parameters = np.where(better[:, None], parameters + step, parameters)
+            cost, residuals = np.where(better, new_cost, cost), np.where(better[:, None], new, residuals)
+            tau, made = (
+                np.where(better[:, None, None], new_tau, tau),
+                np.where(better[:, None, None, None], new_made, made),
             )
-            tau, found = np.where(better[:, None, None], new_tau, tau), np.where(better[:, None], new, found)
-            made = np.where(better[:, None, None, None], new_made, made)
         return parameters, made
 
     def best(self, alpha: float) -> _Best:
-        """The best fit of each pair with one alpha; each pass has more weight on what the last one met worst."""
+        """Return the best fit of each pair with one alpha.
+
+        Each pass puts more weight on the largest errors of the previous one.
+        """
         start = np.tile([1.0, 1.0, 1.0 / 3.0, 1.0 / 3.0, 0.0, 0.0], (self.count, 1))
         weight, parameters = self.weight.copy(), start
         best = _Best(np.full(self.count, np.inf), start.copy(), np.full(self.count, alpha), np.zeros(self.count))
@@ -194,25 +210,25 @@ class _Problem:
             parameters, made = self.descend(parameters, weight, alpha)
             off = np.where(self.kept, np.abs(made - self.curves), 0.0)
             second = self.one_liquid & ~np.array([stable(one, self.grid.fractions) for one in made])
-            made_up = np.sum(second.any(axis=-1) & self.one_liquid.all(axis=-1), axis=1)
+            spurious = np.sum(second.any(axis=-1) & self.one_liquid.all(axis=-1), axis=1)
             error = off.reshape(self.count, -1).max(axis=1)
-            best.improve(_Best(error + _ENOUGH * made_up, parameters, best.alpha.copy(), error))
+            best.improve(_Best(error + _ENOUGH * spurious, parameters, best.alpha.copy(), error))
             worst = np.maximum((off * weight).reshape(self.count, -1).max(axis=1), 1e-12)
             weight = weight * np.sqrt(0.1 + off * weight / worst[:, None, None, None])
         return best
 
 
 def fits(log_gamma: Array, grid: Grid) -> tuple[Array, Array, Array]:
-    """Fit NRTL parameters with a small largest error of ln gamma wherever the mixture is one liquid.
+    """Fit NRTL parameters that minimize the largest error of ln gamma where the mixture is one liquid.
 
     If NRTL predicts a spurious second liquid or large errors at high dilution, both are weighed against each other.
 
     Args:
         log_gamma: [N, T, X, 2] at the temperatures and fractions of the grid.
-        grid: where they are, and how long a fit is improved.
+        grid: temperatures, fractions, and settings of the fit.
 
     Returns:
-        a12, a21, b12, b21, c12, c21 [N, 6]; alpha [N]; the largest error of ln gamma where two mix [N].
+        a12, a21, b12, b21, c12, c21 [N, 6]; alpha [N]; largest error [N] of ln gamma in mixtures of one liquid.
     """
     one_liquid = np.array([stable(one, grid.fractions) for one in log_gamma])
     best = _Best(np.full(len(log_gamma), np.inf), *np.zeros((1, len(log_gamma), 6)), *np.zeros((2, len(log_gamma))))

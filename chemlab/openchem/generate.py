@@ -6,9 +6,7 @@
 A chemistry is an ordinary scenario. Chemistries of equal size and difficulty have equal spaces; their materials,
 reactions, rate constants and boiling points differ. Equal arguments give equal chemistries on every machine with the
 same version of chemlab. The theoretical maximum of a goal (``theoretical_maximum_mol``) follows from the stoichiometry;
-the attainable yield is measured by :mod:`chemlab.openchem.difficulty`.
-
-Needs no extra.
+:mod:`chemlab.openchem.difficulty` measures the attainable yield. No extra is required.
 """
 
 from __future__ import annotations
@@ -26,9 +24,9 @@ from ..config.inherit import completed
 from ..config.loading import restore_scenario
 from ..config.materials import Material, Materials, litres_of, shipped_materials
 from ..config.reactions import ReactionFamily, side_words
-from ..config.scenario import PHYSICS_TIERS, SAFETY_EVENTS, Scenario
+from ..config.scenario import PHYSICS_TIERS, Scenario
 from ..physics.constants import GAS_CONSTANT
-from .designs import INSTRUMENTS, SOLVENTS, design, scenario_text
+from .designs import INSTRUMENTS, SAFETY, SOLVENTS, design, scenario_text
 from .invented import SOURCE, dilute_log, material_tables, pair_rows
 from .reaction_networks import Draws, Network, Size, chosen_size, draw_network
 from .writing import family_text, lock, material_text, pair_text, significant
@@ -36,16 +34,18 @@ from .writing import family_text, lock, material_text, pair_text, significant
 _WARM_K = 330.0
 """Temperature in K at which rates are compared."""
 _MOL_PER_L = 0.8
+"""Concentration of reactants in mol/L to which the durations of reactions refer."""
 _STEPS, _TICK_S = 30, 60.0
 """Steps, and seconds per step, of an experiment at the reaction bench."""
 _ACTIVATION_J = (45_000.0, 75_000.0)
 _LEAST_ACTIVATION_J = 15_000.0
 _CATALYSED_J = (15_000.0, 30_000.0)
-"""Activation energies in J/mol of catalysed reactions; low, so that a product survives its distillation beside
-catalyst residues.
+"""Range of activation energies in J/mol of catalysed reactions.
+
+They are low, so that a product survives its distillation in the presence of catalyst residues.
 """
 _BY_HEAT = 0.75
-"""Probability that a side reaction is favoured by heat over the competing main step; otherwise cold favours it."""
+"""Probability that heat favours a side reaction over the competing main step; otherwise cold favours it."""
 _APART_K = 35.0
 """Minimum distance in K of the goals' boiling points above the solvent's."""
 _FEEDS_L, _MOL = 0.3, 0.5
@@ -64,7 +64,8 @@ class Level:
         lifetimes: duration of an experiment at 330 K in time constants 1/(k c) of a main step.
         side: rate of a side reaction at 330 K relative to the competing step's.
         decay: duration of an experiment at 330 K in lifetimes of a rearranging product.
-        activation_j: J/mol by which activation energies of side reactions are higher (for a quarter of them: lower).
+        activation_j: difference in J/mol between the activation energies of side reactions and competing steps: higher,
+            or lower for a quarter of them.
         gap_k: minimum distance in K between the boiling points of a goal and its neighbour, and the maximum for
             isomers.
     """
@@ -91,7 +92,7 @@ class Generated:
 
     Attributes:
         name: name of the scenario.
-        command: command that makes it again.
+        command: command that makes the chemistry again.
         tables: tables of the scenario file.
         family: tables of the reaction file.
         materials: tables of the material file.
@@ -194,16 +195,17 @@ def generated(
     if not 1 <= goals <= size.steps:
         raise DataError(f"goals = {goals}: must be from 1 to {size.steps}, one for each step of the route")
     name = name or f"chemistry_{seed}"
-    words = ("--seed", seed, "--materials", size.materials, "--reactions", size.reactions, "--steps", size.steps)
-    more = ("--goals", goals, "--difficulty", difficulty, "--physics", physics)
-    command = " ".join(["chemlab", "generate", name, *map(str, (*words, *more))])
+    command = (
+        f"chemlab generate {name} --seed {seed} --materials {size.materials} --reactions {size.reactions} "
+        f"--steps {size.steps} --goals {goals} --difficulty {difficulty} --physics {physics}"
+    )
     draws = Draws("chemlab", seed, size.materials, size.reactions, size.steps, goals, difficulty, physics)
     network = draw_network(draws, size, catalysed=physics == "real")
-    wanted = network.route[-goals:]
+    lab_goals = network.route[-goals:]
     shipped = shipped_materials()
     taken = [shipped[key].shade for key in ("air", "water", *SOLVENTS)]
     role = "solute" if physics == "paper" else "solvent"
-    tables = material_tables(draws, network, wanted, level.gap_k, role, taken)
+    tables = material_tables(draws, network, lab_goals, level.gap_k, role, taken)
     family = {
         "name": name,
         "summary": "; ".join(f"{side_words(s.reactants)} -> {side_words(s.products)}" for s in network.steps) + ".",
@@ -211,42 +213,42 @@ def generated(
         "reaction": _reactions(draws, network, level),
     }
     known = {key: validated(Material, table, f"{name}: {key}") for key, table in tables.items()}
-    solvent = _solvent(draws, known, wanted)
+    solvent = _solvent(draws, known, lab_goals)
     head = {
         "name": name,
         "title": f"Invented chemistry {seed}, {difficulty}: {size.materials} materials, {size.reactions} reactions",
-        "summary": f"{', '.join(wanted)} from {', '.join(network.feeds)} in {size.steps} steps. {family['summary']}",
+        "summary": f"{', '.join(lab_goals)} from {', '.join(network.feeds)} in {size.steps} steps. {family['summary']}",
         "physics": physics,
         "reactions": f"{name}_reactions.toml",
         "material_files": [f"{name}_materials.toml"],
     }
     if physics == "paper":
-        return Generated(name, command, _paper(head, network, wanted, known, solvent), family, tables, [])
+        return Generated(name, command, _paper(head, network, lab_goals, known, solvent), family, tables, [])
     known[solvent] = shipped[solvent]
     head["pair_files"] = [f"{name}_pairs.toml"]
-    scenario = _real(head, network, wanted, known, solvent, family)
+    scenario = _real(head, network, lab_goals, known, solvent, family)
     return Generated(name, command, scenario, family, tables, pair_rows(known))
 
 
 def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, Any]]:
     """Return the tables of the reactions."""
-    lasts = _STEPS * _TICK_S
+    duration = _STEPS * _TICK_S
     main: list[tuple[float, float]] = []
     tables = []
     for step in network.steps:
         if step.kind == "main":
-            warm, energy = draws.between(*level.lifetimes) / (_MOL_PER_L * lasts), draws.between(*_ACTIVATION_J)
-            main.append((warm, energy))
+            constant, energy = draws.between(*level.lifetimes) / (_MOL_PER_L * duration), draws.between(*_ACTIVATION_J)
+            main.append((constant, energy))
         else:
-            warm, energy = main[step.beside]
+            constant, energy = main[step.beside]
             alone = step.kind == "rearranged" and not step.catalyst
             by_heat = alone or draws.happens(_BY_HEAT)
             energy += (1.0 if by_heat else -1.0) * draws.between(*level.activation_j)
             if step.catalyst:
                 energy = draws.between(*_CATALYSED_J)
-            warm = draws.between(*level.decay) / lasts if alone else warm * draws.between(*level.side)
+            constant = draws.between(*level.decay) / duration if alone else constant * draws.between(*level.side)
         energy = round(max(energy, _LEAST_ACTIVATION_J), -2)
-        factor = significant(warm * math.exp(energy / (GAS_CONSTANT * _WARM_K)))
+        factor = significant(constant * math.exp(energy / (GAS_CONSTANT * _WARM_K)))
         tables.append(
             {
                 "reactants": step.reactants,
@@ -254,14 +256,14 @@ def _reactions(draws: Draws, network: Network, level: Level) -> list[dict[str, A
                 **({"catalysts": {step.catalyst: 1}} if step.catalyst else {}),
                 "pre_exponential": factor,
                 "activation_energy_j_mol": energy,
-                "source": f"{SOURCE}: {step.kind}, {warm:.2g} at {_WARM_K:g} K",
+                "source": f"{SOURCE}: {step.kind}, {constant:.2g} at {_WARM_K:g} K",
             }
         )
     return tables
 
 
 def _solvent(draws: Draws, materials: Materials, goals: list[str]) -> str:
-    """Return the best dissolving bundled solvent that boils far below the goals."""
+    """Return one of the two bundled solvents that mix best with all materials and boil far below the goals."""
     shipped = shipped_materials()
     lowest = min(materials[goal].boiling_point_k for goal in goals)
     fitting = [name for name in SOLVENTS if shipped[name].boiling_point_k < lowest - _APART_K]
@@ -280,7 +282,7 @@ def _mol(feeds: Sequence[str], materials: Materials) -> float:
 def _paper(
     head: Mapping[str, Any], network: Network, goals: list[str], materials: Materials, solvent: str
 ) -> dict[str, Any]:
-    """Return a scenario with the backend ``paper``, after ``fictitious``: a reaction bench and a distillation bench."""
+    """Return a scenario with the backend ``paper``, a reaction bench and a distillation bench, like ``fictitious``."""
     mol = _mol(network.feeds, materials)
     feeds = dict.fromkeys(network.feeds, mol)
     each = litres_of({solvent: 1.0}, shipped_materials())
@@ -298,7 +300,6 @@ def _paper(
         },
         "dit": {"kind": "distillation", "start": crude},
     }
-    safety: dict[str, float] = dict.fromkeys(SAFETY_EVENTS, 1.0) | {"boiled_dry": 0.1, "dry_heating": 0.1}
     return {
         **head,
         "goals": goals,
@@ -315,7 +316,7 @@ def _paper(
             "illegal_action": 0.005,
             "stock_per_mol": dict.fromkeys(feeds, 0.005),
         },
-        "safety": {"weights": safety},
+        "safety": SAFETY,
     }
 
 

@@ -39,7 +39,7 @@ class Compound:
     """A molecule or an element."""
 
     key: str
-    """Id of its table in a material file."""
+    """Id of the compound's table in a material file."""
     name: str
     formula: str
     smiles: str
@@ -47,7 +47,7 @@ class Compound:
     inchi_key: str
     cas: str | None = None
     common_name: str = ""
-    """Name in the list of chemicals, whatever name was given; empty if not listed."""
+    """Name in the list of chemicals, independent of the given name; empty if the compound is not listed."""
 
     @property
     def composition(self) -> dict[str, int]:
@@ -97,14 +97,13 @@ def composition_of(molecule: Any) -> dict[str, int]:
     counts: dict[str, int] = {}
     for atom in molecule.GetAtoms():
         counts[atom.GetSymbol()] = counts.get(atom.GetSymbol(), 0) + 1
-        hydrogens = atom.GetTotalNumHs()
-        if hydrogens:
+        if hydrogens := atom.GetTotalNumHs():
             counts["H"] = counts.get("H", 0) + hydrogens
     return dict(sorted(counts.items(), key=lambda item: ({"C": 0, "H": 1}.get(item[0], 2), item[0])))
 
 
 def molar_mass(composition: dict[str, int]) -> float:
-    """Return the molar mass in g/mol; elements of the bundled files have the weights of these files."""
+    """Return the molar mass in g/mol; elements of the bundled files have the atomic weights of these files."""
     return float(
         sum(n * _WEIGHTS.get(element, getattr(periodic_table, element).MW) for element, n in composition.items())
     )
@@ -135,31 +134,31 @@ def _key(name: str) -> str:
 
 
 def _near(text: str) -> str:
-    """Return similar names as the end of a sentence."""
+    """Return a suggestion of similar names as the end of a message; empty if there is none."""
     if not 3 < len(text) <= _LONGEST_NAME:
         return ""
     text = text.lower()
-    # Of the million names, only those that a misspelling is likely to have meant: the rest takes a second.
+    # A comparison with all of the million names would take a second.
     similar = [name for name in pubchem_db.name_index if name[:1] == text[0] and abs(len(name) - len(text)) <= 2]
     near = difflib.get_close_matches(text, similar, 2, 0.8)
     return f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
 def _check_molecule(molecule: Any, text: str) -> None:
-    """Check that a molecule is single, neutral and of natural isotopes.
+    """Check that a molecule is a single, neutral one of natural isotopes.
 
     Raises:
-        DataError: it is not.
+        DataError: it is a salt, an ion, several molecules, or isotopically labelled.
     """
     fragments, charge = len(Chem.GetMolFrags(molecule)), Chem.GetFormalCharge(molecule)
     charged = any(atom.GetFormalCharge() for atom in molecule.GetAtoms())
     if charge != 0 or (fragments > 1 and charged):
         shipped = structures().get(str(Chem.MolToSmiles(molecule)))
         what = f"has a charge of {charge:+d}" if fragments == 1 else f"has {fragments} fragments"
-        this = f", which has this one as {shipped!r}" if shipped else ""
+        use = f"use the bundled material {shipped!r}" if shipped else "use a bundled material"
         raise DataError(
-            f"{text!r}: {what}: ions and salts have no boiling point and no groups for estimates; use what is "
-            f"shipped{this}, or write its tables by hand (docs: Write a material or a reaction), solubilities included"
+            f"{text!r}: {what}: ions and salts have no boiling point and no groups for estimates; {use}, or write its "
+            "tables by hand (docs: Write a material or a reaction), solubilities included"
         )
     if fragments > 1:
         raise DataError(f"{text!r}: has {fragments} fragments that do not form a salt; give each molecule separately")
@@ -189,14 +188,14 @@ def _entry_of(text: str) -> tuple[Any, str]:
     """Look up a CAS number or a name in the list of chemicals.
 
     Returns:
-        The entry, or None; and the name in plain letters.
+        The entry or None, and the name in ASCII letters; the name is empty for a CAS number or without an entry.
 
     Raises:
         DataError: the text looks like a CAS number but is not one, or the name does not denote a single compound.
     """
     if _CAS.fullmatch(text):
         if not check_CAS(text):
-            raise DataError(f"{text!r}: is not a CAS number: its check digit is wrong")
+            raise DataError(f"{text!r} is not a CAS number: its check digit is wrong")
         entry = pubchem_db.search_CAS(text)
         if not entry:
             raise DataError(f"{text!r}: this CAS number is not in the list of chemicals; give the structure (SMILES)")
@@ -219,7 +218,7 @@ def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
         text: a CAS number, an English name (as in PubChem; Greek letters or alpha, beta), or a structure (SMILES);
             tried in this order.
         key: id of the compound; default: its name with ``_`` for spaces.
-        structure: whether the text can only be a structure.
+        structure: whether to interpret the text as a structure only.
 
     Raises:
         DataError: the text is none of these or too long; denotes a salt, an ion, a mixture, a polymer or an
@@ -259,5 +258,5 @@ def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
 
 
 def _common_name(entry: Any) -> str:
-    """Return an entry's common name; in the list it is sometimes a number."""
+    """Return an entry's common name, or its IUPAC name if the list has a CAS number in place of the common name."""
     return str(entry.iupac_name if _CAS.fullmatch(entry.common_name) and entry.iupac_name else entry.common_name)

@@ -3,12 +3,12 @@
 | property | rule |
 |---|---|
 | molar mass, volume, heat capacity | sums over the invented atoms (the latter after Kopp, 1864; Neumann, 1831) |
-| boiling point | Kinney, J. Am. Chem. Soc. 60 (1938) 3032: 230.14 b^(1/3) - 543, in Celsius; b is a sum over the atoms, and more for what is polar |
+| boiling point | Kinney, J. Am. Chem. Soc. 60 (1938) 3032: 230.14 b^(1/3) - 543, in Celsius; b is a sum over the atoms, and larger for polar materials |
 | heat of vaporization | Everett, J. Chem. Soc. 1960, 2566 (Trouton's rule, the rising one): (36.6 + R ln T) T at the boiling point T, for liquids without hydrogen bonds |
 | vapour pressure | Antoine's equation through 101.325 kPa with that heat there; C after Thomson, Chem. Rev. 38 (1946) 1 |
 | critical temperature | 3/2 of the boiling point (Guldberg 1890) |
 | activity coefficients | regular solutions (Scatchard 1931, Hildebrand 1933): ln gamma = V (d_1 - d_2)^2 / RT at high dilution, V the geometric mean of both volumes; as NRTL parameters |
-| formation enthalpy | every reaction gives off heat |
+| formation enthalpy | every reaction is exothermic |
 
 Constants are from memory, and ranges are guesses. The ratio of b to the mass of a hydrocarbon is that of hexane and dodecane.
 """  # noqa: E501 - a table's line cannot be broken
@@ -58,10 +58,8 @@ def _boiling_number(kelvin: float) -> float:
 
 
 def _sums(network: Network, by_atom: Mapping[str, float]) -> dict[str, float]:
-    """Return the sum over the atoms of each material."""
-    return {
-        name: sum(by_atom[element] * count for element, count in atoms.items()) for name, atoms in network.atoms.items()
-    }
+    """Return each material's sum of a property of its atoms."""
+    return {name: sum(by_atom[e] * count for e, count in atoms.items()) for name, atoms in network.atoms.items()}
 
 
 def _boiling_points(
@@ -82,11 +80,11 @@ def _boiling_points(
         else:
             least = _boiling_number(_FEED_K if name in network.feeds else _PRODUCT_K)
             boils[name] = boiling_point(max(hydrocarbon, least - 1.0) + draws.between(1.0, 5.0))
-    _part(draws, boils, network, goals, gap)
+    _separate(draws, boils, network, goals, gap)
     return {name: round(kelvin, 1) for name, kelvin in boils.items()}
 
 
-def _part(
+def _separate(
     draws: Draws, boils: dict[str, float], network: Network, goals: Sequence[str], gap: tuple[float, float]
 ) -> None:
     """Shift boiling points that are too close to a goal's: feeds down, products up."""
@@ -127,11 +125,11 @@ def _vapor_pressure(boils: float, heat: float) -> dict[str, Any]:
 
 
 def _shades(number: int, taken: Sequence[float]) -> list[float]:
-    """Return grey values that a camera can tell from each other and from the taken ones."""
+    """Return grey values that a camera can distinguish from each other and from the ``taken`` ones."""
     low, high = _SHADES
-    found = [low + (high - low) * i / max(number - 1, 1) for i in range(number)]
+    shades = [low + (high - low) * i / max(number - 1, 1) for i in range(number)]
     step = min(_APART, 0.3 * (high - low) / max(number, 1))
-    return [round(shade + (step if min(abs(shade - t) for t in taken) < 0.5 * step else 0.0), 4) for shade in found]
+    return [round(shade + (step if min(abs(shade - t) for t in taken) < 0.5 * step else 0.0), 4) for shade in shades]
 
 
 def _looks(draws: Draws, number: int, taken: Sequence[float]) -> list[dict[str, Any]]:
@@ -167,7 +165,7 @@ def material_tables(
         goals: goals of the scenario.
         gap: minimum distance in K between the boiling points of a goal and its neighbour, and the maximum for isomers.
         role: role of all materials.
-        taken: shades of other materials.
+        taken: shades of the other materials of the scenario.
     """
     elements = list(dict.fromkeys(element for atoms in network.atoms.values() for element in atoms))
     most = min(_ATOM_G[1], 1.2 * _HEAVIEST_G / len(network.feeds))
@@ -239,15 +237,15 @@ def _cohesion(material: Material) -> tuple[float, float]:
 
 
 def dilute_log(first: Material, second: Material, temperature_k: float) -> float:
-    """Return ln gamma of either of two liquids at infinite dilution in the other."""
+    """Return ln gamma at infinite dilution of each of two liquids in the other."""
     (v1, d1), (v2, d2) = _cohesion(first), _cohesion(second)
     return math.sqrt(v1 * v2) * (d1 - d2) ** 2 / (GAS_CONSTANT * temperature_k)
 
 
 def _tau(log: float) -> float:
-    """Return tau_12 = tau_21 with that ln gamma at infinite dilution: tau (1 + exp(-alpha tau)), by Newton's method."""
+    """Solve tau (1 + exp(-alpha tau)) = ``log`` (ln gamma at infinite dilution) for tau = tau_12 = tau_21."""
     tau = 0.5 * log
-    for _ in range(20):
+    for _ in range(20):  # Newton's method
         g = math.exp(-_ALPHA * tau)
         tau -= (tau * (1.0 + g) - log) / (1.0 + g * (1.0 - _ALPHA * tau))
     return tau

@@ -62,58 +62,47 @@ _MEANINGS: dict[str, tuple[str, str]] = {
          "cotton", "agar", "gelatin", "protein"),
         (_POLYMER, ""),
     ),
-    "hydrochloric acid": (_WATERY, "hydrogen chloride and water"),
-    "muriatic acid": (_WATERY, "hydrogen chloride and water"),
+    **dict.fromkeys(("hydrochloric acid", "muriatic acid"), (_WATERY, "hydrogen chloride and water")),
     "hydrobromic acid": (_WATERY, "hydrogen bromide and water"),
-    "hydroiodic acid": (_WATERY, "hydrogen iodide and water"),
-    "hydriodic acid": (_WATERY, "hydrogen iodide and water"),
+    **dict.fromkeys(("hydroiodic acid", "hydriodic acid"), (_WATERY, "hydrogen iodide and water")),
     "hydrofluoric acid": (_WATERY, "hydrogen fluoride and water"),
-    "ammonia water": (_WATERY, "ammonia and water"),
-    "ammonia solution": (_WATERY, "ammonia and water"),
-    "ammonium hydroxide": (_WATERY, "ammonia and water"),
-    "formalin": (_WATERY, "formaldehyde and water"),
-    "formol": (_WATERY, "formaldehyde and water"),
+    **dict.fromkeys(("ammonia water", "ammonia solution", "ammonium hydroxide"), (_WATERY, "ammonia and water")),
+    **dict.fromkeys(("formalin", "formol"), (_WATERY, "formaldehyde and water")),
     "vinegar": (_WATERY, "acetic acid and water"),
-    "brine": (_WATERY, "the shipped NaCl and water"),
+    "brine": (_WATERY, "the bundled NaCl and water"),
     "bleach": (_WATERY, ""),
-    "spirit": ("a mixture with water", "ethanol and water"),
-    "spirits": ("a mixture with water", "ethanol and water"),
+    **dict.fromkeys(("spirit", "spirits"), ("a mixture with water", "ethanol and water")),
     "wood spirit": ("a mixture with water", "methanol and water"),
-    "denatured alcohol": ("a mixture", "ethanol"),
-    "methylated spirit": ("a mixture", "ethanol"),
-    "methylated spirits": ("a mixture", "ethanol"),
+    **dict.fromkeys(("denatured alcohol", "methylated spirit", "methylated spirits"), ("a mixture", "ethanol")),
     "rubbing alcohol": ("a mixture with water", "isopropanol and water"),
     "turpentine": ("a mixture of terpenes", "alpha-pinene"),
     "aqua regia": ("a mixture", "nitric acid, hydrogen chloride and water"),
     "oleum": ("a mixture", "sulfuric acid"),
     "piranha": ("a mixture", "sulfuric acid and hydrogen peroxide"),
-    "dowtherm": ("a mixture", "biphenyl and diphenyl ether"),
-    "dowtherm a": ("a mixture", "biphenyl and diphenyl ether"),
-    "air": ("a mixture", "the shipped air"),
+    **dict.fromkeys(("dowtherm", "dowtherm a"), ("a mixture", "biphenyl and diphenyl ether")),
+    "air": ("a mixture", "the bundled air"),
     "bf3 etherate": ("a complex", "diethyl ether, and a catalyst of your own"),
-    "raney nickel": ("a catalyst that is etched of an alloy", "nickel"),
-    "lindlar catalyst": (_SUPPORTED, "palladium"),
-    "lindlar's catalyst": (_SUPPORTED, "palladium"),
+    "raney nickel": ("a catalyst that is etched from an alloy", "nickel"),
+    **dict.fromkeys(("lindlar catalyst", "lindlar's catalyst"), (_SUPPORTED, "palladium")),
     **dict.fromkeys(
         ("celite", "kieselguhr", "diatomaceous earth", "molecular sieve", "molecular sieves", "zeolite", "florisil",
          "silica gel", "silica sand", "sand", "glass"),
-        ("a mineral or an adsorbent", "the shipped silica"),
+        ("a mineral or an adsorbent", "the bundled silica"),
     ),
     **dict.fromkeys(
         ("charcoal", "activated charcoal", "activated carbon", "norit", "carbon black", "coal"),
-        ("a material of carbon that varies", "carbon"),
+        ("a carbon material of varying composition", "carbon"),
     ),
     "sugar": ("a name for several compounds", "sucrose"),
     "nak": ("an alloy", "sodium or potassium"),
     **dict.fromkeys(("xylenes", "xylols"), ("a mixture of isomers", "o-xylene, m-xylene or p-xylene")),
-    "cresols": ("a mixture of isomers", "o-cresol, m-cresol or p-cresol"),
-    "cresol": ("a mixture of isomers", "o-cresol, m-cresol or p-cresol"),
+    **dict.fromkeys(("cresols", "cresol"), ("a mixture of isomers", "o-cresol, m-cresol or p-cresol")),
     "lutidine": ("a name for several isomers", "2,6-lutidine or another of them"),
     "collidine": ("a name for several isomers", "2,4,6-collidine or another of them"),
 }  # fmt: skip
 """Meaning of a name, and its replacement.
 
-It has names for which the list of chemicals is misleading, and common names that it does not have.
+The names are those for which the list of chemicals is misleading, and common names that it lacks.
 """
 
 _CARRIERS = r"(?:c|al2o3|sio2|baso4|caco3|tio2|zro2|ceo2|mgo|zno)"
@@ -169,16 +158,12 @@ def _metallic(element: str) -> bool:
 
 def spellings(text: str) -> list[str]:
     """Return spellings of a name in the list of chemicals, the likeliest first: lower case, Greek letters in words."""
-    found = [text.lower()]
     plain = unicodedata.normalize("NFKC", text).translate(_SIGNS).lower()
     plain = re.sub(r"\.([a-z]+)\.", lambda m: m[1] if m[1] in _GREEK else m[0], plain)
     spelled = "".join(_LETTERS.get(letter, letter) for letter in plain)
     dashed = re.sub(rf"\b({'|'.join(_GREEK)})[ ]?(?=\d)", r"\1-", spelled)
     joined = re.sub(rf"\b({'|'.join(_GREEK)}) ", r"\1-", dashed)
-    for spelling in (spelled, dashed, joined):
-        if spelling not in found:
-            found.append(spelling)
-    return found
+    return list(dict.fromkeys((text.lower(), spelled, dashed, joined)))
 
 
 def element_of(text: str) -> str | None:
@@ -202,9 +187,9 @@ def meaning(text: str, name: str, entry: Any, index: Mapping[str, Any]) -> tuple
 
     Args:
         text: the given text.
-        name: the same in lower case, with Greek letters spelled out.
+        name: the text in lower case, with Greek letters spelled out.
         entry: entry of the list of chemicals under this name or number, or None.
-        index: that list by name.
+        index: the list of chemicals by name.
 
     Returns:
         None if the name denotes a single compound.
@@ -225,37 +210,29 @@ def meaning(text: str, name: str, entry: Any, index: Mapping[str, Any]) -> tuple
         monomer = name[4:].strip("()[] -")
         if monomer in index or not listed.lower().startswith("poly"):
             return _POLYMER, monomer if same and monomer in index else "" if same else listed
-    for words, what in _WORDS:
+    for words, kind in _WORDS:
         if re.search(words, name):
             rest = re.sub(rf"{words}|\d+(?:\.\d+)?\s*%", " ", name).strip(" ,()")
-            return what, (rest if rest in index else "") if same else listed
-    if singular := _singular(name, index):
-        return "a mixture of isomers or a class of compounds", singular
+            return kind, (rest if rest in index else "") if same else listed
+    if _PLURAL.fullmatch(name) and name[:-1] in index:
+        return "a mixture of isomers or a class of compounds", name[:-1]
     atoms = _formula(text)
     if atoms and entry and dict(simple_formula_parser(entry.formula)) != atoms:
-        return "a formula, and in the list of chemicals a name of something else", ""
-    if entry and (several := _isomers(name, entry, index)):
-        return "a name of several isomers, which are sold as a mixture", " or ".join(sorted(several))
+        return "a formula, and in the list of chemicals a name of another compound", ""
+    if entry and (isomers := _isomers(name, entry, index)):
+        return "a name of several isomers, which are sold as a mixture", " or ".join(sorted(isomers))
     return None
 
 
 def _isomers(name: str, entry: Any, index: Mapping[str, Any]) -> list[str]:
-    """Return the isomers that a name without a position may denote: o-, m- and p-xylene for xylene; else an empty
-    list.
+    """Return the isomers that a name without a position may denote: o-, m- and p-xylene for xylene.
+
+    The list is empty for a name that denotes one compound.
     """
-    known = {str(entry.common_name).lower(), str(entry.iupac_name).lower()}
-    if name in known | _UNIQUE:
+    if name in {str(entry.common_name).lower(), str(entry.iupac_name).lower()} | _UNIQUE:
         return []
-    found = {f"{place}{name}": index[f"{place}{name}"] for place in _PLACES if f"{place}{name}" in index}
-    first: dict[str, str] = {}
-    for key, other in found.items():
-        if other.formula == entry.formula:
-            first.setdefault(other.CASs, key)
-    return list(first.values()) if len(first) > 1 else []
-
-
-def _singular(name: str, index: Mapping[str, Any]) -> str | None:
-    """Return the singular of a plural name (hexanes), which denotes a mixture of isomers or a class; None for
-    others.
-    """
-    return name[:-1] if _PLURAL.fullmatch(name) and name[:-1] in index else None
+    isomers: dict[str, str] = {}
+    for key in (f"{place}{name}" for place in _PLACES):
+        if key in index and index[key].formula == entry.formula:
+            isomers.setdefault(index[key].CASs, key)
+    return list(isomers.values()) if len(isomers) > 1 else []

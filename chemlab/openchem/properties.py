@@ -24,7 +24,7 @@ with needs("properties need chemicals and thermo", "chem"):
     from rdkit.Chem import MolFromSmarts
 
 DOUBTFUL = "doubtful: "
-"""Prefix of the source of a number that is contradicted but used."""
+"""Prefix of the source of a number that other sources contradict but that is used."""
 
 _CRC = "CRC Handbook, 95th ed. (2014)"
 _PERRY = "Perry's Chemical Engineers' Handbook, 8th ed. (2007)"
@@ -114,9 +114,12 @@ _CONSTANTS: dict[str, tuple[str, ...]] = {
 _AGREE = {"Tb": 6.0, "Tm": 6.0, "Tc": 12.0, "Pc": 4e5, "Hfl": 8e3, "Hfs": 8e3, "Hfg": 8e3, "Hfus": 2e3}
 """Maximum distance of a compilation from the median of all (K, Pa, J/mol); beyond it the next one is used."""
 _SEVERAL = 4
-"""Number of compilations from which an outlier is rejected: benzyl chloride boils at 447 K in one, at 452 in three."""
+"""Least number of compilations for the rejection of an outlier.
+
+Example: benzyl chloride boils at 447 K in one compilation and at 452 K in three.
+"""
 _AGREE_SHARE = 0.08
-"""The same relative to the median, for temperature-dependent properties."""
+"""Maximum distance from the median relative to it, for temperature-dependent properties."""
 _UNITS = {"Tb": ("K", 1.0), "Tm": ("K", 1.0), "Tc": ("K", 1.0), "Pc": ("kPa", 1e3)}
 _BELOW_K = 50.0
 """Distance in K below the estimate from which a boiling point of a single compilation counts as measured in vacuum.
@@ -139,7 +142,7 @@ _MET = 0.04
 """Maximum relative distance of a vapour pressure from an atmosphere at the boiling point; a material accepts 0.1."""
 _WATSON = 0.38
 _NEARLY_K = 3.0
-"""Distance of a melting point above room temperature below which a material is handled as a liquid."""
+"""A material whose melting point is less than this above room temperature is treated as a liquid."""
 _VOLUMES = {"H": 1.0, **dict.fromkeys(("Li", "Be", "B", "C", "N", "O", "F"), 2.0)} | {
     **dict.fromkeys(("Na", "Mg", "Al", "Si", "P", "S", "Cl"), 4.0),
     **dict.fromkeys(("K", "Ca", "Ga", "Ge", "As", "Se", "Br"), 5.0),
@@ -175,25 +178,25 @@ def fitted_vapor_pressure(temperature_k: Any, pascal: Any) -> tuple[VaporPressur
     """Fit DIPPR 101 to a curve.
 
     Args:
-        temperature_k: [n] K, rising.
-        pascal: [n] Pa.
+        temperature_k: [n] temperatures in K, ascending.
+        pascal: [n] vapour pressures in Pa.
 
     Returns:
         The formula and its largest relative error on the curve.
 
     Raises:
-        DataError: no formula of that form rises everywhere.
+        DataError: the best fit is not a valid formula, for instance because it does not rise everywhere.
     """
     t, log = np.asarray(temperature_k, dtype=np.float64), np.log(np.asarray(pascal, dtype=np.float64))
     best: tuple[float, tuple[float, ...]] | None = None
     for power in (1.0, 2.0, 6.0):
         columns = np.stack([np.ones_like(t), 1.0 / t, np.log(t), t**power], axis=1)
         scale = np.abs(columns).max(axis=0)
-        found = np.linalg.lstsq(columns / scale, log, rcond=None)[0] / scale
-        made = tuple(float(f"{number:.9g}") for number in found)
-        error = float(np.abs(np.expm1(columns @ np.array(made) - log)).max())
+        solution = np.linalg.lstsq(columns / scale, log, rcond=None)[0] / scale
+        coefficients = tuple(float(f"{number:.9g}") for number in solution)
+        error = float(np.abs(np.expm1(columns @ np.array(coefficients) - log)).max())
         if best is None or error < best[0]:
-            best = error, (*made, power)
+            best = error, (*coefficients, power)
     assert best is not None
     try:
         formula = VaporPressure(
@@ -205,11 +208,10 @@ def fitted_vapor_pressure(temperature_k: Any, pascal: Any) -> tuple[VaporPressur
 
 
 def _agreeing(found: Mapping[str, float], tolerance: float, referee: float | None) -> str:
-    """Return the compilation to use: the first of those near the median, more narrowly where several are close
-    together.
+    """Return the compilation to use: the first one near the median, with a lower tolerance if many agree closely.
 
-    Of two distant ones, the one nearer to an estimate is used; if the median lies between groups, the first of the
-    largest group.
+    Of two distant compilations, the one nearer to an estimate (``referee``) is used. If the median lies between groups,
+    it is the first of the largest group.
     """
     values = list(found.values())
     if len(values) == 2 and abs(values[0] - values[1]) > tolerance and referee is not None:
@@ -241,9 +243,7 @@ def _supporters(found: Mapping[str, float], method: str, tolerance: float) -> in
 
 
 def _against(found: Mapping[str, float], method: str, tolerance: float, shown: Callable[[float], str]) -> str:
-    """Return the prefix of a source contradicted by at least as many compilations as support it; else an empty
-    string.
-    """
+    """Return the prefix of a source that at least as many compilations contradict as support; otherwise ""."""
     near = _supporters(found, method, tolerance)
     if len(found) - near < near:
         return ""
@@ -252,13 +252,13 @@ def _against(found: Mapping[str, float], method: str, tolerance: float, shown: C
 
 
 def _not_taken(value: Value, unit: str, why: str) -> str:
-    """Return the remark on a rejected number for an estimate's source; its compilation is not cited as used."""
+    """Return a remark on a rejected number, for the source of the estimate that replaces it."""
     cited = value.source.replace("[", "(").replace("]", ")")
     return f"not taken: {value.number:.5g} {unit}, {cited}, {why}"
 
 
 class Properties:
-    """Properties of a compound, each computed on first access; None if not found.
+    """Properties of a compound, each computed on first access; None if a property is not found.
 
     Args:
         compound: the compound.
@@ -274,9 +274,9 @@ class Properties:
 
     @functools.cached_property
     def _joback(self) -> Any:
-        """thermo's Joback object, if the molecule consists of its groups."""
-        found = thermo.Joback(self.compound.smiles)
-        return found if found.success else None
+        """thermo's Joback object; None if the molecule does not consist of Joback's groups."""
+        joback = thermo.Joback(self.compound.smiles)
+        return joback if joback.success else None
 
     def _listed(self, name: str) -> dict[str, float]:
         """Return a constant's values by compilation."""
@@ -286,10 +286,7 @@ class Properties:
         return {m: float(lookup(self.compound.cas, method=m)) for m in _CONSTANTS[name] if m in methods}
 
     def _constant(self, name: str, referee: float | None = None) -> Value | None:
-        """Return the value of the first compilation that agrees with the others.
-
-        Of two that disagree, the one nearer to an estimate is used.
-        """
+        """Return a constant's value of the first compilation that agrees with the others (:func:`_agreeing`)."""
         found = self._listed(name)
         if not found:
             return None
@@ -311,31 +308,31 @@ class Properties:
         return Value(float(number), f"estimate: {method}{f'; its mean error is {error}' if error else ''}")
 
     def _tabulated(self, kind: str, temperature: float, methods: Iterable[str]) -> dict[str, float]:
-        """Return a temperature-dependent property by every method that has it at this temperature."""
-        found, out = self._thermo(kind), {}
+        """Return a temperature-dependent property by every method that is valid at this temperature."""
+        data, values = self._thermo(kind), {}
         for method in methods:
-            if found is None or method not in found.all_methods:
+            if data is None or method not in data.all_methods:
                 continue
-            low, high = found.T_limits.get(method, (0.0, math.inf))
+            low, high = data.T_limits.get(method, (0.0, math.inf))
             if not low - 0.01 <= temperature <= high + 0.01:
                 continue
-            value = self._calculated(found, temperature, method)
+            value = self._calculated(data, temperature, method)
             if isinstance(value, float) and math.isfinite(value) and value > 0.0:
-                out[method] = value
-        return out
+                values[method] = value
+        return values
 
     @staticmethod
-    def _calculated(found: Any, temperature: float, method: str) -> Any:
-        """Return a method's number; None if its table cannot be read (elements have two rows at a transition)."""
+    def _calculated(data: Any, temperature: float, method: str) -> Any:
+        """Return a method's value; None if its table cannot be read (elements have two rows at a transition)."""
         try:
-            return found.calculate(temperature, method)
+            return data.calculate(temperature, method)
         except ValueError:
             return None
 
     def _correlation(
         self, kind: str, temperature: float, methods: Iterable[str], referee: float | None = None
     ) -> Value | None:
-        """Return a property from the first method that agrees with the others, or of two with an estimate."""
+        """Return a property by the first method that agrees with the others (:func:`_agreeing`)."""
         found = self._tabulated(kind, temperature, methods)
         if not found:
             return None
@@ -346,29 +343,29 @@ class Properties:
         return Value(number, f"{doubt}{_CITATIONS.get(method, method)} [{method}]")
 
     def _constant_of(self, field: str) -> str | None:
-        """Return the constant of a field, None for a field that depends on temperature."""
+        """Return the name of a field's constant; None for a property that depends on temperature."""
         constants = {"boiling_point": "Tb", "melting_point": "Tm", "critical_temperature": "Tc"}
         return (constants | {"fusion_enthalpy": "Hfus", "formation_enthalpy": f"Hf{self.state}"}).get(field)
 
     def doubt(self, field: str) -> str:
-        """Return the prefix of the source of an own value far from the compilations; else an empty string.
+        """Return the prefix of the source of a user's value that is far from the compilations; otherwise "".
 
         Args:
-            field: the field of a material.
+            field: field of a material file.
         """
         name = re.sub("_(k|kg_l|j_mol|j_mol_k)$", "", field)
-        found = list(self.compilations(name).values()) if field in self.given else []
-        if not found:
+        values = list(self.compilations(name).values()) if field in self.given else []
+        if not values:
             return ""
-        middle = float(np.median(found))
+        middle = float(np.median(values))
         tolerance = _AGREE.get(self._constant_of(name) or "", _AGREE_SHARE * middle)
         near = abs(self.given[field].number - middle) <= tolerance
         return "" if near else f"{DOUBTFUL}compilations say {middle:.5g}; "
 
     def compilations(self, field: str) -> dict[str, float]:
-        """Return measured values of a field by compilation, in the material's units.
+        """Return the values of a property by compilation, in the units of a material file.
 
-        A vapour pressure is that at 0.85 of the boiling point, in Pa.
+        The vapour pressure is in Pa, at 0.85 times the boiling point.
 
         Args:
             field: the name of one of the properties below.
@@ -399,7 +396,7 @@ class Properties:
     def boiling_point(self) -> Value | None:
         """Boiling point in K at 101.325 kPa.
 
-        A value of a single compilation far below the estimate counts as measured in vacuum.
+        A value of a single compilation far below the estimate counts as measured in vacuum and is rejected.
         """
         guess = self._estimate("Tb", _JOBACK, self._joback.Tb(self._joback.counts)) if self._joback else None
         known = self.given.get("boiling_point_k") or self._constant("Tb", guess.number if guess else None)
@@ -426,7 +423,7 @@ class Properties:
         return self.given.get("melting_point_k") or self._constant("Tm")
 
     def _boils_by_estimate(self) -> bool:
-        """Return True if the critical point has to be estimated as well, to be consistent with the boiling point."""
+        """Return True if the boiling point is an estimate; the critical point is then estimated consistently."""
         return self.boiling_point is not None and self.boiling_point.estimated and self._joback is not None
 
     @functools.cached_property
@@ -474,11 +471,14 @@ class Properties:
 
     @property
     def _handled(self) -> tuple[str, float]:
-        """State and temperature in K of the density and the heat capacity, of which a material has one each: those of
-        the melt, for what melts a little above room temperature and is handled as a liquid (tert-butanol)."""
+        """State and temperature in K to which density and heat capacity refer.
+
+        A material that melts slightly above room temperature (tert-butanol) is treated as a liquid and has the values
+        of the melt.
+        """
         melts = self.melting_point
         if self.state == "s" and not self.metal and melts is not None and melts.number < ROOM_K + _NEARLY_K:
-            return "l", melts.number + 0.05  # where correlations of the melt begin
+            return "l", melts.number + 0.05  # correlations of the melt begin at the melting point
         return self.state, ROOM_K
 
     # Derived values --------------------------------------------------------------------------------------------------
@@ -506,9 +506,7 @@ class Properties:
         return self._estimate("Hvap", "Chen (1965), J. Chem. Eng. Data 10, 207", chemicals.Chen(*critical))
 
     def _vaporization_at_room(self) -> Value | None:
-        """Return the heat of vaporization in J/mol at 298.15 K, tabulated or extrapolated from the boiling point
-        (Watson 1943).
-        """
+        """Return the heat of vaporization in J/mol at 298.15 K, from tables or extrapolated (Watson 1943)."""
         if known := self._correlation("EnthalpyVaporization", ROOM_K, ("CRC_HVAP_298",)):
             return known
         heat, boils, critical = self.vaporization_enthalpy, self.boiling_point, self.critical_temperature
@@ -520,34 +518,37 @@ class Properties:
     @functools.cached_property
     def vapor_pressure(self) -> tuple[VaporPressure, str] | None:
         """Vapour pressure of the liquid, and its source."""
-        boils, found = self.boiling_point, self._thermo("VaporPressure")
+        boils, data = self.boiling_point, self._thermo("VaporPressure")
         if boils is None:
             return None
         top = self.critical_temperature.number if self.critical_temperature else 2.0 * boils.number
         for method in _VAPOR_PRESSURE:
-            if found is None or method not in found.all_methods:
+            if data is None or method not in data.all_methods:
                 continue
-            low, high = found.T_limits[method]
+            low, high = data.T_limits[method]
             low, high = max(low, 0.45 * boils.number, 150.0), min(high, 0.97 * top)
             if low > boils.number - 25.0 or high < boils.number - 5.0:
                 continue
             t = np.linspace(low, high, 60)
-            made = self._curve(t, [self._calculated(found, float(x), method) for x in t], boils.number)
-            if made is not None:
-                return made[0], f"fit of DIPPR 101 within {made[1]:.2g} % to {_CITATIONS[method]} [{method}]"
+            fit = self._curve(t, [self._calculated(data, float(x), method) for x in t], boils.number)
+            if fit is not None:
+                return fit[0], f"fit of DIPPR 101 within {fit[1]:.2g} % to {_CITATIONS[method]} [{method}]"
         critical = self._critical()
         if critical is None:
             return None
         boiling, tc, pc = critical
         omega = chemicals.LK_omega(boiling, tc, pc)
         t = np.linspace(0.5 * tc, 0.95 * tc, 60)
-        made = self._curve(t, [chemicals.Lee_Kesler(float(x), tc, pc, omega) for x in t], boiling)
+        fit = self._curve(t, [chemicals.Lee_Kesler(float(x), tc, pc, omega) for x in t], boiling)
         source = "estimate: Lee and Kesler, AIChE J. 21 (1975) 510, through the boiling point"
-        return None if made is None else (made[0], f"{source}; fit of DIPPR 101 within {made[1]:.2g} %")
+        return None if fit is None else (fit[0], f"{source}; fit of DIPPR 101 within {fit[1]:.2g} %")
 
     @functools.cached_property
     def dimerization(self) -> tuple[Dimerization, str] | None:
-        """Dimerization in the vapour of an acid with one carboxyl group and no other oxygen, and its source."""
+        """Dimerization in the vapour of an acid with one carboxyl group and no other oxygen, and its source.
+
+        None for other compounds.
+        """
         atoms = self.compound.composition
         if not atoms.keys() <= {"C", "H", "O"} or atoms.get("O") != 2:
             return None
@@ -556,22 +557,21 @@ class Properties:
             return None
         carbons = atoms["C"]
         measured = carbons <= _MEASURED_ACIDS and atoms["H"] == 2 * carbons
-        made = Dimerization(
-            enthalpy_j_mol=_DIMER_ENTHALPY, entropy_j_mol_k=_FORMIC_ENTROPY if carbons == 1 else _DIMER_ENTROPY
-        )
-        return made, _DIMER_SOURCE if measured else f"estimate: as of acetic to valeric acid, {_DIMER_SOURCE}"
+        entropy = _FORMIC_ENTROPY if carbons == 1 else _DIMER_ENTROPY
+        dimers = Dimerization(enthalpy_j_mol=_DIMER_ENTHALPY, entropy_j_mol_k=entropy)
+        return dimers, _DIMER_SOURCE if measured else f"estimate: as of acetic to valeric acid, {_DIMER_SOURCE}"
 
     @staticmethod
     def _curve(t: Any, pascal: Sequence[Any], boiling: float) -> tuple[VaporPressure, float] | None:
-        """Return the fit and its error in %, if it gives an atmosphere at the boiling point."""
+        """Return the fit of DIPPR 101 and its error in %; None unless it gives an atmosphere at the boiling point."""
         if any(not isinstance(p, float) or not math.isfinite(p) or p <= 0.0 for p in pascal):
             return None
         try:
-            made, error = fitted_vapor_pressure(t, pascal)
+            formula, error = fitted_vapor_pressure(t, pascal)
         except DataError:
             return None
-        met = abs(float(made.pascal(boiling)) / ATMOSPHERE_PA - 1.0) < _MET
-        return (made, 100.0 * error) if met and error < 0.03 else None
+        met = abs(float(formula.pascal(boiling)) / ATMOSPHERE_PA - 1.0) < _MET
+        return (formula, 100.0 * error) if met and error < 0.03 else None
 
     @functools.cached_property
     def density(self) -> Value | None:
@@ -580,9 +580,8 @@ class Properties:
             return given
         state, kelvin = self._handled
         if state == "g":
-            return Value(
-                self.mass * ATMOSPHERE_PA / (GAS_CONSTANT * ROOM_K) / 1e6, "ideal gas law at 298.15 K and 101.325 kPa"
-            )
+            density = self.mass * ATMOSPHERE_PA / (GAS_CONSTANT * ROOM_K) / 1e6
+            return Value(density, "ideal gas law at 298.15 K and 101.325 kPa")
         if state == "s":
             return self._solid_density()
         known = self._correlation("VolumeLiquid", kelvin, _LIQUID_VOLUME)
@@ -591,8 +590,10 @@ class Properties:
         return self._estimated_density()
 
     def _estimated_density(self) -> Value | None:
-        """Return a liquid's density by estimates: of hydrocarbons by corresponding states, of others by the geometric
-        mean of two kinds of estimates, whose errors are independent.
+        """Return an estimate of a liquid's density.
+
+        It is by corresponding states for hydrocarbons. For other compounds, it is the geometric mean of two kinds of
+        estimates, whose errors are independent.
         """
         tc, pc, critical = self.critical_temperature, self.critical_pressure, self._critical()
         other = self._girolami(1.0, "")
@@ -671,9 +672,7 @@ class Properties:
         return Value(guess.number, f"{guess.source}; {_not_taken(known, 'J/mol/K', times)}")
 
     def _heat_referees(self) -> list[float]:
-        """Return independent estimates in J/mol/K of the heat capacity of an organic liquid or solid; else an empty
-        list.
-        """
+        """Return estimates of an organic liquid's or solid's heat capacity in J/mol/K; an empty list for others."""
         guess, critical = self._heat_estimate(), self._critical()
         if guess is None or self._joback is None or not {"C", "H"} <= self.compound.composition.keys():
             return []
@@ -705,9 +704,9 @@ class Properties:
             return Value(0.0, "an element in its standard state"), state
         joback = self._estimate("Hf", _JOBACK, self._joback.Hf(self._joback.counts)) if self._joback else None
         heat = self._vaporization_at_room() if state != "g" else None
-        less = {"l": heat.number if heat else 0.0, "s": heat.number if heat else 0.0, "g": 0.0}
+        referee = joback.number - (heat.number if heat else 0.0) if joback else None
         for name in {"l": ("Hfl",), "s": ("Hfs", "Hfl"), "g": ("Hfg",)}[state]:
-            if known := self._constant(name, joback.number - less[name[-1]] if joback else None):
+            if known := self._constant(name, referee):
                 return known, name[-1]
         gas = self._constant("Hfg", joback.number if joback else None) or joback
         if gas is None or state == "g":
@@ -719,9 +718,7 @@ class Properties:
 
     @functools.cached_property
     def fusion_enthalpy(self) -> Value | None:
-        """Enthalpy of fusion in J/mol at the melting point, for solids at room temperature; liquids never freeze
-        here.
-        """
+        """Enthalpy of fusion in J/mol at the melting point of solids at room temperature; liquids do not freeze."""
         if given := self.given.get("fusion_enthalpy_j_mol"):
             return given
         if self.state != "s" or self.metal:

@@ -1,13 +1,14 @@
 """Random balanced reaction networks: a route from feeds to a product, and side reactions.
 
-A network has invented elements. Every feed is an atom of its own element and may carry another one, which leaves in a
-coproduct; a product of the route contains the remaining atoms of its feeds. The yield is therefore limited only by the
-feeds, and the reactions of the route in sequence reach it.
+A network has invented elements. Every feed consists of one atom of a separate element, and some carry a second atom
+that leaves in a coproduct. A product of the route contains the remaining atoms of its feeds. The yield is therefore
+limited only by the feeds, and the reactions of the route in sequence reach the maximum.
 """
 
 from __future__ import annotations
 
 import random
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, TypeVar
@@ -26,12 +27,12 @@ Kind = Literal["main", "isomer", "rearranged", "overreacted", "dimer"]
 
 
 class Draws:
-    """Random numbers that are equal on every machine and with every version of Python and NumPy.
+    """Random numbers that do not depend on the machine or the versions of Python and NumPy.
 
     All are derived from ``random.Random.random``, whose sequence Python guarantees.
 
     Args:
-        seed: numbers and words that together form the seed.
+        seed: numbers and words that form the seed.
     """
 
     def __init__(self, *seed: object) -> None:
@@ -55,11 +56,11 @@ class Draws:
 
     def some_of(self, things: Sequence[T], number: int) -> list[T]:
         """Return a number of distinct random elements in their original order."""
-        kept: list[T] = []
+        chosen: list[T] = []
         for i, thing in enumerate(things):
-            if self._next() * (len(things) - i) < number - len(kept):
-                kept.append(thing)
-        return kept
+            if self._next() * (len(things) - i) < number - len(chosen):
+                chosen.append(thing)
+        return chosen
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,7 @@ def chosen_size(usual: Size, materials: int | None, reactions: int | None, steps
     """Return a size for which networks exist.
 
     Args:
-        usual: default for values that are None, adapted to the given ones.
+        usual: default size; values that are None are adapted from it.
         materials, reactions, steps: requested values.
 
     Raises:
@@ -156,10 +157,10 @@ def chosen_size(usual: Size, materials: int | None, reactions: int | None, steps
                 return Size(route, 2 * route + 1 + others, min(route + max(others, usual.side_reactions), most))
             if least <= reactions <= most:
                 return Size(route, 2 * route + 1 + others, reactions)
-    asked = ", ".join(f"{name} = {value}" for name, value in given.items() if value is not None)
+    requested = ", ".join(f"{name} = {value}" for name, value in given.items() if value is not None)
     raise DataError(
-        f"{asked}: there is no such network: a route of S steps has 2 S + 1 materials, and with O others besides from "
-        "S or O (the larger) to S + 2 O reactions; leave one of them out, and it is chosen to fit"
+        f"{requested}: there is no such network: a route of S steps has 2 S + 1 materials; with O other materials, it "
+        "has at least S and at least O reactions, and at most S + 2 O; omit one of the numbers, and it is chosen to fit"
     )
 
 
@@ -174,25 +175,22 @@ def draw_network(draws: Draws, size: Size, catalysed: bool = False) -> Network:
     Args:
         draws: random numbers.
         size: size returned by :func:`chosen_size`.
-        catalysed: whether products rearrange only in the presence of their own reactants; otherwise they could not be
-            distilled.
+        catalysed: whether one of a product's reactants catalyses its rearrangement; otherwise the pure product would
+            rearrange and could not be distilled.
     """
-    made = Network()
+    network = Network()
     pairs = _route(draws, size.steps)
-    # The remaining by-products leave as coproducts; an isomer can come from two side reactions, others from one.
+    # An isomer has one or two side reactions, another by-product has one; the other materials are coproducts.
     most = size.others - -(-size.side_reactions // 2)
     fewest = max(0, size.others - size.side_reactions)
     leaving = draws.whole(fewest, min(most, size.steps))
-    _lay_route(made, draws, pairs, draws.some_of(range(size.steps), leaving))
-    _add_byproducts(made, draws, size.others - leaving, size.side_reactions)
-    if catalysed:
-        made.steps = [
-            replace(step, catalyst=draws.one_of(list(made.steps[step.beside].reactants)))
-            if step.kind == "rearranged"
-            else step
-            for step in made.steps
-        ]
-    return made
+    _add_route(network, draws, pairs, draws.some_of(range(size.steps), leaving))
+    _add_byproducts(network, draws, size.others - leaving, size.side_reactions)
+    for i, step in enumerate(network.steps):
+        if catalysed and step.kind == "rearranged":
+            catalyst = draws.one_of(list(network.steps[step.beside].reactants))
+            network.steps[i] = replace(step, catalyst=catalyst)
+    return network
 
 
 def _route(draws: Draws, steps: int) -> list[tuple[str, str]]:
@@ -211,66 +209,69 @@ def _route(draws: Draws, steps: int) -> list[tuple[str, str]]:
     return pairs
 
 
-def _lay_route(made: Network, draws: Draws, pairs: Sequence[tuple[str, str]], leaving: Sequence[int]) -> None:
+def _add_route(network: Network, draws: Draws, pairs: Sequence[tuple[str, str]], leaving: Sequence[int]) -> None:
     """Create the materials and main steps of the route; the steps ``leaving`` have a coproduct."""
-    made.feeds = sorted((name for pair in pairs for name in pair if name[0] == "A"), key=lambda name: int(name[1:]))
-    made.coproducts = [f"X{i + 1}" for i in range(len(leaving))]
-    left = dict(zip(leaving, made.coproducts, strict=True))
-    for i, name in enumerate(made.feeds):
-        made.atoms[name] = {f"Q{i + 1}": 1}
-    for j, coproduct in left.items():
+    network.feeds = sorted((name for pair in pairs for name in pair if name[0] == "A"), key=lambda name: int(name[1:]))
+    network.coproducts = [f"X{i + 1}" for i in range(len(leaving))]
+    coproduct_of = dict(zip(leaving, network.coproducts, strict=True))
+    for i, name in enumerate(network.feeds):
+        network.atoms[name] = {f"Q{i + 1}": 1}
+    for j, coproduct in coproduct_of.items():
         carrier = draws.one_of(pairs[j])
         while carrier[0] != "A":  # the leaving element of a product comes from one of its feeds
             carrier = draws.one_of(pairs[int(carrier[1:]) - 1])
-        made.atoms[carrier][f"Y{coproduct[1:]}"] = 1
+        network.atoms[carrier][f"Y{coproduct[1:]}"] = 1
     for j, (first, second) in enumerate(pairs):
         product = f"P{j + 1}"
-        whole = {**made.atoms[first], **made.atoms[second]}
-        if j in left:
-            del whole[f"Y{left[j][1:]}"]
-        made.atoms[product] = whole
-        made.route.append(product)
-        products = {product: 1, **({left[j]: 1} if j in left else {})}
-        made.steps.append(Step("main", j, {first: 1, second: 1}, products))
-    for name in made.coproducts:
-        made.atoms[name] = {f"Y{name[1:]}": 1}
+        products = {product: 1}
+        atoms = {**network.atoms[first], **network.atoms[second]}
+        if j in coproduct_of:
+            products[coproduct_of[j]] = 1
+            del atoms[f"Y{coproduct_of[j][1:]}"]
+        network.atoms[product] = atoms
+        network.route.append(product)
+        network.steps.append(Step("main", j, {first: 1, second: 1}, products))
+    for name in network.coproducts:
+        network.atoms[name] = {f"Y{name[1:]}": 1}
 
 
-def _add_byproducts(made: Network, draws: Draws, number: int, reactions: int) -> None:
+def _add_byproducts(network: Network, draws: Draws, number: int, reactions: int) -> None:
     """Create by-products and their side reactions."""
     twice = reactions - number
     taken: set[tuple[str, str]] = set()
     for i in range(number):
-        name, j = f"W{i + 1}", draws.whole(0, len(made.route) - 1)
+        name, j = f"W{i + 1}", draws.whole(0, len(network.route) - 1)
         kind: Kind = "isomer" if i < twice else draws.one_of(("isomer", "rearranged", "overreacted", "dimer"))
-        main = made.steps[j]
-        partner = draws.one_of(list(main.reactants))
-        key = ("dimer", partner) if kind == "dimer" else (kind, f"{made.route[j]} {partner}")
+        partner = draws.one_of(list(network.steps[j].reactants))
+        key = ("dimer", partner) if kind == "dimer" else (kind, f"{network.route[j]} {partner}")
         if kind in ("dimer", "overreacted") and (key in taken or (kind == "overreacted" and partner[0] != "A")):
             kind = "isomer"
         taken.add(key)
-        made.byproducts.append(name)
-        for step in _gone_wrong(made, kind, j, partner, name, i < twice):
-            made.steps.append(step)
-        atoms: dict[str, int] = {}
-        last = made.steps[-1]
+        network.byproducts.append(name)
+        network.steps += _side_reactions(network, kind, j, partner, name, i < twice)
+        atoms: Counter[str] = Counter()
+        last = network.steps[-1]
         for sign, side in ((1, last.reactants), (-1, {k: n for k, n in last.products.items() if k != name})):
             for material, times in side.items():
-                for element, count in made.atoms[material].items():
-                    atoms[element] = atoms.get(element, 0) + sign * times * count
-        made.atoms[name] = {element: count for element, count in atoms.items() if count}
+                for element, count in network.atoms[material].items():
+                    atoms[element] += sign * times * count
+        network.atoms[name] = {element: count for element, count in atoms.items() if count}
         if kind in ("isomer", "rearranged"):
-            made.isomers[name] = made.route[j]
+            network.isomers[name] = network.route[j]
 
 
-def _gone_wrong(made: Network, kind: Kind, j: int, partner: str, name: str, twice: bool) -> list[Step]:
-    """Return the side reactions to a by-product that compete with main step ``j``."""
-    main, product = made.steps[j], made.route[j]
+def _side_reactions(network: Network, kind: Kind, j: int, partner: str, name: str, twice: bool) -> list[Step]:
+    """Return the side reactions that compete with main step ``j`` and make the by-product ``name``.
+
+    ``partner`` is the reactant of a dimer or a further reaction. If ``twice``, an isomer is formed both directly and
+    from the product.
+    """
+    main, product = network.steps[j], network.route[j]
     leaving = {key: 1 for key in main.products if key != product}
     if kind == "dimer":
         return [Step(kind, j, {partner: 2}, {name: 1})]
     if kind == "overreacted":
-        carries = any(f"Y{key[1:]}" in made.atoms[partner] for key in leaving)
+        carries = any(f"Y{key[1:]}" in network.atoms[partner] for key in leaving)
         return [Step(kind, j, {product: 1, partner: 1}, {name: 1, **(leaving if carries else {})})]
     parallel = Step("isomer", j, dict(main.reactants), {name: 1, **leaving})
     later = Step("rearranged", j, {product: 1}, {name: 1})

@@ -1,4 +1,4 @@
-"""Reaction families from reaction templates (SMARTS): all balanced reactions of some materials."""
+"""Reaction families from reaction templates (SMARTS): all balanced reactions of given materials."""
 
 from __future__ import annotations
 
@@ -23,15 +23,14 @@ with needs("reaction templates need rdkit", "chem"):
     from rdkit.Chem import AllChem
 
 _MOST_WAYS = 50_000
-"""Maximum number of assignments of molecules to a template's places."""
+"""Maximum number of assignments of molecules to a template's reactants."""
 _MOST_OUTCOMES = 20_000
-"""Maximum number of product sets; one assignment may give a thousand."""
+"""Maximum number of product sets of a template; one assignment may give a thousand."""
 _MOST_REACTIONS = 200
 _GUESSED = ((2e-4, 60_000.0), (2e-5, 75_000.0))
-"""Guessed rate constant at 298.15 K and activation energy in J/mol.
+"""Guessed rate constant at 298.15 K and activation energy in J/mol, for main reactions and for side reactions.
 
-The first is of a preparation that takes an hour or two; the second of a side reaction that is ten times slower there
-and gains with temperature.
+A main reaction takes an hour or two. A side reaction is ten times slower at 298.15 K, and heat favours it.
 """
 _SURFACE_ORDER = 0.667
 """Order of a dissolving solid: shrinking spheres."""
@@ -39,7 +38,7 @@ _SURFACE_ORDER = 0.667
 
 @dataclass(frozen=True)
 class Rate:
-    """Rate of a template's reactions; None is guessed."""
+    """Rate of a template's reactions; constants that are None are guessed."""
 
     constant: float | None = None
     """Rate constant at 298.15 K, in (L/mol)^(order - 1) per s."""
@@ -91,8 +90,7 @@ class Template:
             agents = self.smarts.split(">")[1]
             raise DataError(
                 f"template {self.smarts!r}: {agents} over the arrow is not supported; write "
-                "REACTANTS>>PRODUCTS, name a catalyst with --catalyst, and put what is "
-                "consumed on the left"
+                "REACTANTS>>PRODUCTS, with consumed reagents on the left, and name a catalyst with --catalyst"
             )
         object.__setattr__(self, "reaction", made)
 
@@ -122,14 +120,14 @@ class Found:
 
 
 def _matched(molecule: Any) -> Any:
-    """Return a molecule for matching with templates: explicit atoms for hydrogen gas, implicit hydrogens otherwise."""
+    """Return a molecule for matching with templates: hydrogen gas has explicit atoms, others implicit hydrogens."""
     return Chem.AddHs(molecule) if molecule.GetNumHeavyAtoms() == 0 else molecule
 
 
 class _Pool:
     """All species so far, by InChIKey.
 
-    The key does not depend on the notation of a structure, nor on a bond drawn in sodium chloride.
+    The InChIKey does not depend on the notation of a structure, nor on a bond drawn in sodium chloride.
     """
 
     def __init__(self, materials: Materials, names: Mapping[str, str]) -> None:
@@ -147,7 +145,7 @@ class _Pool:
         """Return the species of a molecule.
 
         Raises:
-            DataError: it is charged.
+            DataError: the molecule is charged, or a salt that is not a known material.
         """
         inchi_key = str(Chem.MolToInchiKey(molecule))
         if inchi_key in self.species:
@@ -183,26 +181,30 @@ def _outcomes(template: Template, molecules: Sequence[Any]) -> tuple[list[tuple[
     """Apply a template to molecules in this order.
 
     Returns:
-        Distinct sets of products, the number of impossible ones, and the total number.
+        Distinct sets of products, the number of impossible sets, and the total number of sets.
     """
-    found: dict[tuple[str, ...], tuple[Any, ...]] = {}
-    wrong = 0
-    ran = template.reaction.RunReactants(tuple(molecules))
-    for products in ran:
-        made = []
+    distinct: dict[tuple[str, ...], tuple[Any, ...]] = {}
+    impossible = 0
+    outcomes = template.reaction.RunReactants(tuple(molecules))
+    for products in outcomes:
+        cleaned = []
         try:
             for product in products:
                 Chem.SanitizeMol(product)
-                made.append(Chem.RemoveHs(product))
+                cleaned.append(Chem.RemoveHs(product))
         except (Chem.MolSanitizeException, ValueError):
-            wrong += 1
+            impossible += 1
             continue
-        found.setdefault(tuple(sorted(Chem.MolToSmiles(m) for m in made)), tuple(made))
-    return list(found.values()), wrong, len(ran)
+        distinct.setdefault(tuple(sorted(Chem.MolToSmiles(m) for m in cleaned)), tuple(cleaned))
+    return list(distinct.values()), impossible, len(outcomes)
 
 
 def _check_balance(reactants: Iterable[Any], products: Iterable[Any], where: str) -> None:
-    """Check that a reaction conserves atoms and charge."""
+    """Check that a reaction conserves atoms and charge.
+
+    Raises:
+        DataError: it does not; the message lists the elements.
+    """
     sides = []
     for side in (reactants, products):
         totals: Counter[str] = Counter()
@@ -243,31 +245,30 @@ def expand(
             or the number of reactions exceeds the limit.
     """
     pool = _Pool(materials, names or {})
-    ready = [pool.add(_reactant(text, materials), f"reactant {text!r}").inchi_key for text in reactants]
+    available = [pool.add(_reactant(text, materials), f"reactant {text!r}").inchi_key for text in reactants]
     found: dict[Any, Found] = {}
-    fruitful: set[int] = set()
+    productive: set[int] = set()
     for _ in range(generations):
-        before = set(ready)
+        before = set(available)
         for number, template in enumerate(templates):
-            for step in _applied(template, ready, pool):
-                mark = (frozenset(step.reactants.items()), frozenset(step.products.items()))
+            for step in _applied(template, available, pool):
                 if step.reactants != step.products:
-                    fruitful.add(number)
-                    found.setdefault(mark, step)
+                    productive.add(number)
+                    found.setdefault((frozenset(step.reactants.items()), frozenset(step.products.items())), step)
                 if len(found) > _MOST_REACTIONS:
                     raise DataError(
                         f"template {template.smarts!r}: makes more than {_MOST_REACTIONS} reactions; make it more "
                         "specific, or use fewer --generations"
                     )
         molecules = [key for key, species in pool.species.items() if "." not in species.smiles]
-        ready += [key for key in molecules if key not in before]
-        if set(ready) == before:
+        available += [key for key in molecules if key not in before]
+        if set(available) == before:
             break
     for number, template in enumerate(templates):
-        if number not in fruitful:
+        if number not in productive:
+            species = ", ".join(pool.species[key].key for key in available)
             raise DataError(
-                f"template {template.smarts!r}: changes none of {', '.join(pool.species[key].key for key in ready)}; "
-                "check its atoms, bonds and hydrogens"
+                f"template {template.smarts!r}: changes none of {species}; check its atoms, bonds and hydrogens"
             )
     return list(found.values()), list(pool.species.values())
 
@@ -281,21 +282,22 @@ def _reactant(text: str, materials: Materials) -> Any:
     return parsed(compound_of(text).smiles, text)
 
 
-def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[Found]:
-    """Yield the reactions that one template makes of species."""
-    count = template.reaction.GetNumReactantTemplates()
-    fitting = [
-        [key for key in ready if pool.molecules[key].HasSubstructMatch(template.reaction.GetReactantTemplate(slot))]
-        for slot in range(count)
-    ]
+def _applied(template: Template, available: Sequence[str], pool: _Pool) -> Iterable[Found]:
+    """Yield the reactions that one template makes of available species.
+
+    Raises:
+        DataError: the template is too general, or makes impossible, charged or unbalanced products.
+    """
+    patterns = [template.reaction.GetReactantTemplate(i) for i in range(template.reaction.GetNumReactantTemplates())]
+    fitting = [[key for key in available if pool.molecules[key].HasSubstructMatch(pattern)] for pattern in patterns]
     if math.prod(len(keys) for keys in fitting) > _MOST_WAYS:
         raise DataError(f"template {template.smarts!r}: fits in more than {_MOST_WAYS} ways; make it more specific")
-    impossible, made, left = 0, 0, _MOST_OUTCOMES
+    impossible, made, total = 0, 0, 0
     for chosen in itertools.product(*fitting):
         molecules = [pool.molecules[key] for key in chosen]
-        outcomes, wrong, ran = _outcomes(template, molecules)
-        impossible, left = impossible + wrong, left - ran
-        if left < 0:
+        outcomes, wrong, number = _outcomes(template, molecules)
+        impossible, total = impossible + wrong, total + number
+        if total > _MOST_OUTCOMES:
             raise DataError(
                 f"template {template.smarts!r}: gives more than {_MOST_OUTCOMES} sets of products; make it more "
                 "specific"
@@ -315,7 +317,7 @@ def _applied(template: Template, ready: Sequence[str], pool: _Pool) -> Iterable[
 
 
 def heat_of_reaction(found: Found, materials: Materials) -> float:
-    """Return the heat of reaction in J/mol at 298.15 K of dissolved materials, from formation enthalpies.
+    """Return the heat of reaction in J/mol at 298.15 K from formation enthalpies; solids are counted as melts.
 
     Raises:
         DataError: a material has no formation enthalpy.
@@ -332,12 +334,12 @@ def heat_of_reaction(found: Found, materials: Materials) -> float:
 
 
 def rate_constant(template: Template) -> float:
-    """Return the rate constant at 298.15 K, in (L/mol)^(order - 1) per s; a guess if none is given."""
+    """Return a template's rate constant at 298.15 K, in (L/mol)^(order - 1) per s; a guess if none is given."""
     return _GUESSED[template.side][0] if template.rate.constant is None else template.rate.constant
 
 
 def _entry(found: Found, materials: Materials, salts: Collection[str]) -> dict[str, Any]:
-    """Return the table of a reaction; the dissolving ``salts`` react as their ions by mass action."""
+    """Return the table of a reaction; ``salts`` dissolve, so that their ions react by mass action."""
     rate, template = found.template.rate, found.template
     constant = rate_constant(template)
     activation = _GUESSED[template.side][1] if rate.activation_j_mol is None else rate.activation_j_mol
@@ -345,7 +347,9 @@ def _entry(found: Found, materials: Materials, salts: Collection[str]) -> dict[s
     solids = [key for key in found.reactants if materials[key].role == "solid" and key not in salts]
     if solids:
         if rate.equilibrium_constant is not None:
-            raise DataError(f"{found.words}: equilibrium: a surface reaction of {solids[0]!r} has no equilibrium")
+            raise DataError(
+                f"{found.words}: equilibrium: not allowed for a surface reaction ({solids[0]!r} is a solid)"
+            )
         values["orders"] = {key: _SURFACE_ORDER if key in solids else 1 for key in found.reactants}
     values["pre_exponential"] = significant(constant * math.exp(activation / (GAS_CONSTANT * ROOM_K)), 6)
     values["activation_energy_j_mol"] = float(activation)
@@ -367,38 +371,34 @@ def _entry(found: Found, materials: Materials, salts: Collection[str]) -> dict[s
     return values
 
 
-def _companions(keys: Iterable[str], materials: Materials) -> dict[str, list[dict[str, Any]]]:
-    """Return the reactions of bundled families with some materials: dissolution of salts, reactions with water."""
-    here = set(keys)
+def _bundled_entries(keys: Iterable[str], materials: Materials) -> dict[str, list[dict[str, Any]]]:
+    """Return bundled families' entries for some materials: dissolution of salts, violent reactions with water."""
+    present = set(keys)
     salts: dict[str, dict[str, Any]] = {}
     violent: dict[str, dict[str, Any]] = {}
     for path in sorted(shipped_reactions_folder().glob("*.toml")):
         family = load_reactions(path.stem, materials)
         for salt in family.salt:
-            if salt.solid in here and salt.solubility is not None:
+            if salt.solid in present and salt.solubility is not None:
                 salts.setdefault(salt.solid, written(salt))
         for step in family.violent:
             others = set(step.reactants) - {"water"}
-            if others and others <= here and "water" in step.reactants:
+            if others and others <= present and "water" in step.reactants:
                 violent[" ".join(sorted(step.reactants))] = written(step)
     return {"salt": list(salts.values()), "violent": list(violent.values())}
 
 
 def family_tables(
-    name: str,
-    found: Sequence[Found],
-    materials: Materials,
-    command: str,
-    catalysts: Sequence[str] = (),
+    name: str, found: Sequence[Found], materials: Materials, command: str, catalysts: Sequence[str] = ()
 ) -> dict[str, Any]:
     """Return a validated reaction family.
 
     Args:
         name: name of the family.
-        found: reactions of :func:`expand`.
+        found: reactions returned by :func:`expand`.
         materials: all participating materials by id.
-        command: command that made it.
-        catalysts: required catalysts of the first template's reactions, of order 1.
+        command: command that made the family.
+        catalysts: required catalysts of the main reactions, of order 1.
 
     Raises:
         DataError: a material is unknown, or has no formation enthalpy.
@@ -407,21 +407,19 @@ def family_tables(
     for key in (*keys, *catalysts):
         if key not in materials:
             raise DataError(f"unknown material {key!r}; name its file with --materials")
-    entries = []
-    companions = _companions(keys, materials)
-    salts = [salt["solid"] for salt in companions["salt"]]
-    for step in found:
-        entry = _entry(step, materials, salts)
+    bundled = _bundled_entries(keys, materials)
+    salts = [salt["solid"] for salt in bundled["salt"]]
+    entries = [_entry(step, materials, salts) for step in found]
+    for step, entry in zip(found, entries, strict=True):
         if catalysts and not step.template.side:
-            entry = {**entry, "catalysts": dict.fromkeys(catalysts, 1)}
-        entries.append(entry)
+            entry["catalysts"] = dict.fromkeys(catalysts, 1)
     summary = "; ".join(step.words for step in found[:3]) + (f" and {len(found) - 3} more" if len(found) > 3 else "")
     tables = {
         "name": name,
         "summary": summary,
         "lock": lock(command, "rdkit"),
         "reaction": entries,
-        **{key: value for key, value in companions.items() if value},
+        **{key: value for key, value in bundled.items() if value},
     }
     validated(ReactionFamily, tables, f"reactions {name!r}")
     return tables

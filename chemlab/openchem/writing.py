@@ -1,4 +1,4 @@
-"""Data files as TOML text, with the command and versions that made them."""
+"""TOML text of data files, with the command and the versions that made them."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ..config.datafile import toml_key
 
 
 def significant(value: float, digits: int = 4) -> float:
-    """Round ``value``, because the last bits of logarithms and roots differ between machines."""
+    """Round a number to significant digits, because the last bits of logarithms and roots differ between machines."""
     return float(f"{value:.{digits}g}")
 
 
 def toml(value: Any) -> str:
-    """Format a value on one line."""
+    """Return a value as TOML on one line."""
     if isinstance(value, Mapping):
         inner = ", ".join(f"{toml_key(key)} = {toml(v)}" for key, v in value.items())
         return f"{{ {inner} }}" if inner else "{}"
@@ -36,54 +36,50 @@ def toml_tables(values: Mapping[str, Any], inline: Sequence[str] = (), at: str =
         inline: keys of tables written on one line.
         at: dotted key of the table itself.
     """
-    lines, below = [], []
+    lines, subtables = [], []
     for key, value in values.items():
         name = toml_key(key)
-        here = f"{at}.{name}" if at else name
-        several = isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value) and key not in inline
-        if several:
+        path = f"{at}.{name}" if at else name
+        if key not in inline and isinstance(value, list) and value and all(isinstance(v, Mapping) for v in value):
             for entry in value:
-                below += ["", f"[[{here}]]", *toml_tables(entry, inline, here)]
-        elif isinstance(value, Mapping) and key not in inline:
-            made = toml_tables(value, inline, here)
-            head = [] if made and not made[0] else ["", f"[{here}]"]
-            below += [*head, *made]
+                subtables += ["", f"[[{path}]]", *toml_tables(entry, inline, path)]
+        elif key not in inline and isinstance(value, Mapping):
+            content = toml_tables(value, inline, path)
+            heading = [] if content and not content[0] else ["", f"[{path}]"]
+            subtables += [*heading, *content]
         else:
             lines.append(f"{name} = {toml(value)}")
-    return [*lines, *below]
+    return [*lines, *subtables]
 
 
 def lock(command: str, *packages: str) -> dict[str, str]:
     """Return the origin of a file: the command, and the versions of chemlab and of installed packages."""
-    found = {"command": command, "chemlab": __version__}
+    origin = {"command": command, "chemlab": __version__}
     for package in packages:
         try:
-            found[package] = importlib.metadata.version(package)
+            origin[package] = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
-            found[package] = "not installed"
-    return found
+            origin[package] = "not installed"
+    return origin
 
 
 def material_text(
-    tables: Mapping[str, Mapping[str, Any]],
-    command: str,
-    packages: Sequence[str] = ("chemicals", "thermo", "rdkit"),
+    tables: Mapping[str, Mapping[str, Any]], command: str, packages: Sequence[str] = ("chemicals", "thermo", "rdkit")
 ) -> str:
     """Return the text of a material file.
 
     Args:
         tables: tables by material.
         command: command that made them.
-        packages: packages used.
+        packages: packages whose versions are listed.
     """
     keys = ", and [KEY] at its end the table of the package chemicals or thermo" if packages else ""
     head = [
         "# Materials. Units and keys: see chemlab's page Write a material or a reaction. Made by the command below;",
         f"# a source says where each number is from{keys}.",
     ]
-    locked = {"lock": lock(command, *packages)}
-    lines = toml_tables({**locked, **tables}, inline=("composition", "absorption", "vapor_pressure", "dimerization"))
-    return "\n".join([*head, *lines]) + "\n"
+    inline = ("composition", "absorption", "vapor_pressure", "dimerization")
+    return "\n".join([*head, *toml_tables({"lock": lock(command, *packages), **tables}, inline)]) + "\n"
 
 
 def family_text(tables: Mapping[str, Any]) -> str:
@@ -106,7 +102,7 @@ def pair_text(
     Args:
         rows: a table for each pair.
         command: command that made them.
-        packages: packages used.
+        packages: packages whose versions are listed.
     """
     lines = ["# Binary NRTL parameters: equation in chemlab/config/pairs.py. Made by the command below; do not edit."]
     # A top-level key must precede the first table.

@@ -32,7 +32,7 @@ _HASH_BYTES = 8
 
 
 class _Limits(NamedTuple):
-    """Upper bounds on the size of a record: several times the size of any bundled scenario's."""
+    """Upper bounds on the size of a record, several times the sizes of records of bundled scenarios."""
 
     file_bytes: int = 64 * 2**20
     line_bytes: int = 2**20
@@ -43,7 +43,7 @@ class _Limits(NamedTuple):
     """Nesting depth of lists and objects."""
     integer: int = 2**128
     materials: int = 256
-    """Materials of the scenario; the limits below are of the scenario as well."""
+    """Materials of the scenario; this limit and the following ones apply to the scenario."""
     reactions: int = 256
     goals: int = 64
     agents: int = 64
@@ -75,10 +75,7 @@ def short(value: Any, most: int = 80) -> str:
 
 def digest(*parts: bytes) -> str:
     """Return a hash of bytes as text."""
-    found = hashlib.blake2b(digest_size=_HASH_BYTES)
-    for part in parts:
-        found.update(part)
-    return found.hexdigest()
+    return hashlib.blake2b(b"".join(parts), digest_size=_HASH_BYTES).hexdigest()
 
 
 def to_text(value: Any) -> str:
@@ -167,7 +164,7 @@ class Record:
         return facts_html(self.path.name, self._facts())
 
     def _facts(self) -> dict[str, Any]:
-        """Return what is shown of a record."""
+        """Return the facts that a notebook displays."""
         try:
             scenario = self.header["scenario"]["scenario"]["name"]
         except (KeyError, TypeError):
@@ -283,14 +280,14 @@ def _parse(text: bytes) -> dict[str, Any]:
     if len(text) > LIMITS.line_bytes:
         raise ValueError(f"is longer than {LIMITS.line_bytes} bytes")
     try:
-        line = json.loads(text.decode(), object_pairs_hook=_unique, parse_constant=_no_number)
-    except _Refused:
+        line = json.loads(text.decode(), object_pairs_hook=_reject_duplicates, parse_constant=_reject_constant)
+    except _Rejected:
         raise
     except (ValueError, RecursionError) as error:
         raise ValueError("cannot be read: it is not JSON") from error
     if not isinstance(line, dict):
         raise ValueError("cannot be read: it is not a JSON object")
-    # For nearly every line the text alone shows that no value can be too deep or too large.
+    # The text of nearly every line alone rules out values that are too deep or too large.
     if text.count(b"[") + text.count(b"{") > LIMITS.depth or _LARGE.search(text):
         _check_values(line, LIMITS.depth)
     if b"\\u" in text:
@@ -305,36 +302,37 @@ _LARGE = re.compile(rb"[\[,:]\s*-?(?:[0-9.]+[eE]\+?[0-9]{3}|[0-9]{39})")
 """A number that may exceed the largest float, or has as many digits as a record's largest integer."""
 
 
-class _Refused(ValueError):
-    """A value that Python's JSON parser accepts but a record must not contain: duplicate keys and non-finite
-    numbers.
-    """
+class _Rejected(ValueError):
+    """Content that Python's JSON parser accepts but a record must not have: duplicate keys and non-finite numbers."""
 
 
-def _no_number(name: str) -> Any:
-    raise _Refused("has a number that is not finite")
+def _reject_constant(name: str) -> Any:
+    raise _Rejected("has a number that is not finite")
 
 
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+def _reject_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) != len(pairs):
         ((key, _),) = Counter(key for key, _ in pairs).most_common(1)
-        raise _Refused(f"has the key {key[:80]!r} twice")
-    return found
+        raise _Rejected(f"has the key {key[:80]!r} twice")
+    return values
 
 
 def _check_values(values: Any, deeper: int) -> None:
-    """Check that numbers are finite and not too large, and that the nesting depth is at most ``deeper``."""
+    """Check that numbers are finite and not too large, and that the nesting depth is at most ``deeper``.
+
+    Raises:
+        ValueError: a value is not allowed in a record.
+    """
     if not deeper:
         raise ValueError(f"has more than {LIMITS.depth} nested lists and objects")
-    most = LIMITS.integer
     for value in values.values() if type(values) is dict else values:
-        kind = type(value)  # exact types: a parser makes no subclasses, and this runs for every number
+        kind = type(value)  # exact types: the parser creates no subclasses, and this runs for every number
         if kind is float:
             if not math.isfinite(value):
                 raise ValueError("has a number that is not finite")
         elif kind is int:
-            if abs(value) >= most:
+            if abs(value) >= LIMITS.integer:
                 raise ValueError("has an integer of 2**128 or more")
         elif kind is dict or kind is list:
             _check_values(value, deeper - 1)
@@ -349,7 +347,7 @@ def recorded_scenario(record: Record) -> Scenario:
     header = record.checked_header()
     try:
         scenario = restore_scenario(header.scenario, f"{record.path}: scenario")
-    except (DataError, TypeError) as error:  # a number in place of a table
+    except (DataError, TypeError) as error:  # TypeError: a number in place of a table
         raise RecordError(short(str(error), 500)) from error
     family = scenario.family
     sizes = {

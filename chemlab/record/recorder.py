@@ -1,4 +1,4 @@
-"""Recording of laboratory episodes, line by line while they are played."""
+"""Recording of laboratory episodes line by line while they are played."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from .format import FORMAT, Header, digest, seen_hash, to_text
 
 
 class Play(NamedTuple):
-    """Observation hash and action of one agent."""
+    """Observation, mask and action of one agent."""
 
     agent: int
     """Index of the agent."""
@@ -42,24 +42,36 @@ def _known_options(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def turn_facts(labs: Laboratories, member: int, plays: Sequence[Play]) -> dict[str, Any]:
-    """Return what the turn just played has brought each agent, without what is zero or empty: ``rewards``, ``cost``,
-    ``events``, ``scores`` of experiments that ended, and in ``lost`` the agents whose actions were not legal.
+    """Return the consequences of the turn that was just played, without zeros and empty values.
+
+    Args:
+        labs: the laboratories.
+        member: environment index.
+        plays: the turn's actions.
+
+    Returns:
+        ``rewards``, ``cost``, safety ``events`` and ``scores`` of ended experiments by agent; and ``lost``, the agents
+        whose action was invalid.
     """
     agents, played = labs.agents, [(play.agent, labs.agents[play.agent]) for play in plays]
     facts = {
         "rewards": {name: x for name, x in zip(agents, labs.rewards[member].tolist(), strict=True) if x},
         "cost": {name: x for name, x in zip(agents, labs.cost[member].tolist(), strict=True) if x},
         "lost": [name for number, name in played if labs.illegal(number)[member]],
-        "events": {name: own for number, name in played if (own := labs.events(number, member))},
+        "events": {name: events for number, name in played if (events := labs.events(number, member))},
         "scores": {name: x for name, x in zip(agents, labs.scores[member].tolist(), strict=True) if x == x},
     }
     return {key: fact for key, fact in facts.items() if fact}
 
 
-class Witness:
-    """Describes the events in one laboratory as the lines of a record; created right after the laboratory's reset.
+class EpisodeLines:
+    """Makes the lines of one laboratory's record; it has to be created right after the laboratory's reset.
 
-    Recording writes its lines, and verification compares them with a file.
+    Recording writes these lines, and verification compares them with those of a file.
+
+    Args:
+        laboratories: the laboratories.
+        member: environment index.
     """
 
     def __init__(self, laboratories: Laboratories, member: int) -> None:
@@ -72,14 +84,10 @@ class Witness:
         self.rewards = dict.fromkeys(laboratories.agents, 0.0)
         self.turns = 0
         shelf = laboratories.shelf
-        own = [array for role in laboratories.roles for array in role.arrays(member)]
-        parts = [shelf.vessels[member], shelf.stock[member], shelf.waste[member], *own]
-        # Persistent views, which make a turn cheaper by a tenth.
+        roles = [array for role in laboratories.roles for array in role.arrays(member)]
+        parts = [shelf.vessels[member], shelf.stock[member], shelf.waste[member], *roles]
+        # Views that are made once save a tenth of the time of a turn.
         self._parts = [memoryview(part) if part.flags.c_contiguous else part for part in parts if part.size]
-
-    def _streams(self) -> dict[str, int]:
-        labs = self._labs
-        return {role.name: int(role.stream[self._m, 0]) for role in labs.roles}
 
     def opening(
         self,
@@ -90,7 +98,7 @@ class Witness:
         environment: Mapping[str, str],
         version: str = __version__,
     ) -> dict[str, Any]:
-        """Return the first line; the arguments are what a laboratory itself does not know."""
+        """Return the first line; the arguments are its keys that do not follow from the laboratory."""
         labs = self._labs
         split: dict[str, Any] = {}
         hidden: dict[str, Any] = {}
@@ -113,7 +121,7 @@ class Witness:
             "environment": dict(environment),
             "agents": labs.agents,
             "goals": [labs.scenario.goals[goal] for goal in labs.state.goal[self._m].tolist()],
-            "streams": self._streams(),
+            "streams": {role.name: int(role.stream[self._m, 0]) for role in labs.roles},
             "materials": list(labs.shelf.layout.materials),
             "positions": positions,
             "hidden": hidden,
@@ -121,11 +129,16 @@ class Witness:
         }
 
     def turn(self, tick: int, plays: Sequence[Play]) -> dict[str, Any]:
-        """Return the line of a turn (or a round of several agents) right after it."""
+        """Return the line of the turn (or round of several agents) that was just played.
+
+        Args:
+            tick: laboratory tick before the turn.
+            plays: the actions, in the agents' order.
+        """
         labs, m = self._labs, self._m
         line: dict[str, Any] = {"turn": self.turns, "tick": tick, "play": {}}
         for play in plays:
-            # The action as the simulator uses it: continuous ones as float64, whatever a policy gave.
+            # The action as the simulator uses it: continuous actions are float64.
             action = np.asarray(play.action, dtype=None if labs.action_counts[play.agent] else np.float64)
             line["play"][labs.agents[play.agent]] = [seen_hash(play.observation, play.mask), action.tolist()]
         line |= turn_facts(labs, m, plays)
@@ -139,22 +152,21 @@ class Witness:
         return line
 
     def _hidden(self) -> dict[str, Any]:
-        """Return the changes of the hidden state."""
+        """Return the changes of the unobserved state since the previous line."""
         labs, m = self._labs, self._m
         vessels: dict[str, Any] = {}
-        now = labs.shelf.vessels[m]
-        for position in np.flatnonzero((now != self._vessels).any(axis=1)):
-            row = now[position]
-            was = self._vessels[position]
+        current = labs.shelf.vessels[m]
+        for position in np.flatnonzero((current != self._vessels).any(axis=1)):
+            row, previous = current[position], self._vessels[position]
             if not row[PRESENT]:
                 vessels[str(position)] = None
             elif (
-                row[TEMPERATURE] != was[TEMPERATURE]
-                or row[PRESENT] != was[PRESENT]
-                or (row[self._amounts] != was[self._amounts]).any()
+                row[TEMPERATURE] != previous[TEMPERATURE]
+                or row[PRESENT] != previous[PRESENT]
+                or (row[self._amounts] != previous[self._amounts]).any()
             ):
                 vessels[str(position)] = [row[TEMPERATURE].item(), [x or 0 for x in row[self._amounts].tolist()]]
-            was[:] = row
+            previous[:] = row
         hidden: dict[str, Any] = {"vessels": vessels} if vessels else {}
         for key, values in (("stock", labs.shelf.stock[m]), ("waste", labs.shelf.waste[m])):
             if (values != self._bulk[key]).any():
@@ -164,6 +176,7 @@ class Witness:
         return hidden
 
     def _state(self) -> str:
+        """Return a hash of the laboratory's state."""
         return digest(b"".join(part if isinstance(part, memoryview) else part.tobytes() for part in self._parts))
 
     @property
@@ -203,26 +216,26 @@ def environment_here() -> dict[str, str]:
 
 
 def _decodable(name: str) -> str:
-    """Replace what cannot be written: a path from the command line may contain undecodable bytes."""
+    """Replace undecodable bytes, which a path from the command line may contain."""
     return name.encode(errors="surrogateescape").decode(errors="replace")
 
 
 class Recorder:
-    """Writes the episodes of one laboratory to a file each.
+    """Writes an episode of one laboratory to a file.
 
-    Use it as a context manager, or call :meth:`close`. Call ``begin`` after the laboratory's reset, and ``turn`` after
-    every turn; the turn that ends the episode finishes the record. An unfinished record stays ``FILE.part``, readable
-    up to its last line.
+    Use it as a context manager, or call :meth:`close`. Call :meth:`begin` after the laboratory's reset, and
+    :meth:`turn` after every turn. The turn that ends the episode finishes the record. An unfinished record keeps the
+    name ``FILE.part`` and is readable up to its last line.
 
     Args:
-        path: path of the record; must not exist, unless ``force``.
+        path: path of the record; the file must not exist, unless ``force`` is True.
         laboratories: laboratories of the episode.
         member: environment index.
-        policies: names of each agent's policy, for information.
+        policies: names of the agents' policies, for information.
         rounds: whether turns are rounds, in which busy benches act on observations of the tick's start (parallel API).
         force: replace the file at ``path``.
         held: keep the record in memory until the recorder is closed, because the first line has the seed and the true
-            contents. If it cannot be written then, :meth:`close` may be called again.
+            contents. If writing fails then, :meth:`close` may be called again.
 
     Raises:
         ValueError: ``path`` exists already, or cannot be written.
@@ -246,10 +259,10 @@ class Recorder:
         self._file: BinaryIO | None = None
         self._held: list[bytes] | None = [] if held else None
         self._opening: dict[str, Any] = {}
-        self._witness: Witness | None = None
+        self._lines: EpisodeLines | None = None
         self._tick = 0
-        for there in (self.path, self.part):
-            check_target(there, force)
+        for target in (self.path, self.part):
+            check_target(target, force)
 
     def __enter__(self) -> Recorder:
         return self
@@ -263,7 +276,7 @@ class Recorder:
         """Start the record of an episode right after the laboratory's reset.
 
         Args:
-            seed: seed of the reset; None if the random streams continued, whose states the record then contains.
+            seed: seed of the reset; None if the random streams continued (the record contains their states).
             options: options of the reset.
 
         Raises:
@@ -273,15 +286,8 @@ class Recorder:
         """
         if self._file is not None or self._held:
             raise ValueError(f"{self.path}: its episode is not over; a record holds one episode")
-        labs = self._labs
-        self._witness = Witness(labs, self._member)
-        opening = self._witness.opening(
-            seed,
-            options or {},
-            self._rounds,
-            self._policies,
-            environment_here(),
-        )
+        self._lines = EpisodeLines(self._labs, self._member)
+        opening = self._lines.opening(seed, options or {}, self._rounds, self._policies, environment_here())
         validated(Header, opening, f"{self.path}: header")  # values that could not be read back are not written
         self.part.parent.mkdir(parents=True, exist_ok=True)
         if self._held is None:
@@ -291,7 +297,7 @@ class Recorder:
         self._write(opening)
 
     def played_by(self, agent: str, policy: str) -> None:
-        """Name an agent's policy, or one more, in a record that is held in memory."""
+        """Add a policy to those named for an agent, in a record that is held in memory."""
         names = self._opening.get("policies", {})
         known, policy = names.get(agent, ""), _decodable(policy)
         if self._held and policy not in known.split(" and "):
@@ -317,18 +323,18 @@ class Recorder:
         return file
 
     def turn(self, plays: Sequence[Play]) -> None:
-        """Write a turn that has just been played (a round if the recorder is one of rounds).
+        """Write the turn (or round of several agents) that was just played.
 
         Args:
             plays: the actions, in the agents' order.
         """
-        if self._witness is None or (self._file is None and not self._held):
+        if self._lines is None or (self._file is None and not self._held):
             raise ValueError(f"{self.path}: call begin() first, and turn() only before the end of the episode")
-        self._write(self._witness.turn(self._tick, plays))
+        self._write(self._lines.turn(self._tick, plays))
         self._tick = int(self._labs.state.ticks[self._member])
-        if self._witness.over:
-            self._write(self._witness.closing())
-            self._witness = None
+        if self._lines.over:
+            self._write(self._lines.closing())
+            self._lines = None
             if self._held is None:
                 self._finish()
 
@@ -342,7 +348,7 @@ class Recorder:
         if self.path.exists() and not self._force:
             self.close()
             raise ValueError(f"{self.path}: the file was created by another process; the record is {self.part}")
-        # Before closing, which releases the lock: another process must not truncate it in between.
+        # Rename before closing, which releases the lock: another process must not truncate the file in between.
         self.part.replace(self.path)
         self.close()
         sync_folder(self.path.parent)
@@ -362,14 +368,14 @@ class Recorder:
             self._file.flush()
 
     def close(self) -> None:
-        """Close the file, or write the one that is held; the record of an unfinished episode stays ``FILE.part``.
+        """Close the file, or write a record held in memory; that of an unfinished episode is named ``FILE.part``.
 
         Raises:
             OSError: the file cannot be written.
             ValueError: a held record's file has been created by another process.
         """
         if self._held:
-            path = self.part if self._witness is not None else self.path
+            path = self.part if self._lines is not None else self.path
             if path.exists() and not self._force:
                 raise ValueError(f"{path}: the file was created by another process; move it away, and close again")
             write_bytes(path, b"".join(self._held))

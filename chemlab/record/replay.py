@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from ..config.datafile import DataError
 from ..config.draws import SPLITS
@@ -24,24 +23,18 @@ class Replay:
     Args:
         record: the record.
         trust: allow imports of benches and other parts that the record's scenario names (``module:Name``,
-            ``file.py:Name``); without it they raise an error, because a file must not decide which code Python runs.
+            ``file.py:Name``). Without it they raise an error, because a record may come from an unknown author.
         split: ``private:SALT``, for a record of a private split.
 
     Attributes:
         laboratories: the laboratories after the turns played so far.
-        split_known: True if the world was derived from the seed; for a private split without its salt, the recorded
-            world is used.
+        split_known: False for a private split without its salt: the recorded world is used, not that of the seed.
 
     Raises:
         RecordError: the episode cannot be replayed here; the message states what is missing.
     """
 
-    def __init__(
-        self,
-        record: Record,
-        trust: bool = False,
-        split: str | None = None,
-    ) -> None:
+    def __init__(self, record: Record, trust: bool = False, split: str | None = None) -> None:
         self.record = record
         scenario = recorded_scenario(record)
         header = record.checked_header()
@@ -66,8 +59,8 @@ class Replay:
         labs, world = self.laboratories, header.options.get("world")
         if world is not None:
             labs.worlds.check(world)
-        # If a world's number does not follow from the seed, the recorded number is used; its values follow from the
-        # number. A world requested by its seed follows from that seed if its split is known.
+        # If the world's number does not follow from the seed, use the recorded number, which determines the values.
+        # A world requested by its seed follows from that seed if its split is known.
         unknown = not self.split_known or (header.seed is None and not isinstance(world, int))
         if labs.worlds.active and unknown:
             hidden: Any = header.hidden.get("world")
@@ -90,10 +83,13 @@ class Replay:
             labs.state.goal[0] = [labs.goal_index(name) for name in header.goals]
 
     def play(self, turn: Mapping[str, Any]) -> list[Play]:
-        """Play one recorded turn; return each agent's observation and action.
+        """Play one recorded turn, and return each agent's observation and action.
+
+        Args:
+            turn: the recorded line.
 
         Raises:
-            ValueError: the turn is not possible: another agent has the turn, or the action does not exist.
+            ValueError: the turn is not possible, because another agent has the turn or the action does not exist.
         """
         labs, recorded = self.laboratories, turn.get("play")
         if not isinstance(recorded, dict):
@@ -101,12 +97,11 @@ class Replay:
         if labs.state.status[0] != RUNNING:
             raise ValueError("play: the episode is over")
         numbers = np.flatnonzero(labs.turns(labs.members)[:, 0]).tolist() if self.rounds else [labs.turn()]
-        having = [labs.agents[number] for number in numbers]
-        if list(recorded) != having:
-            given = short(", ".join(recorded)) or "nobody"
-            raise ValueError(f"play: {', '.join(having)} had the turn, not {given}")
-        plays, actions = [], []
-        for number, agent in zip(numbers, having, strict=True):
+        agents = [labs.agents[number] for number in numbers]
+        if list(recorded) != agents:
+            raise ValueError(f"play: {', '.join(agents)} had the turn, not {short(', '.join(recorded)) or 'no agent'}")
+        plays, actions = [], [np.zeros(0)] * len(labs.agents)
+        for number, agent in zip(numbers, agents, strict=True):
             entry = recorded[agent]
             if not isinstance(entry, list) or len(entry) != 2:
                 raise ValueError(f"play.{agent}: must be an observation's hash and an action, given {short(entry)}")
@@ -119,19 +114,12 @@ class Replay:
             mask = labs.mask(number, labs.members)
             seen = labs.observe(number, labs.members)[0]
             plays.append(Play(number, seen, None if mask is None else mask[0], action[0]))
-            actions.append(action)
+            actions[number] = action
         try:
-            self._act(numbers, actions)
+            if self.rounds:
+                labs.act_round(labs.members, actions)
+            else:
+                labs.act(numbers[0], labs.members, actions[numbers[0]])
         except ArithmeticError as error:  # the reactions are too stiff
             raise ValueError(short(str(error), 500)) from error
         return plays
-
-    def _act(self, numbers: Sequence[int], actions: Sequence[npt.NDArray[Any]]) -> None:
-        labs = self.laboratories
-        if self.rounds:
-            everybody: list[npt.NDArray[Any]] = [np.zeros(0)] * len(labs.agents)
-            for number, action in zip(numbers, actions, strict=True):
-                everybody[number] = action
-            labs.act_round(labs.members, everybody)
-        else:
-            labs.act(numbers[0], labs.members, actions[0])

@@ -14,7 +14,7 @@ from ..config.inherit import shipped_file
 from ..config.loading import load_scenario
 from ..config.scenario import Scenario
 from .format import FormatError, Header, HeaderError, Record, RecordError, read_record, scenario_hash, short, to_text
-from .recorder import Witness, environment_here
+from .recorder import EpisodeLines, environment_here
 from .replay import Replay
 
 _ROUNDING = 1e-6
@@ -44,13 +44,14 @@ class Verification:
             ``message``); ``foreign`` (right, but on a scenario that is neither bundled nor the requested one);
             ``chosen`` (right, but in a world that was requested instead of drawn); ``unchecked`` (not a record, or it
             cannot be replayed here).
-        message: the finding in words.
-        turns: number of turns that were replayed and found right.
+        message: the result in words.
+        turns: number of turns that agree with the replay.
         turn: the first wrong turn; None if there is none, or if the first or the last line is wrong.
         where: the first line that differs: ``header``, ``turn 12``, ``end``.
         key: the key that differs.
-        recorded, recomputed: its two values.
-        score: raw score of the replay after its last turn; None if a turn differs, or if it claims an end that is none.
+        recorded, recomputed: the two values of this key.
+        score: raw score of the replay after its last turn; None if a turn differs, or if the record ends before the
+            episode is over.
         notes: further remarks, and claims of the record that a replay cannot prove.
     """
 
@@ -68,7 +69,7 @@ class Verification:
 
 
 class _Absent:
-    """Represents a missing key."""
+    """Placeholder for the value of a missing key."""
 
     def __repr__(self) -> str:
         return "nothing"
@@ -95,26 +96,35 @@ def _is_hash(key: str, value: Any) -> bool:
 
 
 class _Check:
-    """Replays a record; keeps the first difference, and counts differences that another platform may cause."""
+    """Comparison of a record with its replay.
+
+    Attributes:
+        other_platform: True if the record claims another platform or other versions of packages.
+        same_version: True if this version of chemlab made the record; otherwise hidden states are not compared,
+            because versions represent them differently.
+        rounded, hashes: numbers of differences in rounding and in hashes, which another platform may cause.
+        largest, largest_at: largest relative difference in rounding, and its place.
+        turns: number of turns that agree.
+        score: raw score of the replay, see :class:`Verification`.
+        difference: (line, key, recorded, recomputed) of the first difference, or None.
+    """
 
     def __init__(self, record: Record, header: Header, replay: Replay) -> None:
         self.record, self.header, self.replay = record, header, replay
         self.environment = environment_here()
-        self.elsewhere = header.environment != self.environment
-        # Another version represents its state differently; then only results are compared.
+        self.other_platform = header.environment != self.environment
         self.same_version = header.chemlab == __version__
-        self.rounded, self.largest, self.largest_at = 0, 0.0, ""
-        self.hashes = 0
-        self.good = 0
+        self.rounded, self.hashes, self.largest, self.largest_at = 0, 0, 0.0, ""
+        self.turns = 0
         self.score: float | None = None
-        self.found: tuple[str, str, Any, Any] | None = None
+        self.difference: tuple[str, str, Any, Any] | None = None
 
     def compare(self, number: int, where: str, recorded: dict[str, Any], recomputed: dict[str, Any]) -> bool:
-        """Compare line ``number`` with the replay; keep the first difference and return True if there is none."""
+        """Return True if line ``number`` agrees with the replay; otherwise store the first difference."""
         try:
             text = to_text(recomputed)
         except ValueError:
-            self.found = (where, "", "finite numbers", "numbers that are not finite")
+            self.difference = (where, "", "finite numbers", "numbers that are not finite")
             return False
         if text.encode() == self.record.lines[number]:
             return True
@@ -123,20 +133,20 @@ class _Check:
             same = False
             if key == "hidden.state" and not self.same_version:
                 continue
-            if self.elsewhere and self._elsewhere(where, key, one, other):
+            if self.other_platform and self._tolerate(where, key, one, other):
                 continue
-            self.found = (where, key, one, other)
+            self.difference = (where, key, one, other)
             return False
         if same and self.record.lines[number].endswith(b"\r"):
-            self.found = (where, "", "CR LF at the end of the line", "LF, as in other lines")
+            self.difference = (where, "", "CR LF at the end of the line", "LF, as in other lines")
         elif same:
-            self.found = (where, "", "the line as recorded", "the same values in another notation")
+            self.difference = (where, "", "the line as recorded", "the same values in another notation")
         return not same
 
-    def _elsewhere(self, where: str, key: str, recorded: Any, recomputed: Any) -> bool:
-        """Return True and count the difference if another platform may have caused it.
+    def _tolerate(self, where: str, key: str, recorded: Any, recomputed: Any) -> bool:
+        """Count a difference and return True if another platform may have caused it.
 
-        Such differences are in the last digits of a number, or in a hash that depends on such a number.
+        This holds for the last digits of a number, and for a hash that depends on such a number.
         """
         if _is_hash(key, recorded) and _is_hash(key, recomputed):
             self.hashes += 1
@@ -155,34 +165,33 @@ class _Check:
     def run(self) -> None:
         """Replay the record up to the first difference."""
         record, header, labs = self.record, self.header, self.replay.laboratories
-        witness = Witness(labs, 0)
-        # The header's claims are compared with themselves; the verdict reports them.
+        lines = EpisodeLines(labs, 0)
+        # These claims are compared with themselves; the result's notes list them.
         claims = header.policies, header.environment, header.chemlab
-        opening = witness.opening(header.seed, header.options, header.rounds, *claims)
+        opening = lines.opening(header.seed, header.options, header.rounds, *claims)
         if not self.compare(0, "header", record.header, opening):
             return
         for number, turn in enumerate(record.turns):
             where, tick = f"turn {number}", int(labs.state.ticks[0])
-            if witness.over:
-                self.found = (where, "play", turn.get("play"), "nothing: the episode is over")
+            if lines.over:
+                self.difference = (where, "play", turn.get("play"), "nothing: the episode is over")
                 return
             try:
                 plays = self.replay.play(turn)
             except (ValueError, TypeError) as error:
                 key, _, problem = str(error).partition(": ")
-                self.found = (where, key if key.startswith("play") else "play", turn.get("play"), problem)
+                self.difference = (where, key if key.startswith("play") else "play", turn.get("play"), problem)
                 return
-            if not self.compare(number + 1, where, turn, witness.turn(tick, plays)):
+            if not self.compare(number + 1, where, turn, lines.turn(tick, plays)):
                 return
-            self.good += 1
-        closing = witness.closing()
-        self.score = closing["end"]["score"] if witness.over or record.end is None else None
-        if record.end is None:
-            return
-        if not witness.over:
-            self.found = ("end", "end", record.end["end"], "nothing: the episode is not over")
-            return
-        self.compare(len(record.turns) + 1, "end", record.end, closing)
+            self.turns += 1
+        closing = lines.closing()
+        if record.end is None or lines.over:
+            self.score = closing["end"]["score"]
+        if record.end is not None and lines.over:
+            self.compare(len(record.turns) + 1, "end", record.end, closing)
+        elif record.end is not None:
+            self.difference = ("end", "end", record.end["end"], "nothing: the episode is not over")
 
 
 def verify_record(
@@ -194,27 +203,27 @@ def verify_record(
     """Replay a record's actions on the simulator and compare all recorded values.
 
     Args:
-        path: the record.
-        scenario: scenario on which it must have been made; default: the bundled scenario of the same name.
+        path: the record or its path.
+        scenario: required scenario of the record; default: the bundled scenario of the same name.
         trust: allow imports of code that the record names.
-        split: ``private:SALT``, for a record of a private split: proves that its world follows from the seed.
+        split: ``private:SALT`` for a record of a private split, to prove that its world follows from the seed.
 
     Raises:
         DataError: ``scenario`` is invalid.
     """
     name = str(path.path if isinstance(path, Record) else path)
-    asked = None if scenario is None else load_scenario(scenario)
+    required = None if scenario is None else load_scenario(scenario)
     try:
         record = path if isinstance(path, Record) else read_record(path)
     except RecordError as error:
-        return Verification(name, "unchecked", _plain(error, name))
+        return Verification(name, "unchecked", _message(error, name))
     other = _other_version(record)
     try:
         header = record.checked_header()
         replay = Replay(record, trust, split)
     except RecordError as error:
         status: Status = "tampered" if isinstance(error, HeaderError) else "unchecked"
-        messages, where = [_plain(error, name)], "header" if isinstance(error, HeaderError) else ""
+        messages, where = [_message(error, name)], "header" if isinstance(error, HeaderError) else ""
         if record.broken is not None:
             status, messages = "tampered", [_broken(record), *messages]
         elif isinstance(error, FormatError):
@@ -224,10 +233,10 @@ def verify_record(
         return Verification(name, status, "; ".join(messages), where=where)
     check = _Check(record, header, replay)
     check.run()
-    return _verdict(check, other, _foreign(replay.laboratories.scenario, asked))
+    return _verdict(check, other, _foreign(replay.laboratories.scenario, required))
 
 
-def _plain(error: RecordError, name: str) -> str:
+def _message(error: RecordError, name: str) -> str:
     return short(str(error).removeprefix(f"{name}: "), 500)
 
 
@@ -237,22 +246,22 @@ def _broken(record: Record) -> str:
 
 
 def _other_version(record: Record) -> str:
-    """Describe the other version that made a record."""
+    """Describe the other version that made a record; empty for this version."""
     made = record.header.get("chemlab")
     return "" if made == __version__ else f"made by chemlab {short(made)}, this is {__version__}"
 
 
-def _foreign(spec: Scenario, asked: Scenario | None) -> str:
-    """Describe a scenario that is defined only by the record itself."""
+def _foreign(spec: Scenario, required: Scenario | None) -> str:
+    """Describe a scenario that is neither bundled nor the required one; otherwise return an empty text."""
     actual = scenario_hash(spec)
-    if asked is None and not shipped_file(spec.name):
+    if required is None and not shipped_file(spec.name):
         return f"scenario {spec.name} is the record's own (hash {actual}), not a bundled one"
-    expected, origin = _shipped(spec.name) if asked is None else (scenario_hash(asked), asked.origin)
+    expected, origin = _bundled(spec.name) if required is None else (scenario_hash(required), required.origin)
     return "" if expected == actual else f"its scenario {spec.name} (hash {actual}) is not {origin}"
 
 
 @functools.cache
-def _shipped(name: str) -> tuple[str, str]:
+def _bundled(name: str) -> tuple[str, str]:
     """Return hash and file of a bundled scenario."""
     scenario = load_scenario(name)
     return scenario_hash(scenario), scenario.origin
@@ -262,10 +271,10 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
     """Combine the findings into one result, the most severe first."""
     record = check.record
     chosen = "its world was requested (options.world), not drawn" if "world" in check.header.options else ""
-    result = Verification(str(record.path), "ok", "", turns=check.good, score=check.score)
+    result = Verification(str(record.path), "ok", "", turns=check.turns, score=check.score)
     problems = []
-    if check.found is not None:
-        result.where, key, recorded, recomputed = check.found
+    if check.difference is not None:
+        result.where, key, recorded, recomputed = check.difference
         result.key = short(key)
         result.recorded, result.recomputed = _shown(recorded), _shown(recomputed)
         result.turn = int(result.where.split()[1]) if result.where.startswith("turn") else None
@@ -273,10 +282,8 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
         problems.append(f"{place}: recorded {short(repr(recorded))}, recomputed {short(repr(recomputed))}")
     elif record.broken is not None:
         problems.append(_broken(record))
-    played = f"all {check.good} turns" + ("" if record.torn else f" and the score {check.score!r}")
-    right = f"{played} are right"
-    if record.torn:
-        right = f"the end is missing; all {check.good} turns up to there are right"
+    played = f"all {check.turns} turns" + ("" if record.torn else f" and the score {check.score!r}")
+    right = f"the end is missing; {played} up to there are right" if record.torn else f"{played} are right"
     deviations = []
     if check.rounded:
         deviations.append(f"{check.rounded} numbers differ, by {check.largest:.1g} at most ({check.largest_at})")
@@ -305,7 +312,7 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
 def _notes(check: _Check) -> list[str]:
     """Return the record's claims that a replay cannot prove."""
     header, notes = check.header, [*check.record.notes]
-    if check.elsewhere:
+    if check.other_platform:
         differing = [
             f"{key} {short(header.environment.get(key))} (here {value})"
             for key, value in check.environment.items()
@@ -322,8 +329,8 @@ def _notes(check: _Check) -> list[str]:
     if header.seed is None:
         notes.append("has no seed: its author may have chosen the random streams, goals and world")
     elif header.options:
-        asked = [f"{key} {short(value)}" for key, value in header.options.items()]
-        notes.append(f"was requested: {', '.join(asked)}")
+        requested = [f"{key} {short(value)}" for key, value in header.options.items()]
+        notes.append(f"was requested: {', '.join(requested)}")
     return notes
 
 

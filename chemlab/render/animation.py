@@ -1,4 +1,4 @@
-"""A record as an animated picture or a video."""
+"""Animated pictures and videos of records."""
 
 from __future__ import annotations
 
@@ -29,24 +29,26 @@ def animation(
 
     Args:
         record: a record, finished or not.
-        form: ``gif`` or ``webp``; ``mp4``, which the program ffmpeg encodes.
+        form: ``gif``, ``webp``, or ``mp4`` (needs the program ffmpeg).
         trust: allow imports of code that the record names.
         frames: maximum number of frames, which are evenly spaced over the turns.
         size: width and height in pixels.
 
     Raises:
         ImportError: Pillow is not installed (``pip install '.[plot]'``).
-        ValueError: a video without ffmpeg.
+        ValueError: a video is requested, and ffmpeg is not installed.
         RecordError: the record cannot be replayed here.
     """
     images = [Image.fromarray(draw(scene, *size)) for scene in _scenes(record, frames, trust)]
     milliseconds: list[int] = [_BEGINNING, *[_MILLISECONDS] * (len(images) - 2), _END][-len(images) :]
     if form == "mp4":
         return _video(images, milliseconds)
-    made = io.BytesIO()
-    best: dict[str, dict[str, Any]] = {"gif": {"optimize": True}, "webp": {"quality": 70, "method": 4}}
-    images[0].save(made, form, save_all=True, append_images=images[1:], duration=milliseconds, loop=0, **best[form])
-    return made.getvalue()
+    content = io.BytesIO()
+    options: dict[str, dict[str, Any]] = {"gif": {"optimize": True}, "webp": {"quality": 70, "method": 4}}
+    images[0].save(
+        content, form, save_all=True, append_images=images[1:], duration=milliseconds, loop=0, **options[form]
+    )
+    return content.getvalue()
 
 
 def _video(images: Sequence[Any], milliseconds: Sequence[int]) -> bytes:
@@ -58,16 +60,16 @@ def _video(images: Sequence[Any], milliseconds: Sequence[int]) -> bytes:
         image.tobytes() for image, time in zip(images, milliseconds, strict=True) for _ in range(time // _MILLISECONDS)
     ]
     size = "x".join(map(str, images[0].size))
-    given = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(1000 // _MILLISECONDS), "-i", "-"]
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", size, "-r", str(1000 // _MILLISECONDS), "-i", "-"]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mp4"
-        command = [program, "-loglevel", "error", *given, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
+        command = [program, "-loglevel", "error", *source, "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(path)]
         subprocess.run(command, input=b"".join(pixels), check=True)
         return path.read_bytes()
 
 
 def _scenes(record: Record, most: int, trust: bool) -> list[Scene]:
-    """Return evenly spaced scenes, with the first and the last."""
+    """Return at most ``most`` evenly spaced scenes (at least two), the first and the last included."""
     replay, count = Replay(record, trust), len(record.turns)
     chosen = {round(turn) for turn in np.linspace(0, count, max(min(most, count + 1), 1))} | {count}
     scenes = [laboratory_scene(replay.laboratories)]

@@ -1,11 +1,11 @@
-"""The figure of what happened to a flask; needs the extra ``plot``."""
+"""Figure of a flask's history; needs the extra ``plot``."""
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
-
-import numpy as np
 
 from .figure import SETTINGS, import_matplotlib, new_figure
 
@@ -13,16 +13,16 @@ if TYPE_CHECKING:
     from ..sandbox import Moment
 
 _LEAST_SHARE = 0.002
-"""Of all mol: materials that never reach it are not drawn."""
+"""Materials whose largest amount is below this share of all largest amounts are not drawn."""
 _MOST_LINES = 8
 
 
 def flask_figure(history: Sequence[Moment], colors: Mapping[str, str]) -> Any:
-    """A figure of temperatures, amounts and compositions.
+    """Return a figure of temperatures, amounts and compositions.
 
     Args:
-        history: the flask after each operation; two of them at least.
-        colors: by material.
+        history: the flask after each operation, at least two.
+        colors: colours by material.
 
     Raises:
         ImportError: matplotlib is not installed.
@@ -49,22 +49,23 @@ def flask_figure(history: Sequence[Moment], colors: Mapping[str, str]) -> Any:
 
 
 def _compositions(axes: Any, across: list[float], history: Sequence[Moment], colors: Mapping[str, str]) -> None:
-    """Draw what distils, or else what is not dissolved, or else the shares of what is in the flask."""
-    if not any(m.distillate for m in history) and any(m.solids for m in history):
-        for name in _drawn([m.solids for m in history]):
-            axes.plot(across, [m.solids.get(name, 0.0) for m in history], label=name, color=colors.get(name))
+    """Draw mole fractions in the distillate, or else amounts of undissolved solids, or else fractions in the flask."""
+    distils = any(m.distillate for m in history)
+    solid = not distils and any(m.solids for m in history)
+    parts = [m.distillate if distils else m.solids if solid else m.amounts for m in history]
+    totals = [1.0 if solid else sum(part.values()) or math.nan for part in parts]
+    for name in _drawn(parts):
+        values = [part.get(name, 0.0) / total for part, total in zip(parts, totals, strict=True)]
+        axes.plot(across, values, label=name, color=colors.get(name))
+    if solid:
         axes.set_ylabel("not dissolved (mol)")
         return
-    distils = any(m.distillate for m in history)
-    parts = [m.distillate if distils else m.amounts for m in history]
-    for name in _drawn(parts):
-        axes.plot(across, [_share(part, name) for part in parts], label=name, color=colors.get(name))
     axes.set_ylabel(f"mole fraction in the {'distillate' if distils else 'flask'}")
     axes.set_ylim(-0.02, 1.02)
 
 
 def _across(history: Sequence[Moment]) -> tuple[list[float], str]:
-    """The quantity that changes most steadily: time, else heat, else the number of operations."""
+    """Return values and label of the horizontal axis: time, else heat, else the number of operations."""
     seconds, joules = [m.seconds for m in history], [m.joules for m in history]
     if seconds[-1] > seconds[0]:
         unit, factor = ("h", 3600.0) if seconds[-1] > 7200.0 else ("min", 60.0)
@@ -74,16 +75,10 @@ def _across(history: Sequence[Moment]) -> tuple[list[float], str]:
     return [float(i) for i in range(len(history))], "operation"
 
 
-def _share(amounts: Mapping[str, float], name: str) -> float:
-    total = sum(amounts.values())
-    return amounts.get(name, 0.0) / total if total > 0.0 else float("nan")
-
-
 def _drawn(parts: Sequence[Mapping[str, float]]) -> list[str]:
-    """Materials that are ever more than a trace, the most abundant first."""
-    most: dict[str, float] = {}
+    """Return the materials to draw, the most abundant first."""
+    most: Counter[str] = Counter()
     for part in parts:
-        for name, mol in part.items():
-            most[name] = max(most.get(name, 0.0), mol)
-    least = _LEAST_SHARE * float(np.sum(list(most.values())))
-    return sorted((name for name in most if most[name] >= least), key=lambda name: -most[name])[:_MOST_LINES]
+        most |= Counter(part)  # the larger amount of each material
+    least = _LEAST_SHARE * sum(most.values())
+    return [name for name, mol in most.most_common(_MOST_LINES) if mol >= least]

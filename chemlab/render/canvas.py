@@ -16,10 +16,11 @@ __all__ = ["Box", "Canvas", "Image", "ImageDraw", "TextBox", "text_width"]
 
 _DOTS = "..."
 _FINER = 4
+"""Factor by which texts are drawn larger before they are reduced."""
 
 
 class Box(NamedTuple):
-    """A rectangle in pixels; right and bottom are outside."""
+    """A rectangle in pixels; ``right`` and ``bottom`` are exclusive."""
 
     left: int
     top: int
@@ -122,13 +123,9 @@ class Canvas:
     def rectangle(
         self, left: float, top: float, right: float, bottom: float, fill: str | None, outline: str | None = None
     ) -> None:
-        """Draw a rectangle between two corners."""
-        box = (
-            self.px(left),
-            self.px(top),
-            max(self.px(right) - 1, self.px(left)),
-            max(self.px(bottom) - 1, self.px(top)),
-        )
+        """Draw a rectangle of at least one pixel between two corners."""
+        x, y = self.px(left), self.px(top)
+        box = x, y, max(self.px(right) - 1, x), max(self.px(bottom) - 1, y)
         self.pen.rectangle(box, fill=fill, outline=outline)
 
     def card(
@@ -143,13 +140,8 @@ class Canvas:
         width: int = 1,
     ) -> None:
         """Draw a rectangle with rounded corners."""
-        self.pen.rounded_rectangle(
-            (self.px(left), self.px(top), self.px(right) - 1, self.px(bottom) - 1),
-            radius=self.px(radius),
-            fill=fill,
-            outline=outline,
-            width=width,
-        )
+        box = self.px(left), self.px(top), self.px(right) - 1, self.px(bottom) - 1
+        self.pen.rounded_rectangle(box, self.px(radius), fill, outline, width)
 
     def line(self, points: Sequence[tuple[float, float]], color: str, width: int = 1) -> None:
         """Draw a polyline."""

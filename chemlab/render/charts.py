@@ -23,10 +23,10 @@ from ..roles.bench import channel_slices
 from ..roles.manager_state import COST_ITEMS
 from .draw import FAINT, INK, SOFT
 from .figure import new_figure
-from .history import Move, RecordReplay
+from .history import RecordReplay
 from .mole_balance import PLACES, Balance, Group, mole_balance
 
-_DOING = {
+_COLORS = {
     "start": "#009E73",
     "measure": "#56B4E9",
     "discard": "#D55E00",
@@ -45,9 +45,11 @@ _DOING = {
     "cool": "#56B4E9",
     "end": "#000000",
 }
-"""Colours of agents' actions. Actions share a colour only if no agent can take both."""
-_LINES = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", "#999999")
-_LOST = "#FFFFFF"
+"""Colours of kinds of actions. Kinds share a colour only if no agent has both."""
+_OTHER, _INVALID = "#999999", "#FFFFFF"
+_LINES = ("#0072B2", "#E69F00", "#009E73", "#D55E00", "#CC79A7", "#56B4E9", "#000000", _OTHER)
+_LONGEST_TITLE = 62
+"""Number of characters of a scenario's title that fit a figure."""
 
 
 def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list[float]:
@@ -56,12 +58,8 @@ def spread(wanted: Sequence[float], gap: float, low: float, high: float) -> list
         return []
     steps = min(gap, (high - low) / max(len(wanted) - 1, 1)) * np.arange(len(wanted))
     nearest = isotonic_regression(np.array(wanted) - steps).x  # least squares
-    found: list[float] = (np.clip(nearest, low, high - steps[-1]) + steps).tolist()
-    return found
-
-
-_LONGEST_TITLE = 62
-"""Characters of a scenario's title that fit a figure."""
+    positions: list[float] = (np.clip(nearest, low, high - steps[-1]) + steps).tolist()
+    return positions
 
 
 def _plain(axes: Any) -> None:
@@ -80,16 +78,16 @@ def _title(record: Record, scenario: Scenario) -> str:
 
 @dataclass
 class _Strip:
-    """One continuous activity of one agent."""
+    """Consecutive actions of one kind of one agent, from unit ``start`` to ``stop``."""
 
     start: int
     stop: int
     kind: str
-    lost: bool
+    invalid: bool
 
 
 @dataclass
-class _Story:
+class _Timeline:
     """A record on a time axis of units: one unit for each manager action and one for each tick."""
 
     labs: Laboratories
@@ -97,15 +95,30 @@ class _Story:
     experiments: list[tuple[str, int, int, str, float | None]] = field(default_factory=list)
     """(agent, start, stop, goal, score)"""
     decisions: list[tuple[int, str]] = field(default_factory=list)
+    """(unit, words) of each manager action"""
     ticks: list[int] = field(default_factory=list)
     """[units + 1] tick at the beginning of each unit"""
     costs: list[list[float]] = field(default_factory=list)
+    """[units + 1][items] cumulative costs"""
     rewards: list[list[float]] = field(default_factory=list)
+    """[units + 1][agents] cumulative rewards"""
     over: bool = False
 
+    def add_action(self, agent: str, unit: int, kind: str, invalid: bool, by_manager: bool) -> None:
+        """Add an action of an agent to its strips; benches' equal actions of consecutive units form one strip."""
+        strips = self.strips[agent]
+        if (
+            strips
+            and not by_manager
+            and (strips[-1].stop, strips[-1].kind, strips[-1].invalid) == (unit, kind, invalid)
+        ):
+            strips[-1].stop = unit + 1
+        else:
+            strips.append(_Strip(unit, unit + 1, kind, invalid))
 
-def _doing(labs: Laboratories, agent: int, action: Any) -> str:
-    """Return a one-word description of an action."""
+
+def _kind(labs: Laboratories, agent: int, action: Any) -> str:
+    """Return the kind of an action, a key of :data:`_COLORS`."""
     words = action_words(labs, agent, action)
     if labs.action_counts[agent]:
         return words.replace(",", " ").split()[0]
@@ -114,66 +127,54 @@ def _doing(labs: Laboratories, agent: int, action: Any) -> str:
     return "heat" if "temperature up" in words else "cool" if "temperature down" in words else "hold"
 
 
-def _tell(record: Record, trust: bool) -> _Story:
+def _timeline(record: Record, trust: bool) -> _Timeline:
+    """Replay a record and return its timeline."""
     replay = RecordReplay(record, trust)
     labs = replay.laboratories
-    story = _Story(labs, {agent: [] for agent in labs.agents})
+    timeline = _Timeline(labs, {agent: [] for agent in labs.agents})
     running: dict[str, tuple[int, str]] = {}
-    earned = np.zeros(len(labs.agents))
+    rewards = np.zeros(len(labs.agents))
     unit, tick, costs = 0, 0, list(labs.costs().values())
 
-    def note() -> None:
-        story.ticks.append(tick)
-        story.costs.append(costs)
-        story.rewards.append(earned.tolist())
+    def end_unit() -> None:
+        timeline.ticks.append(tick)
+        timeline.costs.append(costs)
+        timeline.rewards.append(rewards.tolist())
 
-    note()
+    end_unit()
     open_tick = False
     for move in replay.moves():
         by_manager = move.plays[0].agent == labs.manager.index
         if open_tick and (by_manager or move.tick != tick):  # the open tick has ended
             unit, open_tick = unit + 1, False
             tick = move.tick
-            note()  # of before this move
+            end_unit()  # with the costs and rewards before this move
         costs = list(labs.costs().values())
         for play in move.plays:
-            agent = labs.agents[play.agent]
-            _add(story.strips[agent], unit, _doing(labs, play.agent, play.action), agent in move.lost, by_manager)
-        earned += np.array([move.rewards[agent] for agent in labs.agents])
+            agent, kind = labs.agents[play.agent], _kind(labs, play.agent, play.action)
+            timeline.add_action(agent, unit, kind, agent in move.lost, by_manager)
+        rewards += np.array([move.rewards[agent] for agent in labs.agents])
         if by_manager:
-            story.decisions.append((unit, action_words(labs, labs.manager.index, move.plays[0].action)))
-        _experiments(story, running, move, unit, by_manager)
+            timeline.decisions.append((unit, action_words(labs, labs.manager.index, move.plays[0].action)))
+        if move.started:
+            experiments = labs.experiments[labs.bench_agents.index(move.started)]
+            running[move.started] = (unit + 1, labs.scenario.goals[int(experiments.goal[0])])
+        for agent, score in move.scores.items():
+            start, goal = running.pop(agent)
+            timeline.experiments.append((agent, start, unit if by_manager else unit + 1, goal, score))
         if by_manager:
             unit, tick = unit + 1, int(labs.state.ticks[0])
-            note()
+            end_unit()
         else:
             open_tick = True
     if open_tick:
         unit, tick = unit + 1, int(labs.state.ticks[0])
-        note()
-    # Rewards and costs may have been booked after the last turn was noted.
-    story.costs[-1], story.rewards[-1] = costs, earned.tolist()
-    story.experiments += [(agent, start, unit, goal, None) for agent, (start, goal) in running.items()]
-    story.over = replay.over
-    return story
-
-
-def _add(strips: list[_Strip], unit: int, kind: str, lost: bool, by_manager: bool) -> None:
-    last = strips[-1] if strips else None
-    if last and not by_manager and (last.stop, last.kind, last.lost) == (unit, kind, lost):
-        last.stop = unit + 1
-    else:
-        strips.append(_Strip(unit, unit + 1, kind, lost))
-
-
-def _experiments(story: _Story, running: dict[str, tuple[int, str]], move: Move, unit: int, by_manager: bool) -> None:
-    labs = story.labs
-    if move.begun:
-        experiments = labs.experiments[labs.bench_agents.index(move.begun)]
-        running[move.begun] = (unit + 1, labs.scenario.goals[int(experiments.goal[0])])
-    for agent, score in move.scores.items():
-        start, goal = running.pop(agent)
-        story.experiments.append((agent, start, unit if by_manager else unit + 1, goal, score))
+        end_unit()
+    # The last move may have changed rewards and costs after the end of the last unit.
+    timeline.costs[-1], timeline.rewards[-1] = costs, rewards.tolist()
+    timeline.experiments += [(agent, start, unit, goal, None) for agent, (start, goal) in running.items()]
+    timeline.over = replay.over
+    return timeline
 
 
 def draw_timeline(record: Record, trust: bool = False) -> Any:
@@ -187,14 +188,13 @@ def draw_timeline(record: Record, trust: bool = False) -> Any:
         RecordError: the record cannot be replayed here or has no turn.
         ImportError: matplotlib is not installed.
     """
-    story = _tell(record, trust)
-    labs, units = story.labs, len(story.ticks) - 1
+    timeline = _timeline(record, trust)
+    labs, units = timeline.labs, len(timeline.ticks) - 1
     if not units:
         raise RecordError(f"{record.path}: has no turns to draw")
     agents = labs.agents
-    rows = -(-len(story.decisions) // 3)
-    listed = story.decisions if rows <= 14 else story.decisions[: 3 * 14 - 1]
-    rows = min(rows, 14)
+    rows = min(-(-len(timeline.decisions) // 3), 14)
+    listed = timeline.decisions[: 3 * 14 - (len(timeline.decisions) > 3 * 14)]
     lanes, graph, text = 0.42 * len(agents), 1.7, 0.163 * rows + 0.15
     width = min(max(12.0, 1.2 + 0.13 * units), 24.0)
     height = 0.95 + lanes + 0.85 + graph + 0.6 + text
@@ -204,13 +204,13 @@ def draw_timeline(record: Record, trust: bool = False) -> Any:
         return left / width, 1.0 - (top + tall) / height, wide / width, tall / height
 
     axes = figure.add_axes(place(0.95, lanes, 0.95, width - 1.2))
-    _lanes(axes, story, units, (width - 1.2) / units)
-    _doing_key(figure, story, height)
+    _lanes(axes, timeline, units, (width - 1.2) / units)
+    _key(figure, timeline, height)
     top = 0.95 + lanes + 0.85
     half = (width - 4.6) / 2.0
     at = np.arange(units + 1)
     costs = figure.add_axes(place(top, graph, 0.95, half))
-    items = [(name, line) for name, line in zip(COST_ITEMS, np.array(story.costs).T, strict=True) if line[-1] > 0.0]
+    items = [(name, line) for name, line in zip(COST_ITEMS, np.array(timeline.costs).T, strict=True) if line[-1] > 0.0]
     if items:
         costs.stackplot(at, [line for _, line in items], labels=[name.replace("_", " ") for name, _ in items],
                         colors=_LINES[: len(items)], step="post", linewidth=0.0)  # fmt: skip
@@ -218,49 +218,50 @@ def draw_timeline(record: Record, trust: bool = False) -> Any:
         costs.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)
     costs.set_title("manager's cumulative costs (score)", loc="left", fontsize=10)
     costs.set_ylim(bottom=0.0)
-    earned = figure.add_axes(place(top, graph, 0.95 + half + 2.1, half))
-    for i, (agent, line) in enumerate(zip(agents, np.array(story.rewards).T, strict=True)):
-        earned.step(at, line, where="post", color=_LINES[i % len(_LINES)], lw=1.8, label=agent,
-                    ls=("-", "--", "-.", ":")[i % 4])  # fmt: skip
-    earned.axhline(0.0, color=FAINT, lw=0.6)
-    earned.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)
-    earned.set_title("cumulative rewards", loc="left", fontsize=10)
-    for other in (costs, earned):
+    rewards = figure.add_axes(place(top, graph, 0.95 + half + 2.1, half))
+    for i, (agent, line) in enumerate(zip(agents, np.array(timeline.rewards).T, strict=True)):
+        rewards.step(at, line, where="post", color=_LINES[i % len(_LINES)], lw=1.8, label=agent,
+                     ls=("-", "--", "-.", ":")[i % 4])  # fmt: skip
+    rewards.axhline(0.0, color=FAINT, lw=0.6)
+    rewards.legend(loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)
+    rewards.set_title("cumulative rewards", loc="left", fontsize=10)
+    for other in (costs, rewards):
         _plain(other)
         other.set_xlim(0, units)
         other.grid(alpha=0.25)
-        _tick_labels(other, story, 5)
-    _decisions(figure, story, listed, rows, text / height)
-    figure.suptitle(f"{_title(record, labs.scenario)}: {'the episode' if story.over else 'the episode so far'}",
+        _tick_labels(other, timeline, 5)
+    _decisions(figure, timeline, listed, rows, text / height)
+    figure.suptitle(f"{_title(record, labs.scenario)}: {'the episode' if timeline.over else 'the episode so far'}",
                     y=1.0 - 0.12 / height)  # fmt: skip
     return figure
 
 
-def _lanes(axes: Any, story: _Story, units: int, inches: float) -> None:
-    agents = story.labs.agents
-    for agent, start, stop, _, _ in story.experiments:
+def _lanes(axes: Any, timeline: _Timeline, units: int, inches: float) -> None:
+    """Draw one lane for each agent, with its actions, experiments and the numbers of the manager's decisions."""
+    agents = timeline.labs.agents
+    for agent, start, stop, _, _ in timeline.experiments:
         axes.broken_barh([(start, stop - start)], (agents.index(agent) - 0.42, 0.84), facecolor="#eef1f4",
                          edgecolor=SOFT, linewidth=0.8)  # fmt: skip
     for lane, agent in enumerate(agents):
-        for strip in story.strips[agent]:
-            color = _LOST if strip.lost else _DOING.get(strip.kind, "#999999")
+        for strip in timeline.strips[agent]:
+            color = _INVALID if strip.invalid else _COLORS.get(strip.kind, _OTHER)
             low, tall = (lane - 0.36, 0.72) if lane == 0 else (lane + 0.02, 0.34)
             axes.broken_barh([(strip.start, strip.stop - strip.start)], (low, tall), facecolor=color,
-                             edgecolor="white" if not strip.lost else SOFT, linewidth=0.5,
-                             hatch="////" if strip.lost else None)  # fmt: skip
-    for number, (unit, _) in enumerate(story.decisions, start=1):
+                             edgecolor=SOFT if strip.invalid else "white", linewidth=0.5,
+                             hatch="////" if strip.invalid else None)  # fmt: skip
+    for number, (unit, _) in enumerate(timeline.decisions, start=1):
         size = min(7.5, 96.0 * inches / len(str(number)))
-        if size < 4.5:  # Too small to read: label only the first of each run of decisions, above the strip.
-            if number == 1 or story.decisions[number - 2][0] != unit - 1:
+        if size < 4.5:  # Too small to read: label only the first of consecutive decisions, above the strip.
+            if number == 1 or timeline.decisions[number - 2][0] != unit - 1:
                 axes.text(unit, -0.42, str(number), fontsize=6.5, ha="left", va="bottom", color=SOFT)
             continue
-        kind = story.strips[story.labs.manager.name][number - 1]
-        dark = kind.kind in ("submit", "start", "discard") and not kind.lost
+        strip = timeline.strips[timeline.labs.manager.name][number - 1]
+        dark = strip.kind in ("submit", "start", "discard") and not strip.invalid
         axes.text(unit + 0.5, 0, str(number), fontsize=size, ha="center", va="center", color="white" if dark else INK)
-    for agent, start, stop, goal, score in story.experiments:
-        words = [goal if score is None else f"{goal} {score:+.2f}", goal, ""]
+    for agent, start, stop, goal, score in timeline.experiments:
+        options = [goal if score is None else f"{goal} {score:+.2f}", goal, ""]
         room = ((stop - start) * inches - 0.12) / 0.072
-        text = next(option for option in words if len(option) <= max(room, 0.0))
+        text = next(option for option in options if len(option) <= max(room, 0.0))
         axes.text(start + 0.08 / inches, agents.index(agent) - 0.2, text, fontsize=7.5, va="center", color=INK)
     axes.set_yticks(range(len(agents)), agents)
     axes.set_ylim(len(agents) - 0.4, -0.6)
@@ -268,37 +269,30 @@ def _lanes(axes: Any, story: _Story, units: int, inches: float) -> None:
     axes.tick_params(axis="y", length=0)
     _plain(axes)
     axes.spines["left"].set_visible(False)
-    _tick_labels(axes, story, 16)
+    _tick_labels(axes, timeline, 16)
 
 
-def _tick_labels(axes: Any, story: _Story, most: int) -> None:
-    """Set the axis ticks to laboratory ticks, each at the unit where it begins."""
-    first = {tick: unit for unit, tick in reversed(list(enumerate(story.ticks)))}
-    last = story.ticks[-1]
+def _tick_labels(axes: Any, timeline: _Timeline, most: int) -> None:
+    """Label the axis with at most ``most`` laboratory ticks, each at the unit where it begins."""
+    first = {tick: unit for unit, tick in reversed(list(enumerate(timeline.ticks)))}
+    last = timeline.ticks[-1]
     step = next(s for s in (1, 2, 5, 10, 20, 50, 100, 200, 500, 10**6) if last / s <= most)
     shown = [tick for tick in range(0, last + 1, step) if tick in first]
     axes.set_xticks([first[tick] for tick in shown], [str(tick) for tick in shown])
     axes.set_xlabel("tick (manager actions take width on this axis, but no ticks)" if most > 5 else "tick")
 
 
-def _doing_key(figure: Any, story: _Story, height: float) -> None:
+def _key(figure: Any, timeline: _Timeline, height: float) -> None:
+    """Draw the key to the colours of actions, for the manager and for the benches."""
     from matplotlib.patches import Patch
 
-    agents = story.labs.agents
-    shown: dict[str, Any] = {}
-    lost = False
-    for agent in agents:
-        for strip in story.strips[agent]:
-            lost = lost or strip.lost
-            who = "manager: " if agent == story.labs.manager.name else "benches: "
-            shown.setdefault(who + strip.kind, _DOING.get(strip.kind, "#999999"))
-    parts = []
-    for who in ("manager: ", "benches: "):
-        kinds = [(name.removeprefix(who), color) for name, color in shown.items() if name.startswith(who)]
-        parts.append([Patch(facecolor=color, label=kind) for kind, color in kinds])
-    if lost:
-        parts[1].append(Patch(facecolor=_LOST, edgecolor=SOFT, hatch="////", label="turn lost"))
-    for left, title, handles in ((0.075, "manager", parts[0]), (0.535, "benches", parts[1])):
+    manager = timeline.labs.manager.name
+    benches = [strip for agent, strips in timeline.strips.items() if agent != manager for strip in strips]
+    for left, title, strips in ((0.075, "manager", timeline.strips[manager]), (0.535, "benches", benches)):
+        kinds = dict.fromkeys(strip.kind for strip in strips)
+        handles = [Patch(facecolor=_COLORS.get(kind, _OTHER), label=kind) for kind in kinds]
+        if title == "benches" and any(strip.invalid for strip in (*timeline.strips[manager], *benches)):
+            handles.append(Patch(facecolor=_INVALID, edgecolor=SOFT, hatch="////", label="invalid action"))
         if handles:
             figure.legend(
                 handles=handles, loc="upper left", ncols=len(handles), frameon=False, title=f"{title}:",
@@ -307,18 +301,14 @@ def _doing_key(figure: Any, story: _Story, height: float) -> None:
             )  # fmt: skip
 
 
-def _decisions(figure: Any, story: _Story, listed: Sequence[tuple[int, str]], rows: int, share: float) -> None:
+def _decisions(figure: Any, timeline: _Timeline, listed: Sequence[tuple[int, str]], rows: int, share: float) -> None:
     """Print the manager's decisions as a numbered list in three columns."""
-    more = len(story.decisions) - len(listed)
+    more = len(timeline.decisions) - len(listed)
     lines = [f"{number}  {words}" for number, (_, words) in enumerate(listed, start=1)]
     lines += [f"and {more} more"] if more else []
-    for column, part in enumerate(_columns(lines, rows)):
-        figure.text(0.02 + column * 0.33, share * 0.97, "\n".join(part), fontsize=8, va="top", color=SOFT,
-                    linespacing=1.35)  # fmt: skip
-
-
-def _columns(lines: Sequence[str], rows: int) -> list[Sequence[str]]:
-    return [lines[i : i + rows] for i in range(0, len(lines), rows)]
+    for column in range(3):
+        part = "\n".join(lines[column * rows : (column + 1) * rows])
+        figure.text(0.02 + column * 0.33, share * 0.97, part, fontsize=8, va="top", color=SOFT, linespacing=1.35)
 
 
 # -- spectra ----------------------------------------------------------------------------------------------------------
@@ -339,6 +329,7 @@ class _Reaction:
 
 
 def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reaction]]:
+    """Replay a record, and return its laboratories and its reaction experiments in the order of their ends."""
     replay = RecordReplay(record, trust)
     labs = replay.laboratories
     spectra = {
@@ -346,35 +337,35 @@ def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reactio
         for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)
         if any(channel.name == "spectrum" for channel in bench.channels)
     }
-    first: dict[str, tuple[int, FloatArray, str]] = {}
-    found = []
+    running: dict[str, tuple[int, FloatArray, str]] = {}
+    reactions = []
 
-    def close(agent: str, seen: Any, contents: FloatArray, score: float | None) -> None:
-        tick, before, goal = first.pop(agent)
-        found.append(_Reaction(agent, tick, goal, score, before, np.array(seen[spectra[agent]]), contents))
+    def end(agent: str, observation: Any, contents: FloatArray, score: float | None) -> None:
+        tick, before, goal = running.pop(agent)
+        after = np.array(observation[spectra[agent]])
+        reactions.append(_Reaction(agent, tick, goal, score, before, after, contents))
 
     for move in replay.moves():
         for play in move.plays:
             agent = labs.agents[play.agent]
-            if agent in spectra and agent not in first:
+            if agent in spectra and agent not in running:
                 goal = labs.roles[play.agent].goal(0)
-                first[agent] = (move.tick, np.array(play.observation[spectra[agent]]), goal)
+                running[agent] = (move.tick, np.array(play.observation[spectra[agent]]), goal)
         for agent, score in move.scores.items():
-            if agent in first:
+            if agent in running:
                 slot = int(labs.state.origin[0, labs.bench_agents.index(agent)])
-                close(agent, move.last[agent].observation, labs.shelf.amounts[0, slot].copy(), score)
-    for agent in list(first):
+                end(agent, move.last[agent].observation, labs.shelf.amounts[0, slot].copy(), score)
+    for agent in list(running):
         role = labs.bench_roles[labs.bench_agents.index(agent)]
         contents = labs.shelf.amounts[0, role.first_position].copy()
-        close(agent, replay.look(role.index).observation, contents, None)
-    return labs, found
+        end(agent, replay.look(role.index).observation, contents, None)
+    return labs, reactions
 
 
 def _peaks(labs: Laboratories, contents: FloatArray) -> list[tuple[float, str, str]]:
-    """Return (wavelength, material, colour) of the distinguishable peaks.
+    """Return (wavelength in nm, material, colour) of the distinguishable peaks in ascending order.
 
-    A peak counts where the material contributes most of the total absorption. A material's highest peak may be lower
-    than its other peaks.
+    At a peak, the material has to contribute half of the total absorption, and at its highest peak a quarter.
     """
     basis = labs.shelf.known().basis * contents[:, None]
     total = basis.sum(axis=0)
@@ -404,29 +395,29 @@ def draw_spectra(record: Record, trust: bool = False) -> Any:
         RecordError: the record cannot be replayed here or has no reaction experiment.
         ImportError: matplotlib is not installed.
     """
-    labs, found = _reactions(record, trust)
-    if not found:
+    labs, reactions = _reactions(record, trust)
+    if not reactions:
         raise RecordError(f"{record.path}: has no reaction experiment, so there is no spectrum to draw")
-    columns = 1 if len(found) == 1 else 2
-    rows = -(-len(found) // columns)
+    columns = 1 if len(reactions) == 1 else 2
+    rows = -(-len(reactions) // columns)
     width, height = (8.0 if columns == 1 else 13.0), 0.5 + 3.5 * rows
     figure = new_figure(width, height)
     cell = (width - 0.15) / columns
-    for i, one in enumerate(found):
+    for i, reaction in enumerate(reactions):
         left, top = 0.65 + (i % columns) * cell, 0.5 + (i // columns) * 3.5
         axes = figure.add_axes((left / width, 1.0 - (top + 2.85) / height, (cell - 0.85) / width, 1.75 / height))
-        _spectrum(axes, labs, one)
+        _spectrum(axes, labs, reaction)
     figure.suptitle(f"{_title(record, labs.scenario)}: spectra of reaction experiments", y=1.0 - 0.12 / height)
     return figure
 
 
-def _spectrum(axes: Any, labs: Laboratories, one: _Reaction) -> None:
-    axes.plot(WAVELENGTHS_NM, one.before, color=_LINES[1], lw=1.6, ls="--", label="before")
-    axes.fill_between(WAVELENGTHS_NM, one.after, color=_LINES[0], alpha=0.12, linewidth=0.0)
-    axes.plot(WAVELENGTHS_NM, one.after, color=_LINES[0], lw=1.8, label="after")
-    peaks = _peaks(labs, one.contents)
+def _spectrum(axes: Any, labs: Laboratories, reaction: _Reaction) -> None:
+    axes.plot(WAVELENGTHS_NM, reaction.before, color=_LINES[1], lw=1.6, ls="--", label="before")
+    axes.fill_between(WAVELENGTHS_NM, reaction.after, color=_LINES[0], alpha=0.12, linewidth=0.0)
+    axes.plot(WAVELENGTHS_NM, reaction.after, color=_LINES[0], lw=1.8, label="after")
+    peaks = _peaks(labs, reaction.contents)
     for (center, name, color), x in zip(peaks, spread([p[0] for p in peaks], 27.0, 206.0, 794.0), strict=True):
-        height = float(np.interp(center, WAVELENGTHS_NM, one.after))
+        height = float(np.interp(center, WAVELENGTHS_NM, reaction.after))
         axes.plot([center, center, x], [height, 1.06, 1.14], color=FAINT, lw=0.8, clip_on=False)
         axes.plot([center], [height], marker="o", ms=6, color=color, mec=INK, mew=0.8, clip_on=False, zorder=5)
         axes.text(x, 1.16, name, rotation=40, ha="left", va="bottom", rotation_mode="anchor", fontsize=8, color=INK)
@@ -437,9 +428,9 @@ def _spectrum(axes: Any, labs: Laboratories, one: _Reaction) -> None:
     axes.grid(alpha=0.25)
     _plain(axes)
     axes.legend(loc="upper right", edgecolor="none", framealpha=1.0)
-    end = "still running" if one.score is None else f"score {one.score:+.3f}"
-    axes.text(0.0, -0.36, f"{one.agent} from tick {one.tick}, goal {one.goal}: {end}", transform=axes.transAxes,
-              fontsize=9, color=SOFT)  # fmt: skip
+    end = "still running" if reaction.score is None else f"score {reaction.score:+.3f}"
+    words = f"{reaction.agent} from tick {reaction.tick}, goal {reaction.goal}: {end}"
+    axes.text(0.0, -0.36, words, transform=axes.transAxes, fontsize=9, color=SOFT)
 
 
 # -- mole balance ------------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """Draw scenes as pictures: shelf, benches, costs and a legend. Uses Pillow; needs no display.
 
-Parts that do not change within an episode (cards, legend, headings) are drawn once and copied. Lengths are in units of
-which 960 x 540 fill a 16:9 picture. Other sizes are scaled; other aspect ratios gain room.
+Parts that do not change within an episode (cards, legend, headings) are drawn once and copied. Lengths are in units:
+a 16:9 picture has 960 x 540 units at any size. With other aspect ratios, the longer side has more units.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _UNITS = (960.0, 540.0)
 _SMALLEST = (480, 270)
 _SMALLEST_VESSEL = 120
 _LARGEST = 8192
-"""Pixels of a side; a picture of this size takes 200 MB."""
+"""Maximum width and height in pixels; a picture of this size takes 200 MB."""
 
 PAGE, CARD, EDGE, TRACK = "#f4f6f8", "#ffffff", "#d5dbe1", "#e4e8ec"
 INK, SOFT, FAINT = "#1b2733", "#56636f", "#7a8793"
@@ -117,7 +117,7 @@ class _Plan:
 
 
 class _Still(NamedTuple):
-    """Constant parts of a scene within an episode, and the picture size: the key of the cached background."""
+    """Parts of a scene that are constant within an episode; with the size, the key of the cached background."""
 
     kind: str
     title: str
@@ -134,8 +134,8 @@ def draw(scene: Scene, width: int = 960, height: int = 540) -> npt.NDArray[np.ui
     """Draw a scene and return it as an array [height, width, 3] of RGB values.
 
     Args:
-        scene: Scene to draw.
-        width, height: Size in pixels; at least 480 x 270, and at most 8192 each.
+        scene: scene to draw.
+        width, height: size in pixels; at least 480 x 270, and at most 8192 each.
 
     Raises:
         ImportError: Pillow is not installed.
@@ -145,7 +145,7 @@ def draw(scene: Scene, width: int = 960, height: int = 540) -> npt.NDArray[np.ui
 
 
 def paint(scene: Scene, width: int = 960, height: int = 540) -> Painting:
-    """Draw a scene as :func:`draw` does, and return also the positions of texts and vessels."""
+    """Draw a scene like :func:`draw`, and return the picture with the positions of texts and vessels."""
     _check_size(width, height, *_SMALLEST)
     still = _Still(
         scene.kind,
@@ -173,8 +173,8 @@ def draw_vessel(scene: Scene, width: int = 240, height: int = 240) -> npt.NDArra
     """Draw a single vessel with a legend of its contents, as an array [height, width, 3] of RGB values.
 
     Args:
-        scene: A scene of :func:`~chemlab.render.scene.vessel_scene`.
-        width, height: Size in pixels; from 120 to 8192 each.
+        scene: scene of :func:`~chemlab.render.scene.vessel_scene`.
+        width, height: size in pixels; from 120 to 8192 each.
 
     Raises:
         ImportError: Pillow is not installed.
@@ -194,7 +194,11 @@ def draw_vessel(scene: Scene, width: int = 240, height: int = 240) -> npt.NDArra
 
 
 def _check_size(width: int, height: int, least_width: int, least_height: int) -> None:
-    """Raise a ValueError if a picture's size in pixels is out of bounds."""
+    """Check a picture's size in pixels.
+
+    Raises:
+        ValueError: the size is out of bounds.
+    """
     if width < least_width or height < least_height or max(width, height) > _LARGEST:
         raise ValueError(
             f"width x height must be at least {least_width} x {least_height}, and at most {_LARGEST} each, "
@@ -244,11 +248,13 @@ def _legend(canvas: Canvas, rows: list[list[MaterialPicture]], left: float, top:
     for i, row in enumerate(rows):
         x, y = left, top + 15.0 * i
         for material in row:
-            _chip(canvas, x, y + 1.5, material)
+            color, name, right = material.color, _legend_name(material), x + _TAG_WIDTH
+            edge = "#" + bytes(int(value * 0.75) for value in _rgb(color)).hex()
+            canvas.card(x, y + 1.5, right, y + 13.5, color, edge, radius=3.0)
+            middle = x + _TAG_WIDTH / 2
+            canvas.text(middle, y + 11.0, material.tag, 9.0, _ink_on(color), "center", room=_TAG_WIDTH - 2.0)
             wide = min(_legend_width(material, canvas.scale), room)
-            canvas.text(
-                x + _TAG_WIDTH + 5.0, y + 11.0, _legend_name(material), 10.0, SOFT, room=wide - _TAG_WIDTH - 15.0
-            )
+            canvas.text(right + 5.0, y + 11.0, name, 10.0, SOFT, room=wide - _TAG_WIDTH - 15.0)
             x += wide
 
 
@@ -337,19 +343,13 @@ def _key(canvas: Canvas, sidebar: _Rect, still: _Still) -> None:
     canvas.text(words, y, "chromatogram (mole fractions)", 10.0, SOFT)
 
 
-def _chip(canvas: Canvas, x: float, y: float, material: MaterialPicture) -> None:
-    canvas.card(x, y, x + _TAG_WIDTH, y + 12.0, material.color, _edge_of(material.color), radius=3.0)
-    canvas.text(
-        x + _TAG_WIDTH / 2, y + 9.5, material.tag, 9.0, _ink_on(material.color), "center", room=_TAG_WIDTH - 2.0
-    )
-
-
 # -- colours ------------------------------------------------------------------------------------------------------
 
 
 @functools.lru_cache(maxsize=512)
 def _rgb(color: str) -> tuple[int, int, int]:
-    return int(color[1:3], 16), int(color[3:5], 16), int(color[5:7], 16)
+    red, green, blue = bytes.fromhex(color[1:])
+    return red, green, blue
 
 
 @functools.lru_cache(maxsize=512)
@@ -357,11 +357,6 @@ def _ink_on(color: str) -> str:
     """Return black or white, whichever has more contrast with a colour."""
     red, green, blue = _rgb(color)
     return INK if 0.299 * red + 0.587 * green + 0.114 * blue > 140 else "#ffffff"
-
-
-@functools.lru_cache(maxsize=512)
-def _edge_of(color: str) -> str:
-    return "#{:02x}{:02x}{:02x}".format(*(int(value * 0.75) for value in _rgb(color)))
 
 
 @functools.lru_cache(maxsize=64)
@@ -516,11 +511,9 @@ class _Painter:
         if slot.origin:
             canvas.text(rect.right - 5.0, rect.top + 12.0, slot.origin, 10.0, SOFT, "right", room=rect.width - 22.0)
         # Space for readings is reserved even without readings, so that all vessels of the shelf have the same scale.
-        measured = _Rect(
-            rect.left + 5.0, rect.bottom - min(_READINGS, 0.26 * rect.height), rect.right - 5.0, rect.bottom
-        )
-        self._readings(slot, measured)
-        self.vessel(vessel, "shelf", _Rect(rect.left + 4.0, rect.top + 15.0, rect.right - 4.0, measured.top), False)
+        bottom = rect.bottom - min(_READINGS, 0.26 * rect.height)
+        self._readings(slot, _Rect(rect.left + 5.0, bottom, rect.right - 5.0, rect.bottom))
+        self.vessel(vessel, "shelf", _Rect(rect.left + 4.0, rect.top + 15.0, rect.right - 4.0, bottom), False)
 
     def _readings(self, slot: SlotPicture, rect: _Rect) -> None:
         """Draw the readings of a slot from the bottom up, as many as fit."""
@@ -642,13 +635,12 @@ class _Painter:
 
     def _solutes(self, vessel: VesselPicture, box: Box, y: int) -> None:
         """Draw a bar of the solutes and solids, by mol."""
-        found = [(self.materials[name], mol) for name, mol in vessel.contents if name in self.materials]
-        solutes = [(material, mol) for material, mol in found if material.role != "solvent"]
-        total = sum(mol for _, mol in solutes)
-        scale = self.canvas.scale
+        contents = [(self.materials[name], mol) for name, mol in vessel.contents if name in self.materials]
+        solutes = [(mol, material.color) for material, mol in contents if material.role != "solvent"]
+        total = sum(mol for mol, _ in solutes)
         if total > 1e-3:
-            parts = [(mol / total, material.color) for material, mol in solutes]
-            height = max(self.canvas.px(4.0), 2)
+            scale, height = self.canvas.scale, max(self.canvas.px(4.0), 2)
+            parts = [(mol / total, color) for mol, color in solutes]
             self.canvas.stack(box.left / scale, y / scale, box.right / scale, (y + height) / scale, parts)
 
     def _camera(self, grey: Sequence[float], box: Box) -> None:
@@ -685,15 +677,14 @@ class _Painter:
             count, room = f"step {bench.step}/{bench.step_limit}", right - left - name - 4.0
             steps = canvas.text(right, rect.top + 16.0, count, 10.0, SOFT, "right", room=room)
             room = right - left - name - steps - 16.0
-            note = words and not tall
-            said = (words, ORANGE) if note else (bench.goal, BLUE)
-            canvas.text(left + name + 8.0, rect.top + 16.0, said[0], 10.0, said[1], room=room)
+            text, color = (words, ORANGE) if words and not tall else (bench.goal, BLUE)
+            canvas.text(left + name + 8.0, rect.top + 16.0, text, 10.0, color, room=room)
             canvas.bar(left, rect.top + 22.0, right, rect.top + 25.0, bench.step / bench.step_limit, BLUE, TRACK)
         elif not bench.vessels:
             y = (rect.top + rect.bottom) / 2
             canvas.text((left + right) / 2, y + 4.0, "idle", 11.0, FAINT, "center")
             return
-        # Space for events is reserved even without events, so that vessels keep their size. A low card has none.
+        # Space for events is reserved even without events, so that vessels keep their size; not in a low card.
         bottom = rect.bottom - (18.0 if tall else 5.0)
         if tall and words:
             canvas.text(left, rect.bottom - 6.0, words, 10.0, ORANGE, room=right - left)

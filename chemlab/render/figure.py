@@ -54,8 +54,7 @@ def check_format(path: Path) -> None:
 
 
 def save_figure(figure: Any, path: Path) -> None:
-    """Write a figure in the format of the path's suffix. An existing file is replaced only when the new one is
-    complete.
+    """Write a figure in the format of the path's suffix; an existing file is replaced when the new one is complete.
 
     Raises:
         ValueError: the format is unknown, or the figure exceeds the largest picture size.

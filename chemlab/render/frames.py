@@ -23,7 +23,7 @@ class Viewer:
 
     Args:
         mode: ``rgb_array`` or ``human``.
-        frames_per_second: Maximum frame rate of a window.
+        frames_per_second: maximum frame rate of a window.
 
     Raises:
         ImportError: Pillow (or pygame, for a window) is not installed; the message names the extra.
@@ -32,13 +32,16 @@ class Viewer:
     def __init__(self, mode: str, frames_per_second: float) -> None:
         self.mode = mode
         self.frames_per_second = frames_per_second
-        self._pygame = _pygame() if mode == "human" else None
+        self._pygame: Any = None
+        if mode == "human":
+            with needs("render_mode='human' needs pygame", "human"):
+                import pygame
+            self._pygame = pygame
         self._window: Any = None
         self._closed = False
 
     def show(self, scene: Scene) -> npt.NDArray[np.uint8] | None:
-        """Return the frame [height, width, 3] in mode ``rgb_array``; show it in the window and return None in
-        ``human``.
+        """Return the frame [height, width, 3] in mode ``rgb_array``; in mode ``human`` show it and return None.
 
         After the user has closed the window, nothing more is shown.
         """
@@ -46,10 +49,11 @@ class Viewer:
         if self._pygame is None:
             return frame
         if not self._closed:
-            self._present(self._pygame, frame, f"chemlab: {scene.title}")
+            self._present(frame, f"chemlab: {scene.title}")
         return None
 
-    def _present(self, pygame: Any, frame: npt.NDArray[np.uint8], title: str) -> None:
+    def _present(self, frame: npt.NDArray[np.uint8], title: str) -> None:
+        pygame = self._pygame
         if self._window is None:
             pygame.display.init()
             self._window = pygame.display.set_mode(_SIZE)
@@ -67,7 +71,7 @@ class Viewer:
         """Close the window; the next frame opens it again."""
         if self._window is not None:
             self._window = None
-            self._pygame.display.quit()  # type: ignore[union-attr]
+            self._pygame.display.quit()
 
     def __reduce__(self) -> tuple[type[Viewer], tuple[str, float]]:
         # The window is not part of the state: a copied or pickled environment gets its own viewer.
@@ -75,13 +79,7 @@ class Viewer:
 
 
 def picture_html(frame: npt.NDArray[np.uint8], name: str) -> str:
-    """Return a picture as an element of a notebook's page."""
+    """Return a picture as an HTML element, for notebooks."""
     data = io.BytesIO()
     Image.fromarray(frame).save(data, "png")
     return f'<img alt="{name}" src="data:image/png;base64,{base64.b64encode(data.getvalue()).decode()}">'
-
-
-def _pygame() -> Any:
-    with needs("render_mode='human' needs pygame", "human"):
-        import pygame
-    return pygame

@@ -1,6 +1,6 @@
 """Turn-by-turn history of a record: observations, actions, consequences, and the start and end of experiments.
 
-Records store actions and hashes. Everything else is recomputed by replaying the actions on the simulator.
+Records store actions and hashes. All other values are recomputed by a replay on the simulator.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ..roles.manager_state import RUNNING
 
 
 class Look(NamedTuple):
-    """The observation of one agent and its action mask."""
+    """Observation and action mask of one agent."""
 
     observation: ObservationArray
     mask: MaskArray | None
@@ -25,7 +25,7 @@ class Look(NamedTuple):
 
 @dataclass(frozen=True)
 class Move:
-    """A turn, or a simultaneous round of several agents, that has just been played."""
+    """A turn, or a simultaneous round of several agents, that was just played."""
 
     number: int
     """number of the turn, from 0"""
@@ -38,12 +38,12 @@ class Move:
     """agents whose action was invalid"""
     rewards: dict[str, float]
     cost: dict[str, float]
-    begun: str
+    started: str
     """agent whose experiment started in this turn, or an empty string"""
     scores: dict[str, float]
     """scores of the experiments that ended in this turn, by agent"""
     last: dict[str, Look] = field(default_factory=dict)
-    """by agent whose experiment ended: its observation after its last action, before the experiment ended"""
+    """observations of agents whose experiment ended, after their last action and before the end of the experiment"""
 
 
 class RecordReplay(Replay):
@@ -79,7 +79,7 @@ class RecordReplay(Replay):
             by_manager = plays[0].agent == labs.manager.index
             lost = tuple(labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0])
             ended = [labs.bench_roles[b].index for b in np.flatnonzero(busy & ~labs.state.busy[:, 0])]
-            begun = np.flatnonzero(~busy & labs.state.busy[:, 0])
+            started = np.flatnonzero(~busy & labs.state.busy[:, 0])
             yield Move(
                 number=number,
                 tick=tick,
@@ -88,7 +88,7 @@ class RecordReplay(Replay):
                 lost=lost,
                 rewards=dict(zip(labs.agents, labs.rewards[0].tolist(), strict=True)),
                 cost=dict(zip(labs.agents, labs.cost[0].tolist(), strict=True)),
-                begun=labs.bench_agents[begun[0]] if len(begun) else "",
+                started=labs.bench_agents[started[0]] if len(started) else "",
                 scores={labs.agents[agent]: float(labs.scores[0, agent]) for agent in ended},
                 last={labs.agents[agent]: self._last_look(before, plays, agent) for agent in ended},
             )
@@ -100,7 +100,7 @@ class RecordReplay(Replay):
     def _last_look(self, before: list[Any], plays: Sequence[Play], agent: int) -> Look:
         """Return the last observation of an agent whose experiment has ended.
 
-        The laboratory itself already shows an idle bench by then, so the turn is replayed up to the agent's action.
+        The bench is idle by then. The turn is therefore replayed up to the agent's action.
         """
         labs = self.laboratories
         after = labs.snapshot()
@@ -111,6 +111,6 @@ class RecordReplay(Replay):
                     role.workplace.act(labs.shelf, role.experiments, labs.members, np.asarray(play.action)[None])
             if play.agent == agent:
                 break
-        seen = self.look(agent)
+        last = self.look(agent)
         labs.restore(after)
-        return seen
+        return last

@@ -1,4 +1,4 @@
-"""Mole balance of an episode: the location of every mole at the start and after each experiment."""
+"""Mole balance of an episode: amounts of all materials by location, at the start and after each experiment."""
 
 from __future__ import annotations
 
@@ -14,11 +14,13 @@ from .history import Move, RecordReplay
 PLACES = ("submitted", "vessels", "stock", "samples", "discarded", "lost")
 """Locations of material.
 
-``vessels`` are all vessels on the shelf and the benches. ``samples`` is material that instruments consumed. ``lost`` is
-material that was spilled or vented.
+``vessels`` are all vessels on the shelf and at the benches. ``samples`` is material that instruments consumed. ``lost``
+is material that was spilled or vented.
 """
 _MOVED = 1e-9
+"""Amount in mol up to which a change is a rounding error."""
 _BALANCED = 1e-9
+"""Largest relative error of a balance."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +69,7 @@ class Balance:
 
 
 class _Account:
-    """Running totals of the material that has left the vessels, by location."""
+    """Totals of the material that has left the vessels so far, by location."""
 
     def __init__(self, labs: Laboratories) -> None:
         self._labs = labs
@@ -77,7 +79,7 @@ class _Account:
         self._last = np.zeros(count)
         """Contents of the vessel whose submission ended the episode; such a vessel is not removed from the shelf."""
 
-    def enter(self, move: Move) -> None:
+    def add(self, move: Move) -> None:
         """Add the material that a move removed from the vessels."""
         labs = self._labs
         kind = move.manager[0] if move.manager else ""
@@ -105,8 +107,8 @@ def mole_balance(record: Record, trust: bool = False) -> Balance:
     """Compute the mole balance at the start, after each experiment and at the end of a record.
 
     Args:
-        record: A record, finished or not.
-        trust: Allow imports of code that the record names.
+        record: a record, finished or not.
+        trust: allow imports of code that the record names.
 
     Raises:
         RecordError: the record cannot be replayed here.
@@ -114,14 +116,14 @@ def mole_balance(record: Record, trust: bool = False) -> Balance:
     """
     replay = RecordReplay(record, trust)
     labs = replay.laboratories
-    books = _Account(labs)
-    inventories = [books.inventory("start")]
+    account = _Account(labs)
+    inventories = [account.inventory("start")]
     for move in replay.moves():
-        books.enter(move)
+        account.add(move)
         if move.scores:
-            inventories.append(books.inventory(", ".join(move.scores)))
-    # Actions after the last experiment (measuring, submitting) count toward the end of the episode.
-    inventories.append(books.inventory("end" if replay.over else "so far"))
+            inventories.append(account.inventory(", ".join(move.scores)))
+    # The last inventory includes the actions after the last experiment, such as measurements and submissions.
+    inventories.append(account.inventory("end" if replay.over else "so far"))
     balance = Balance(labs.shelf.layout.materials, tuple(inventories), tuple(_groups(labs, inventories)))
     balance.check()
     return balance
@@ -131,15 +133,15 @@ def _groups(labs: Laboratories, inventories: list[Inventory]) -> list[Group]:
     """Return the elements of all materials that reacted, then each material that was only moved."""
     totals = np.array([inventory.amounts.sum(axis=0) for inventory in inventories])
     reacted = np.abs(totals - totals[0]).max(axis=0) > _MOVED
-    table = list(labs.scenario.materials.values())
+    materials = list(labs.scenario.materials.values())
     groups = []
-    for element in sorted({element for material in table for element in material.composition}):
-        atoms = np.array([material.composition.get(element, 0.0) for material in table])
+    for element in sorted({element for material in materials for element in material.composition}):
+        atoms = np.array([material.composition.get(element, 0.0) for material in materials])
         if (atoms * reacted).any():
             groups.append(Group(element, True, atoms * reacted))
     stock = PLACES.index("stock")
     for m, name in enumerate(labs.shelf.layout.materials):
         elsewhere = max(float(np.delete(inventory.amounts[:, m], stock).max()) for inventory in inventories)
         if not reacted[m] and elsewhere > _MOVED:
-            groups.append(Group(name, False, (np.arange(len(table)) == m).astype(np.float64)))
+            groups.append(Group(name, False, (np.arange(len(materials)) == m).astype(np.float64)))
     return groups

@@ -1,4 +1,4 @@
-"""A record as a protocol in Markdown: vessels, steps of every agent with what they added, readings, outcome."""
+"""A record as a protocol in Markdown: vessels, actions of every agent, added materials, readings, and the result."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TRACE_MOL = 1e-9
 
 @dataclass
 class _Step:
-    """Equal actions of one agent that follow each other."""
+    """Consecutive equal actions of one agent."""
 
     tick: int
     agent: str
@@ -59,27 +59,28 @@ def protocol(record: Record, trust: bool = False) -> str:
         for play in move.plays:
             agent, words = labs.agents[play.agent], action_words(labs, play.agent, play.action)
             step = latest.get(agent)
-            if step is None or step.words != words or move.manager or move.begun == agent:
+            if step is None or step.words != words or move.manager or move.started == agent:
                 step = latest[agent] = _Step(move.tick, agent, words)
                 steps.append(step)
             step.times += 1
             step.after = _after(labs, move, agent)
         used, stock = stock - labs.shelf.stock[0], labs.shelf.stock[0].copy()
         if used.max() > _TRACE_MOL:
-            if len(move.plays) > 1:  # in a round, the stock does not tell who has taken what
-                steps.append(_Step(move.tick, "benches", "all have acted", 1))
-            taker = steps[-1] if len(move.plays) > 1 else latest[labs.agents[move.plays[0].agent]]
-            taken = np.flatnonzero(used > _TRACE_MOL).tolist()
-            taker.added.update({labs.shelf.layout.materials[i]: float(used[i]) for i in taken})
+            step = latest[labs.agents[move.plays[0].agent]]
+            if len(move.plays) > 1:  # in a round, the stock does not show which agent used a material
+                step = _Step(move.tick, "benches", "all have acted", 1)
+                steps.append(step)
+            for i in np.flatnonzero(used > _TRACE_MOL).tolist():
+                step.added[labs.shelf.layout.materials[i]] += used[i].item()
     lines += ["", "## Procedure", "", *(step.line() for step in steps), "", "## Result", ""]
     lines += [f"- score {float(labs.result(labs.members)[0]):.4f}, after {int(labs.state.ticks[0])} ticks"]
     lines += [f"- cost of {item}: {cost:.4g}" for item, cost in labs.costs().items() if cost]
-    # Names and texts of a record may hold HTML and links, which a reader of Markdown would follow.
+    # Escape HTML and links in names and texts of the record, which a viewer of Markdown would interpret.
     return "\n".join(lines).replace("<", "&lt;").replace("](", "]\\(") + "\n"
 
 
 def _after(labs: Laboratories, move: Move, agent: str) -> str:
-    """Describe what followed from an action: a reading, or the vessel at the bench."""
+    """Describe the consequence of an action: a reading, a score, or the state of the vessel at the bench."""
     if agent in move.lost:
         return " Invalid: it had no effect."
     if move.manager and move.manager[0] == "measure":
@@ -89,7 +90,5 @@ def _after(labs: Laboratories, move: Move, agent: str) -> str:
         return f" The experiment is over: {move.scores[agent]:+.3f}."
     if move.manager or agent not in labs.bench_agents:
         return ""
-    bench = labs.bench_agents.index(agent)
-    before = sum(len(role.workplace.positions) for role in labs.bench_roles[:bench])
-    vessel = labs.shelf.vessel(0, labs.scenario.shelf.slots + before)
+    vessel = labs.shelf.vessel(0, labs.bench_roles[labs.bench_agents.index(agent)].first_position)
     return f" Then {float(vessel.row[TEMPERATURE]):.1f} K, {vessel.volume_l:.3f} L."

@@ -1,8 +1,8 @@
 """A record as an interactive page: one self-contained HTML file that makes no network requests.
 
-The record is replayed on the simulator, so that records stay small. The page draws the scenes of
-:mod:`chemlab.render.scene`. Scenes change little between turns: the page stores every distinct part once
-(:class:`_Pool`), and a frame refers to its parts, so that any frame can be shown without the earlier ones.
+The record is replayed on the simulator, and the page draws the scenes of :mod:`chemlab.render.scene`. Scenes change
+little between turns. The page therefore stores every distinct part once (:class:`_Pool`), and a frame refers to its
+parts. Any frame can be shown without the earlier ones.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ _DIGITS = 4
 _LONG = 30
 """Lists of numbers in [0, 1] of at least this length (spectra, pictures) are stored in thousandths."""
 _STATIC = ("kind", "scenario", "title", "materials", "largest_capacity_l", "temperature_range_k", "costs", "result")
-"""Keys that frames omit: constant in all frames, or stored as columns of numbers."""
+"""Keys that frames omit, because they are constant or stored as columns of numbers."""
 _INLINE = 3
-"""Longest tuple that is not an entry of the pool."""
+"""Longest tuple that is stored inline instead of as an entry of the pool."""
 MOST_TURNS = 20_000
 """Maximum number of turns of a page; browsers cannot show longer ones."""
 
@@ -63,7 +63,7 @@ class _Pool:
         self._now: dict[Any, Any] = {}
 
     def frame(self, parts: Mapping[str, Any]) -> Any:
-        """Return the packed form of a frame; pictures that the frame before had, too, cost next to nothing."""
+        """Return the packed form of a frame; the packed forms of the previous frame's pictures are reused."""
         self._before, self._now = self._now, {}
         return self._object(tuple(parts), parts.values())
 
@@ -108,7 +108,7 @@ class _Pool:
 
 @functools.cache
 def _keys(kind: type) -> tuple[str, ...] | None:
-    """Return the names of a picture's parts; nothing for a tuple, and None for a number or a text."""
+    """Return the field names of a type of picture; an empty tuple for tuples, and None for numbers and texts."""
     if dataclasses.is_dataclass(kind):
         return tuple(field.name for field in dataclasses.fields(kind))
     return () if kind is tuple else None
@@ -125,30 +125,29 @@ def _outcome(labs: Laboratories, turn: dict[str, Any], plays: Sequence[Play]) ->
     reading = turn.get("reading")
     if reading:
         words.append(reading_words(labs, reading["slot"], reading["instrument"]))
-    if _managed(labs, plays) == "submit" and not turn.get("lost"):
+    if _manager_kind(labs, plays) == "submit" and not turn.get("lost"):
         order = int(labs.actions.table[int(plays[0].action), SECOND])
         mol, purity = labs.state.submitted[0, order].tolist()
         words.append(f"{mol:.3f} mol {labs.scenario.goals[labs.state.goal[0, order]]} at purity {purity:.3f}")
     return "; ".join(words)
 
 
-def _managed(labs: Laboratories, plays: Sequence[Play]) -> str:
-    """Kind of the manager's action; nothing where benches have acted."""
+def _manager_kind(labs: Laboratories, plays: Sequence[Play]) -> str:
+    """Return the kind of the manager's action; an empty text if benches acted."""
     return str(labs.actions.decode(int(plays[0].action))[0]) if plays[0].agent == labs.manager.index else ""
 
 
 def _materials(labs: Laboratories, scene: Scene) -> list[dict[str, Any]]:
-    """Return the legend and the materials' absorption spectra."""
-    found = []
-    for picture in scene.materials:
-        material = labs.scenario.materials[picture.name]
-        peaks = [[peak.height_l_mol, peak.center_nm, peak.width_nm] for peak in material.absorption]
-        found.append({**vars(picture), "peaks": peaks})
-    return found
+    """Return the legend with the peaks [height in L/mol, center in nm, width in nm] of each material's spectrum."""
+    absorption = {picture.name: labs.scenario.materials[picture.name].absorption for picture in scene.materials}
+    return [
+        {**vars(picture), "peaks": [[p.height_l_mol, p.center_nm, p.width_nm] for p in absorption[picture.name]]}
+        for picture in scene.materials
+    ]
 
 
 class _Call(BaseModel):
-    """A line of a transcript: a call of a language agent, and the reply."""
+    """A line of a transcript: a call by a language agent, and the reply."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -160,14 +159,18 @@ class _Call(BaseModel):
     error: bool
 
     def words(self) -> list[Any]:
-        """Turn, agent, call, reason, reply, and whether it was refused."""
+        """Return turn, agent, call, reason, reply, and whether the call was rejected."""
         given = {name: value for name, value in self.arguments.items() if name != "reason"}
         call = f"{self.verb} {' '.join(f'{name}={value}' for name, value in given.items())}".strip()
         return [self.at, self.agent, call, str(self.arguments.get("reason", "")), self.text, self.error]
 
 
 def _calls(record: Record) -> list[list[Any]]:
-    """The calls of the transcript beside a record; empty where there is none."""
+    """Return the calls of the transcript beside a record; an empty list without a transcript.
+
+    Raises:
+        RecordError: the file cannot be read, or is not a transcript.
+    """
     path = record.path.with_name(record.path.name.partition(".")[0] + ".transcript.jsonl")
     if not path.is_file():
         return []
@@ -178,14 +181,14 @@ def _calls(record: Record) -> list[list[Any]]:
     try:
         return [_Call.model_validate_json(line).words() for line in lines]
     except ValueError as error:
-        raise RecordError(f"{path}: is no transcript; move it away, or restore it") from error
+        raise RecordError(f"{path}: is not a transcript; move it away, or restore it") from error
 
 
 class Film:
-    """The scenes of an episode as a page shows them: the beginning, and one after every turn.
+    """The scenes of an episode as data of a page: one at the beginning, and one after every turn.
 
     Args:
-        laboratories: one laboratory after its reset; it is not changed.
+        laboratories: a single laboratory after its reset; it is not changed.
     """
 
     def __init__(self, laboratories: Laboratories) -> None:
@@ -215,23 +218,22 @@ class Film:
         """Add the scene after a turn.
 
         Args:
-            tick: when the turn began.
-            plays: what was played in it, in the agents' order.
+            tick: laboratory tick before the turn.
+            plays: the actions, in the agents' order.
         """
         labs, number, turn = self._labs, len(self._turns) + 1, _turn(self._labs, plays)
-        shown = [[play.agent, action_words(labs, play.agent, play.action)] for play in plays]
-        kind, outcome = _managed(labs, plays), _outcome(labs, turn, plays)
-        self._turns.append({"tick": tick, "plays": shown, "kind": kind, "outcome": outcome, **turn})
+        actions = [[play.agent, action_words(labs, play.agent, play.action)] for play in plays]
+        kind, outcome = _manager_kind(labs, plays), _outcome(labs, turn, plays)
+        self._turns.append({"tick": tick, "plays": actions, "kind": kind, "outcome": outcome, **turn})
         scene = laboratory_scene(labs, camera=self._camera)
         for agent, score in turn.get("scores", {}).items():
             if agent in self._running:
                 self._running.pop(agent).update(end=number, score=score)
         for bench in scene.benches:
-            agent = bench.agent
-            if bench.busy and agent not in self._running:
-                began = {"agent": agent, "start": number, "end": None, "goal": bench.goal, "score": None}
-                self._running[agent] = began
-                self._experiments.append(began)
+            if bench.busy and bench.agent not in self._running:
+                new = {"agent": bench.agent, "start": number, "end": None, "goal": bench.goal, "score": None}
+                self._running[bench.agent] = new
+                self._experiments.append(new)
         self._show(scene)
 
     @property
@@ -240,7 +242,7 @@ class Film:
         return len(self._results) - 1
 
     def still(self) -> dict[str, Any]:
-        """Return the parts that do not change in the episode."""
+        """Return the data that are constant during the episode."""
         labs, scene, table = self._labs, self._first, self._labs.instruments
         scenario = labs.scenario
         return {
@@ -266,45 +268,50 @@ class Film:
                 *(f"{role.name}.{place}" for role in labs.bench_roles for place in role.workplace.positions),
             ],
             "cost_items": list(COST_ITEMS),
-            "hidden": _hidden(labs.worlds.values(0)) if labs.worlds.active else [],
+            "hidden": _world_rows(labs.worlds.values(0)) if labs.worlds.active else [],
         }
 
     def since(self, turns: int = -1, shapes: int = 0, pool: int = 0) -> dict[str, Any]:
-        """Return all that was added after so many turns, shapes and entries of the pool, and all experiments.
+        """Return the data that were added after a number of turns, and all experiments.
 
-        It may be called while another thread adds a turn, of which nothing is shown before it is complete.
+        Another thread may add a turn meanwhile; a turn is returned only when it is complete.
+
+        Args:
+            turns: number of turns that the page already has; -1 if it does not have the beginning.
+            shapes, pool: numbers of shapes and entries of the pool that the page already has.
         """
-        whole = self.turns
+        complete = self.turns
         return {
-            "turns": self._turns[max(turns, 0) : whole],
-            "frames": self._frames[turns + 1 : whole + 1],
-            "costs": self._costs[turns + 1 : whole + 1],
-            "results": self._results[turns + 1 : whole + 1],
-            "experiments": [dict(one) for one in self._experiments],
+            "turns": self._turns[max(turns, 0) : complete],
+            "frames": self._frames[turns + 1 : complete + 1],
+            "costs": self._costs[turns + 1 : complete + 1],
+            "results": self._results[turns + 1 : complete + 1],
+            "experiments": [dict(experiment) for experiment in self._experiments],
             "shapes": self._pool.shapes[shapes:],
             "pool": self._pool.entries[pool:],
         }
 
 
-def _hidden(values: dict[str, Any]) -> list[list[str]]:
-    """Hidden parameters as rows of name and value."""
-    return [
-        [name if len(own) == 1 else f"{name}, {target}", f"{value:.4g}" if isinstance(value, float) else str(value)]
-        for name, one in values.items()
-        for own in [one if isinstance(one, dict) else {"": one}]
-        for target, value in own.items()
-    ]
+def _world_rows(draws: dict[str, Any]) -> list[list[str]]:
+    """Return hidden parameters as rows of name and value."""
+    rows = []
+    for name, drawn in draws.items():
+        targets = drawn if isinstance(drawn, dict) else {"": drawn}
+        for target, value in targets.items():
+            label = name if len(targets) == 1 else f"{name}, {target}"
+            rows.append([label, f"{value:.4g}" if isinstance(value, float) else str(value)])
+    return rows
 
 
 def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
     """Return the data of the replay page as JSON data; ``replay.html`` reads it.
 
     Args:
-        record: A record, finished or not. A transcript beside it (``NAME.transcript.jsonl``) is shown with it.
-        trust: Allow imports of code that the record names.
+        record: a record, finished or not. The calls of a transcript beside it (``NAME.transcript.jsonl``) are included.
+        trust: allow imports of code that the record names.
 
     Raises:
-        RecordError: the record cannot be replayed here, or the file beside it is no transcript.
+        RecordError: the record cannot be replayed here, or its transcript cannot be read.
     """
     replay = Replay(record, trust)
     film, stopped = Film(replay.laboratories), ""
@@ -315,7 +322,7 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
         except (ValueError, TypeError) as error:
             stopped = str(error)
             break
-        film.add(tick, plays)  # from the replayed turn, not from the file
+        film.add(tick, plays)  # consequences are those of the replay, not of the file
     verified = verify_record(record, trust=trust)
     return {
         **film.still(),
@@ -330,23 +337,23 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
 
 
 def _turn(labs: Laboratories, plays: Sequence[Play]) -> dict[str, Any]:
-    """Return the non-empty rewards, costs, events and scores of the turn just played."""
-    found = turn_facts(labs, 0, plays)
-    for key in {"rewards", "cost", "scores"} & found.keys():
-        found[key] = {agent: float(f"{value:.6g}") for agent, value in found[key].items()}
-    if _managed(labs, plays) and "lost" not in found:
+    """Return the non-empty rewards, costs, events and scores of the turn that was just played."""
+    facts = turn_facts(labs, 0, plays)
+    for key in {"rewards", "cost", "scores"} & facts.keys():
+        facts[key] = {agent: float(f"{value:.6g}") for agent, value in facts[key].items()}
+    if _manager_kind(labs, plays) and "lost" not in facts:
         kind, *arguments = labs.actions.decode(int(plays[0].action))
         if kind == "measure":
-            found["reading"] = {"slot": arguments[0], "instrument": arguments[1]}
+            facts["reading"] = {"slot": arguments[0], "instrument": arguments[1]}
         if kind in ("start", "measure", "discard", "submit"):
-            found["slot"] = arguments[1] if kind == "start" else arguments[0]
-    return found
+            facts["slot"] = arguments[1] if kind == "start" else arguments[0]
+    return facts
 
 
 def replay_page(record: Record, trust: bool = False) -> str:
     """Return the complete replay page as HTML.
 
-    Arguments and errors are those of :func:`replay_data`. Records with too many turns raise :class:`RecordError`.
+    Arguments and errors are those of :func:`replay_data`; a record with too many turns also raises RecordError.
     """
     if len(record.turns) > MOST_TURNS:
         raise RecordError(f"{record.path}: has {len(record.turns)} turns; a page may have {MOST_TURNS}")
@@ -354,7 +361,7 @@ def replay_page(record: Record, trust: bool = False) -> str:
 
 
 def comparison_page(records: Sequence[Record], trust: bool = False) -> str:
-    """Return the replay pages of several records beside each other; a turn chosen in one sets the clock of all."""
+    """Return the replay pages of several records side by side; the choice of a turn in one sets the clock of all."""
     pages = [replay_page(record, trust) for record in records]
     frames = {
         f"{number}: {record.path.stem}": f'srcdoc="{html.escape(page)}"'
@@ -365,11 +372,11 @@ def comparison_page(records: Sequence[Record], trust: bool = False) -> str:
 
 
 def side_by_side(frames: Mapping[str, str], policy: str) -> str:
-    """Return a page of frames beside each other; on a narrow screen they stand below each other.
+    """Return a page of frames side by side; on a narrow screen they are below each other.
 
     Args:
-        frames: by title, the attribute of a frame that names or holds its page.
-        policy: the page's content security policy.
+        frames: the attribute ``src`` or ``srcdoc`` of each frame, by title.
+        policy: content security policy of the page.
     """
     inner = "".join(f'<iframe {page} title="{html.escape(title)}"></iframe>' for title, page in frames.items())
     style = (
@@ -385,23 +392,23 @@ def side_by_side(frames: Mapping[str, str], policy: str) -> str:
 
 
 def filled_page(name: str, data: Mapping[str, Any], connect: str = "'none'") -> str:
-    """A page of this folder with its data.
+    """Return a page of this folder with its data.
 
-    ``page.html`` has what all pages share; the page's own file has its style, its body and its script.
+    ``page.html`` has the parts that all pages share; the page's file has its style, body and script.
 
     Args:
         name: file name of the page.
-        data: JSON data; ``title``, and ``seed`` where there is one, are the page's title.
-        connect: what the page's script may connect to, as a source of a content security policy.
+        data: JSON data; ``title`` and an optional ``seed`` make the page's title.
+        connect: permitted connections of the page's script, as a source of a content security policy.
     """
     # Only "</" and "<!--" are special in a script element; JSON can escape "<".
     text = json.dumps(data, separators=(",", ":"), ensure_ascii=False).replace("<", "\\u003c")
-    page, own = (files("chemlab.render").joinpath(file).read_text(encoding="utf-8") for file in ("page.html", name))
-    body = own.partition("</style>\n")[2].partition("<script>")[0]
-    parts = {"CONNECT": connect, "STYLE": _element(own, "style"), "BODY": body, "SCRIPT": _element(own, "script")}
+    page, file = (files("chemlab.render").joinpath(path).read_text(encoding="utf-8") for path in ("page.html", name))
+    body = file.partition("</style>\n")[2].partition("<script>")[0]
+    parts = {"CONNECT": connect, "STYLE": _element(file, "style"), "BODY": body, "SCRIPT": _element(file, "script")}
     for mark, part in parts.items():
         page = page.replace(f"__{mark}__", part)
-    # The content security policy restricts the browser to this page's script, whatever the data contain.
+    # The content security policy lets the browser run this page's script only, so that the data cannot add code.
     for mark, element in (("__SCRIPT_HASH__", "script"), ("__STYLE_HASH__", "style")):
         page = page.replace(mark, _content_hash(page, element))
     head, tail = page.split("__DATA__")

@@ -1,13 +1,13 @@
-"""Scenes: plain data that describe a picture of a laboratory. They are read from the state arrays without changing
-them.
+"""Scenes: plain data that describe a picture of a laboratory, read from the state arrays.
 
 A :class:`Scene` contains the true state. Agents observe only ``BenchPicture.seen`` and ``SlotPicture.readings``;
-:func:`visible_scene` keeps what a person in the laboratory would see. Pictures and pages are drawn from scenes only.
+:func:`visible_scene` removes the properties that only a measurement can show. Pictures and pages are drawn from scenes
+only.
 
 Layers have true proportions. ``VesselPicture.layers`` lists them with their volumes from the bottom up; the rest of the
-vessel is air. If the contents are not separated, ``VesselPicture.mixture`` holds the share of every liquid in equal
-slices of the liquid, bottom first. It is the profile of the layer camera with the air moved to the top. Fill level and
-liquid volumes are therefore true in a stirred vessel as well, where the camera itself sees air at all heights.
+vessel is air. If the contents are not separated, ``VesselPicture.mixture`` has the share of every liquid in equal
+slices of the liquid, bottom first. It is the profile of the layer camera with the air moved to the top, because in a
+stirred vessel the camera shows air at all heights. Fill level and liquid volumes are therefore true as well.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from ..physics.chemistry import AMOUNTS, PRESENT, ROLE_GAS, ROLE_ION, ROLE_SOLID
 from ..physics.constants import FIRST_PHASE, SOLIDS
 from ..physics.shelf import Shelf
 from ..physics.stratification import profile
-from ..roles.bench import CAMERA_PIXELS, Bench, Experiments
+from ..roles.bench import CAMERA_PIXELS, Bench, Experiments, channel_slices
 from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
 from ..roles.manager_view import shown_share
 
@@ -47,24 +47,24 @@ EVENT_WORDS = {
 }
 """Safety events in words, and the units of their amounts."""
 _UNKNOWN = ("#b9cbd8", "#dbe6ee", "#c9d3bf", "#e6dfcf")
-"""Colours of layers whose materials are not known, from the bottom up."""
+"""Colours of layers of unknown materials, from the bottom up."""
 _SHOWN_MOL = 5e-6
 """Amount in mol below which a material is not drawn."""
 
 
 def event_words(kind: str, amount: float) -> tuple[str, str]:
-    """A safety event in words, and its amount with its unit."""
+    """Return a safety event in words, and its amount with its unit."""
     words, unit = EVENT_WORDS.get(kind, (kind.replace("_", " "), ""))
     return words, f"{amount:.3g}{unit}"
 
 
 @dataclass(frozen=True)
 class MaterialPicture:
-    """One line of the legend. Colours are the materials' own and colour-blind safe; tags are unique."""
+    """A material in the legend, with its colour and a unique tag."""
 
     name: str
     tag: str
-    """at most 4 letters that represent the material in a picture"""
+    """abbreviation of at most 4 characters"""
     color: str
     """#rrggbb"""
     role: str
@@ -75,7 +75,7 @@ class LayerPicture:
     """One layer of a vessel."""
 
     material: str
-    """the solvent, or the material of the layer"""
+    """solvent of a liquid layer, or material of a solid one; empty if unknown"""
     phase: str
     """``solid`` (at the bottom) or ``liquid``"""
     volume_l: float
@@ -93,7 +93,7 @@ class VesselPicture:
     volume_l: float
     """volume in litres of the contents without air"""
     temperature_k: float | None
-    """None if nothing shows it"""
+    """None if it is not visible"""
     settling: float
     """0 when fully mixed, 1 when separated"""
     layers: tuple[LayerPicture, ...]
@@ -132,8 +132,7 @@ class SlotPicture:
     reserved_for: str | None
     """bench agent for whose vessel the slot is reserved, or None"""
     origin: str
-    """last bench of the vessel and its position there: ``ext EV``, or ``rxn`` for benches of one vessel; empty if none
-    """
+    """last bench of the vessel and its position at the bench: ``ext EV``, or ``rxn`` for benches of one vessel"""
     readings: tuple[ReadingPicture, ...]
 
 
@@ -173,22 +172,22 @@ class BenchPicture:
 
 @dataclass(frozen=True)
 class OrderPicture:
-    """One order of the laboratory; without terms, it is there from the beginning and has no deadline."""
+    """An order of the laboratory; without terms, it arrives at the beginning and has no deadline."""
 
     goal: str
     filled: bool
     submitted_mol: float
     purity: float
     arrives: int = 0
-    """tick at which agents learn of it"""
+    """tick at which agents can first observe the order"""
     due: int | None = None
-    """last tick at which it is paid in full"""
+    """last tick at which the order is paid in full"""
     price: float = 1.0
     amount_at_least_mol: float = 0.0
     purity_at_least: float = 0.0
 
     def state(self, ticks: int) -> str:
-        """``to come``, ``open``, ``overdue`` or ``filled``."""
+        """Return ``to come``, ``open``, ``overdue`` or ``filled``."""
         if self.filled:
             return "filled"
         if ticks < self.arrives:
@@ -210,9 +209,7 @@ class Scene:
     """A laboratory, a single bench or a single vessel (``kind``) at one time; see the module's documentation."""
 
     kind: str
-    """``laboratory``, ``bench`` or ``vessel``; a bench has no shelf, orders, costs or manager, and a vessel has no
-    bench either
-    """
+    """``laboratory``, ``bench`` (without shelf, orders, costs and manager) or ``vessel`` (also without a bench)"""
     scenario: str
     title: str
     status: str
@@ -245,10 +242,7 @@ class Scene:
 
 
 def _tags(names: Iterable[str]) -> dict[str, str]:
-    """Return a short unique tag for every name.
-
-    A short name is its own tag. Otherwise the tag is made of the initials of the name's parts, longer if already taken.
-    """
+    """Return a short unique tag for every name: a short name itself, else the initials of its parts with variations."""
     tags: dict[str, str] = {}
     for name in sorted(names, key=len):
         parts = re.findall(r"\d|[A-Za-z]+", name) or [name]
@@ -269,11 +263,11 @@ def material_pictures(scenario: Scenario) -> tuple[MaterialPicture, ...]:
 
 
 class Camera:
-    """Makes pictures of the vessels of one shelf; a vessel that has not changed keeps its picture.
+    """Makes the pictures of one shelf's vessels; the picture of an unchanged vessel is reused.
 
     Args:
-        scenario: of the shelf.
-        shelf: with the vessels.
+        scenario: scenario of the shelf.
+        shelf: the shelf.
     """
 
     def __init__(self, scenario: Scenario, shelf: Shelf) -> None:
@@ -281,7 +275,6 @@ class Camera:
         columns = shelf.layout.fluid_columns
         self.colors = [material.color.lower() for material in scenario.materials.values()]
         self._scales: dict[int, tuple[float, tuple[float, float]]] = {}
-        self._solvents = set(self.known.solvents.tolist())
         self._latest: dict[tuple[int, int], tuple[bytes, VesselPicture]] = {}
         self._layers: IntArray = np.zeros(columns + 1, dtype=np.int64)
         self._shares: FloatArray = np.zeros((columns, CAMERA_PIXELS))
@@ -290,15 +283,21 @@ class Camera:
     def take(
         self, member: int, place: int, position: str, experiments: Experiments | None = None, role: int = 0
     ) -> VesselPicture | None:
-        """Return the picture of the vessel at ``place``, which is vessel ``role`` of ``experiments``; None if there is
-        none.
+        """Return the picture of a vessel, or None if the position is empty.
+
+        Args:
+            member: environment index.
+            place: position of the vessel in the shelf's arrays.
+            position: name of the position.
+            experiments: experiments of the vessel's bench.
+            role: index of the vessel at the bench.
         """
         row = self.shelf.vessels[member, place]
         if not row[PRESENT] > 0.0:
             return None
         image: FloatArray = np.zeros(0)
         if experiments is not None and hasattr(experiments, "image") and experiments.layers[member, role, 0] > 0:
-            # The bench's own layers, because a separation model may have computed them.
+            # Use the bench's layers, because a separation model may have computed them.
             layers, shares, image = (
                 experiments.layers[member, role],
                 experiments.profile[member, role],
@@ -344,6 +343,7 @@ class Camera:
         columns = shares[:count]
         volumes = columns.sum(axis=1) * (total_l / columns.shape[1])
         kinds = layers[1 : 1 + count]
+        wet = not set(chem.solvents.tolist()).isdisjoint(kinds.tolist())
         liquids = [c for c in range(count) if kinds[c] != SOLIDS and kinds[c] != chem.air and volumes[c] > 0.0]
         listed = []
         if kinds[0] == SOLIDS and volumes[0] > 0.0:
@@ -353,7 +353,7 @@ class Camera:
                 # Without a solvent, ions are shown as solid salt.
                 if self.shelf.layout.most_layers and chem.dissolved_at[i] >= 0:
                     mol = max(mol - float(self._dissolved(row)[chem.dissolved_at[i]].sum()), 0.0)  # undissolved
-                elif chem.role[i] != ROLE_SOLID and (chem.role[i] != ROLE_ION or self._wet(kinds)):
+                elif chem.role[i] != ROLE_SOLID and (chem.role[i] != ROLE_ION or wet):
                     continue
                 if mol > _SHOWN_MOL:
                     solids.append((float(chem.density[i]), i, mol * float(chem.molar_volume[i])))
@@ -377,9 +377,6 @@ class Camera:
         color = "#" + bytes(np.rint(mixed).astype(np.uint8).tolist()).hex()
         return LayerPicture(self.shelf.layout.solvents[phase], "liquid", volume_l, color)
 
-    def _wet(self, kinds: IntArray) -> bool:
-        return not self._solvents.isdisjoint(kinds.tolist())
-
     def _layer(self, material: int, phase: str, volume_l: float) -> LayerPicture:
         return LayerPicture(self.shelf.layout.materials[material], phase, volume_l, self.colors[material])
 
@@ -401,15 +398,9 @@ def _mixture(shares: FloatArray) -> tuple[tuple[float, ...], ...]:
 
 
 def _seen(bench: Bench, observation: Any) -> tuple[ChannelPicture, ...]:
-    pictures, start = [], 0
-    for channel in bench.channels:
-        values = observation[start : start + channel.size]
-        start += channel.size
-        if channel.name != "goal":
-            pictures.append(
-                ChannelPicture(channel.name, channel.unit, channel.low, channel.high, tuple(values.tolist()))
-            )
-    return tuple(pictures)
+    values = {name: tuple(observation[part].tolist()) for name, part in channel_slices(bench.channels).items()}
+    channels = [channel for channel in bench.channels if channel.name != "goal"]
+    return tuple(ChannelPicture(c.name, c.unit, c.low, c.high, values[c.name]) for c in channels)
 
 
 def _events(row: FloatArray, scenario: Scenario) -> tuple[tuple[str, float], ...]:
@@ -479,18 +470,17 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
     """Return the scene of one laboratory.
 
     Args:
-        laboratories: Laboratories after a reset; they are not changed.
-        member: Environment index.
-        camera: of the laboratories' shelf, which has the pictures of earlier scenes.
+        laboratories: laboratories after a reset; they are not changed.
+        member: environment index.
+        camera: camera of the laboratories' shelf, which reuses pictures of earlier scenes.
     """
     labs, state, scenario = laboratories, laboratories.state, laboratories.scenario
     camera = camera or Camera(scenario, labs.shelf)
     status, turn = int(state.status[member]), labs.turn(member)
     running = status == RUNNING
-    slots = scenario.shelf.slots
     costs = labs.costs(member)
     result = float(labs.result(np.array([member]))[0])
-    if running and scenario.demand.feedback != 0.0:  # what the submissions are worth is not known yet
+    if running and scenario.demand.feedback != 0.0:  # the pay of submissions is not known yet
         result = -sum(costs.values())
     largest, temperatures = camera.scales(labs.benches, member)
     return Scene(
@@ -510,7 +500,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
         safety=_events(labs.safety_totals[member], labs.scenario),
         stock=_stock(scenario, labs.shelf, member),
         waste_l=_waste_l(labs.shelf, member),
-        shelf=tuple(_slot(labs, camera, member, s) for s in range(slots)),
+        shelf=tuple(_slot(labs, camera, member, s) for s in range(scenario.shelf.slots)),
         benches=tuple(
             _bench(
                 camera,
@@ -529,12 +519,11 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
 
 
 def _orders(labs: Laboratories, member: int) -> tuple[OrderPicture, ...]:
-    state, told = labs.state, labs.feedback(member)
+    state, feedback = labs.state, labs.feedback(member)
     pictures = []
     for o, goal in enumerate(state.goal[member]):
-        picture = OrderPicture(
-            labs.scenario.goals[goal], bool(state.filled[member, o]), float(told[o, 0]), float(told[o, 1])
-        )
+        mol, purity = feedback[o].tolist()
+        picture = OrderPicture(labs.scenario.goals[goal], bool(state.filled[member, o]), mol, purity)
         if state.terms.shape[1]:
             arrives, within, price, amount, purity = state.terms[member, o].tolist()
             picture = dataclasses.replace(
@@ -577,18 +566,19 @@ def _slot(labs: Laboratories, camera: Camera, member: int, s: int) -> SlotPictur
 
 
 def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
-    """A scene without what only a measurement would tell: materials of layers, solutes, temperatures on the shelf,
-    fill levels beyond their resolution, and orders that have not arrived. Where the scenario has no hidden parameters,
-    the scene as it is.
+    """Return a scene without properties that agents can only measure.
+
+    These are the materials of layers, solutes, temperatures on the shelf, and fill levels beyond their resolution.
+    Orders that have not arrived are removed, too. Without hidden parameters, the scene is returned unchanged.
 
     Args:
-        scene: with the true contents.
-        scenario: of the scene.
+        scene: scene with the true contents.
+        scenario: scenario of the scene.
     """
     if not scenario.world.draws:
         return scene
     shelf = tuple(
-        slot if slot.vessel is None else dataclasses.replace(slot, vessel=_closed(slot.vessel, scenario.shelf.gauge))
+        slot if slot.vessel is None else dataclasses.replace(slot, vessel=_opaque(slot.vessel, scenario.shelf.gauge))
         for slot in scene.shelf
     )
     benches = tuple(_visible_bench(bench) for bench in scene.benches)
@@ -596,8 +586,8 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
     return dataclasses.replace(scene, orders=orders, shelf=shelf, benches=benches)
 
 
-def _closed(vessel: VesselPicture, resolution: float) -> VesselPicture:
-    """A vessel of which nothing shows but its fill level."""
+def _opaque(vessel: VesselPicture, resolution: float) -> VesselPicture:
+    """Return a vessel of which only the fill level is visible."""
     volume = shown_share(vessel.volume_l / vessel.capacity_l, resolution) * vessel.capacity_l
     layers = (LayerPicture("", "liquid", volume, _UNKNOWN[0]),) if volume > 0.0 else ()
     return dataclasses.replace(
@@ -606,9 +596,9 @@ def _closed(vessel: VesselPicture, resolution: float) -> VesselPicture:
 
 
 def _visible_bench(bench: BenchPicture) -> BenchPicture:
-    """A bench whose vessels show their layers, but not of what; before its agent's first turn, nothing of them."""
+    """Return a bench whose vessels show layers of unknown materials, and before the agent's first turn only volumes."""
     if bench.busy and bench.step == 0 and not bench.turn:
-        return dataclasses.replace(bench, vessels=tuple(_closed(vessel, 0.0) for vessel in bench.vessels), seen=())
+        return dataclasses.replace(bench, vessels=tuple(_opaque(vessel, 0.0) for vessel in bench.vessels), seen=())
     vessels = tuple(
         dataclasses.replace(
             vessel,
@@ -627,8 +617,8 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
     """Return the scene of one experiment on a single bench.
 
     Args:
-        batch: Batch of experiments of a :class:`chemlab.envs.role_env.RoleEnv` after a reset; it is not changed.
-        member: Environment index.
+        batch: batch of experiments of a :class:`chemlab.envs.role_env.RoleEnv` after a reset; it is not changed.
+        member: environment index.
     """
     scenario, shelf, experiments = batch.scenario, batch.shelf, batch.experiments
     picture = _bench(
@@ -660,11 +650,11 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
 
 
 def vessel_scene(scenario: Scenario, shelf: Shelf) -> Scene:
-    """Return the scene of a single vessel of a :class:`chemlab.sandbox.Flask`; nothing is changed.
+    """Return the scene of a :class:`chemlab.sandbox.Flask`.
 
     Args:
-        scenario: Scenario whose materials are listed.
-        shelf: Shelf of the vessel.
+        scenario: scenario whose materials are listed.
+        shelf: shelf of the vessel; it is not changed.
     """
     vessel = Camera(scenario, shelf).take(0, 0, "")
     _, temperatures = _ranges(scenario, [], shelf, 0)

@@ -16,7 +16,7 @@ from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
-from chemlab.record.recorder import Witness
+from chemlab.record.recorder import EpisodeLines
 from chemlab.roles.bench import channel_slices
 
 FILTER, END = range(2)
@@ -59,7 +59,7 @@ def test_its_own_arrays_are_part_of_the_state_and_of_its_hash(scenario: Path) ->
     scenario.write_text(scenario.read_text().replace("filtration_bench:Filtration", "clogging_bench:Clogging"))
     env = raw_env(scenario)
     env.reset(seed=0, options={"goal": "dodecane"})
-    labs, witness = env.laboratories, Witness(env.laboratories, 0)
+    labs, lines = env.laboratories, EpisodeLines(env.laboratories, 0)
     clogged = labs.experiments[3].clogged
     at = channel_slices(env.state_channels)["fil_0_clogged"]
     assert not {"fil_0_scratch", "fil_0_supply", "fil_0_jacket"} & {channel.name for channel in env.state_channels}
@@ -71,13 +71,13 @@ def test_its_own_arrays_are_part_of_the_state_and_of_its_hash(scenario: Path) ->
     assert not labs.busy[3, 0]
     assert clogged.tolist() == [1.0]
     assert env.state()[at].tolist() == [0.75]
-    before = witness._state()
+    before = lines._state()
     clogged[0] = 2.0
     assert env.state()[at] == np.float32(0.5 + np.arctan(2.0) / np.pi)
-    assert witness._state() != before
+    assert lines._state() != before
     clogged[0] = 1.0
     labs.experiments[3].scratch[0] = 7.0
-    assert witness._state() == before
+    assert lines._state() == before
     env.reset()
     assert clogged.tolist() == [0.0]
     assert env.state()[at].tolist() == [0.5]

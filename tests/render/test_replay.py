@@ -221,7 +221,7 @@ def test_calls_stand_beside_the_turns(called: Path) -> None:
     transcript = called.with_name("episode-0000.transcript.jsonl")
     text = transcript.read_text()
     for content, said in (
-        (b"{}\n[]\n", "is no transcript"),
+        (b"{}\n[]\n", "is not a transcript"),
         (b"\xff\xfe", r"transcript\.jsonl: not UTF-8.*move it away"),
         (None, r"transcript\.jsonl: is larger than .*move it away"),
     ):
