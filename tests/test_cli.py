@@ -137,6 +137,8 @@ MISTAKES = {
     "run ''": ["must not be empty"],
     "run fictitious --record ''": ["--record: must not be empty"],
     "train --out=": ["--out: must not be empty"],
+    "train rush --steps 1e": ["must be a whole number, such as 1000000 or 1e6"],
+    "train rush --steps 1e13": ["less than or equal to 1000000000000, given 10000000000000"],
 }
 for _name, _give in (("WurtzReaction-v0", "wurtz_dodecane"), ("LabManager-v1", "a scenario, such")):
     for _words in ("run", "describe", "audit", "audit plan"):
