@@ -248,10 +248,14 @@ class _Show:
 
     async def wait(self, heard: int) -> int | None:
         """Wait until there is more news than was heard; return how much there is, or None when the server stops."""
+
+        async def more() -> None:  # it holds the lock by itself: a waiter that is cut off may leave without it
+            async with self.changed:
+                await self.changed.wait_for(lambda: self.news > heard)
+
         while self.server is None or not self.server.should_exit:
             with suppress(asyncio.TimeoutError):
-                async with self.changed:
-                    await asyncio.wait_for(self.changed.wait_for(lambda: self.news > heard), 0.5)
+                await asyncio.wait_for(more(), 0.5)
                 return self.news
         return None
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import logging
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from unittest.mock import Mock
@@ -428,3 +429,24 @@ def test_tokens_and_hosts(tmp_path: Path) -> None:
         assert lab.ask("GET", f"/lab/0?token={tokens['watch']}", Host="evil.example")[0] == 400
         assert lab.ask("GET", f"/lab/0/record?token={tokens['watch']}")[0] == 409
         assert lab.ask("GET", f"/lab/0/events?token={tokens['watch']}&turns=many")[0] == 400
+
+
+def test_a_page_that_is_closed_while_news_are_told_stops_nobody() -> None:
+    """A waiter that is cut off twice released the lock of another, and all pages stood still."""
+
+    async def story(steps: int) -> None:
+        show = live._Show([], [], True, 1)
+        waiting = asyncio.create_task(show.wait(0))
+        await asyncio.sleep(0.01)
+        async with show.changed:
+            waiting.cancel()
+            await asyncio.sleep(0.01)
+            waiting.cancel()
+            for _ in range(steps):
+                await asyncio.sleep(0)
+        with suppress(asyncio.CancelledError):
+            await waiting
+        await asyncio.wait_for(show.tell(), 60)
+
+    for steps in range(6):
+        asyncio.run(story(steps))
