@@ -101,9 +101,9 @@ def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: P
     labs = replay.laboratories
     compared = 0
     for move in replay.moves():
-        if not move.begun:
+        if not move.started:
             continue
-        number = labs.agents.index(move.begun)
+        number = labs.agents.index(move.started)
         bench, experiments = labs.benches[number - 1], labs.experiments[number - 1]
         env = RoleEnv(scenario, bench=bench.key)
         env.reset(seed=0, options={"goal": bench.goals.names[experiments.goal[0]]})
@@ -111,7 +111,7 @@ def test_experiments_are_episodes_of_the_single_bench(scenario: str, tmp_path: P
         env.batch.shelf.stock[0] = labs.shelf.stock[0]
         for mine, theirs in zip(env.batch.experiments.arrays(), experiments.arrays(), strict=True):
             mine[:] = theirs
-        d = waiting[move.begun].pop(0)
+        d = waiting[move.started].pop(0)
         seen = np.empty((1, len(d.observations[0])), dtype=np.float32)
         env.bench.observe(env.batch.shelf, env.batch.experiments, env.batch.members, seen)
         np.testing.assert_array_equal(d.observations[0], seen[0])
