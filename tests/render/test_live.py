@@ -9,6 +9,7 @@ import logging
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -448,5 +449,6 @@ def test_a_page_that_is_closed_while_news_are_told_stops_nobody() -> None:
             await waiting
         await asyncio.wait_for(show.tell(), 60)
 
-    for steps in range(6):
-        asyncio.run(story(steps))
+    with ThreadPoolExecutor(1) as thread:  # in this one, the browser's loop runs
+        for steps in range(6):
+            thread.submit(asyncio.run, story(steps)).result()
