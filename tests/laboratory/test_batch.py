@@ -235,3 +235,22 @@ def test_a_missing_action_is_asked_for() -> None:
         given = {agent: action for agent, action in chosen.items() if agent != missing}
         refused(missing, f"{missing}: has the turn", env.step, given)
         assert state_of(env) == before
+
+
+@pytest.mark.parametrize("make", [parallel_env, lambda name: BatchedLaboratory(1, name)], ids=["parallel", "batch"])
+def test_a_start_with_a_safety_event_is_shown_to_the_bench(make: Any) -> None:
+    """Though it has not acted in this round."""
+    env: Any = make("wurtz_dodecane")
+    env.reset(seed=0)
+    labs, play = env.laboratories, env.laboratories.act_round
+
+    def eventful(*arguments: Any) -> None:
+        play(*arguments)
+        labs.state.cost[1, 0] = 0.25
+        labs.roles[1].events[0] = 1.0
+
+    labs.act_round = eventful
+    start = labs.actions.encode("start", "rxn_0", 0, "dodecane")
+    infos = env.step({"manager_0": start if make is parallel_env else np.array([start])})[-1]
+    assert np.ravel(infos["rxn_0"]["cost"]) == [0.25]
+    assert np.ravel(infos["rxn_0"]["events"]).all()
