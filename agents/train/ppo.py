@@ -1,12 +1,12 @@
 """Proximal policy optimization for any roles of a batch of laboratories: IPPO, or MAPPO.
 
-One file, after CleanRL: a network for each role, which agents of one kind share; experience turn by turn, so that every
-role has its own rewards, elapsed time and episodes; masked categorical or normal actions. Critics see what their agent
-observes (IPPO) or the laboratory's state, too (MAPPO); actors never do. :mod:`~chemlab.agents.train.joint` makes a run
-of it.
+One file, in the style of CleanRL. Each role has one network, which its agents share. Experience is stored by turns, so
+every role has its own rewards, elapsed times and episodes. Actions are masked categorical or normal. A critic observes
+what its agent observes (IPPO), and also the true state of the laboratory (MAPPO); actors do not observe the state.
+:mod:`~chemlab.agents.train.joint` trains with it.
 
-From nothing, the manager learns without readings of many numbers (spectra, pictures). What is exported takes the whole
-observation, with weights of 0 there.
+From nothing, the manager learns without readings of many numbers (spectra, pictures). The exported policy takes the
+whole observation, with weights of 0 for these columns.
 
 Needs PyTorch: ``pip install ".[train]"``.
 """
@@ -51,25 +51,25 @@ with needs("training needs PyTorch", "train"):
 __all__ = ["PPOTeam", "compact", "joined", "wide_columns"]
 
 _LEAST_DEVIATION = 0.02
-"""Least standard deviation of what is observed, by which it is normalized."""
+"""Lower bound of the standard deviation that normalizes an observed number."""
 _FORBIDDEN = -1e9
 """Logit of an action that the mask forbids."""
 _BEYOND = 0.25
-"""Distance beyond a bound at which a number of a continuous action begins if it changes nothing at that bound."""
+"""Distance beyond a bound at which a component of a continuous action begins if it has no effect at that bound."""
 _ROUNDS = 32, 128
-"""Least and most rounds of a rollout, which otherwise are half of the manager's action limit."""
+"""Minimum and maximum of the default rounds of a rollout, which is half of the manager's action limit."""
 _PRACTICE = 20
-"""Steps in each environment before each update while benches learn on their own."""
+"""Steps in each environment before each update during practice."""
 _REMEMBERED = 1 << 16
-"""Most turns of the manager that self-imitation chooses from."""
+"""Maximum number of stored turns for self-imitation."""
 _MEMORY = 1 << 26
-"""Most numbers that these turns' observations take together."""
+"""Maximum number of numbers in the observations of these turns."""
 _BY_TURN = ("_env", "_following", "_ended")
-"""Arrays of these turns beside observations and actions."""
+"""Arrays of these turns in addition to observations and actions."""
 _RECALLED = 1 << 13
-"""Most of these turns that one update draws."""
+"""Maximum number of these turns that one update draws."""
 _CRITIC_FIRST = 5
-"""Updates in which the critic of a policy from elsewhere learns alone."""
+"""Number of first updates in which only the critic learns, after ``begin_from``."""
 
 Arrays = npt.NDArray[Any]
 
@@ -78,11 +78,12 @@ class _Network(nn.Module):
     """Actor and critic of one role.
 
     Args:
-        observed, state, actions: how many numbers the actor observes, the critic besides, and the actor returns.
-        rest: the continuous action that changes nothing; None: actions are discrete.
+        observed, state, actions: sizes of the actor's input, of the state that the critic observes in addition, and of
+            the actor's output.
+        rest: [n] continuous action without effect; None: actions are discrete.
         hidden: sizes of the hidden layers.
         tied: laboratories whose slots, and orders, share weights; None: weights are not shared.
-        units: what the actor observes, if weights are shared.
+        units: meaning of the actor's inputs, if weights are shared (:mod:`~chemlab.agents.train.tied`).
     """
 
     mean: torch.Tensor
@@ -100,7 +101,7 @@ class _Network(nn.Module):
     ) -> None:
         super().__init__()
         self.discrete = rest is None
-        # Values begin at 0: with others and no discount, it can seem better never to end an episode.
+        # Initial values are about 0: with other values and without a discount, endless episodes can seem better.
         if tied is None:
             self.actor = _layers(observed, hidden, actions, 0.01)
             self.critic = _layers(observed + state, hidden, 1, 0.01)
@@ -108,30 +109,30 @@ class _Network(nn.Module):
             seen = [*units, *((("state", k), -1, -1) for k in range(state))]
             self.actor = tied_layers(tied, units, action_units(tied), hidden)
             self.critic = tied_layers(tied, seen, [("value", -1, -1)], hidden)
-        # What is observed is normalized: a reading of a hundredth can matter as much as one of a half.
+        # Inputs are normalized: a reading of 0.01 can matter as much as one of 0.5.
         self.register_buffer("mean", torch.zeros(observed + state))
         self.register_buffer("scale", torch.ones(observed + state))
         if rest is not None:
             self.log_std = nn.Parameter(torch.full((actions,), -1.0))
-            # A bench begins by changing nothing. From the bound itself, it would come to pour a little of the reagents
-            # that do not matter to its own score.
+            # A bench begins with the action without effect. From the bound itself, exploration would add small amounts
+            # of reagents that do not matter to its own score.
             first = rest + _BEYOND * (1.0 * (rest >= 1.0) - (rest <= 0.0))
             with torch.no_grad():
                 self.actor[-1].bias.copy_(torch.from_numpy(first))  # type: ignore[operator]
 
     def logits(self, observed: torch.Tensor, mask: torch.Tensor | None) -> torch.Tensor:
-        """Logits [B, actions] of discrete actions, or means [B, n] of continuous ones."""
+        """Return logits [B, actions] of discrete actions, or means [B, n] of continuous ones."""
         out: torch.Tensor = self.actor(self._normalized(observed))
         return out if mask is None else out.masked_fill(~mask, _FORBIDDEN)
 
     def normal(self, mean: torch.Tensor) -> torch.distributions.Distribution:
-        """Distribution of continuous actions."""
+        """Return the distribution of continuous actions with these means [B, n]."""
         return torch.distributions.Normal(mean, self.log_std.exp().expand_as(mean), validate_args=False)
 
     def judge(
         self, observed: torch.Tensor, mask: torch.Tensor | None, action: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Log-probabilities [B] of actions, and the mean entropy, to which forbidden actions contribute nothing."""
+        """Return log-probabilities [B] of actions, and the mean entropy; masked actions do not contribute to it."""
         logits = self.logits(observed, mask)
         if not self.discrete:
             normal = self.normal(logits)
@@ -141,7 +142,7 @@ class _Network(nn.Module):
         return log.gather(1, action[:, None])[:, 0], entropy
 
     def value(self, seen: torch.Tensor) -> torch.Tensor:
-        """Values [B] of what the critic sees."""
+        """Return values [B] of the critic's inputs [B, size]."""
         found: torch.Tensor = self.critic(self._normalized(seen))[:, 0]
         return found
 
@@ -150,7 +151,7 @@ class _Network(nn.Module):
 
 
 def _layers(size: int, hidden: Sequence[int], out: int, gain: float) -> nn.Sequential:
-    """Fully connected layers with tanh between them, orthogonally initialized."""
+    """Return fully connected layers with tanh between them, orthogonally initialized."""
     widths = [size, *hidden, out]
     linear = [nn.Linear(a, b) for a, b in itertools.pairwise(widths)]
     for i, layer in enumerate(linear):
@@ -163,7 +164,7 @@ def _layers(size: int, hidden: Sequence[int], out: int, gain: float) -> nn.Seque
 
 
 def compact(scenario: Scenario) -> Scenario:
-    """A scenario whose manager does not observe readings of more than :data:`~.notes.WIDE` numbers."""
+    """Return the scenario without readings of more than :data:`~.notes.WIDE` numbers in the manager's observation."""
     table = Laboratories(scenario, 1).instruments
     wide = {name for name, channel in zip(table.names, table.channels, strict=True) if channel.size > WIDE}
     kept = tuple(name for name in scenario.seen_instruments if name not in wide)
@@ -171,17 +172,20 @@ def compact(scenario: Scenario) -> Scenario:
 
 
 def _columns(whole: Sequence[Channel], part: Sequence[Channel]) -> IntArray:
-    """Columns of the channels ``part`` in an observation of the channels ``whole``."""
+    """Return the columns of the channels ``part`` in an observation of the channels ``whole``."""
     slices = channel_slices(whole)
     return np.concatenate([np.arange(slices[one.name].start, slices[one.name].stop) for one in part])
 
 
 class _Learner:
-    """One role: its network and optimizer.
+    """Network and optimizer of one role.
 
     Args:
-        columns: where what it observes stands in the observation of the whole scenario, of ``size`` numbers.
-        groups: the group of each number that its critic observes; all numbers of a group are normalized alike.
+        columns: columns of its input in the whole scenario's observation, which has ``size`` numbers.
+        network: the network.
+        settings: arguments of the run.
+        gamma: discount.
+        groups: group of each input of the critic; all inputs of a group have the same normalization.
     """
 
     def __init__(
@@ -196,11 +200,11 @@ class _Learner:
         self.optimizer = torch.optim.Adam(parts, eps=1e-5, fused=True)
 
     def seen(self, whole: Arrays) -> Arrays:
-        """Return its part [B, columns] of observations [B, size] of the whole scenario."""
+        """Return the role's input [B, columns] from observations [B, size] of the whole scenario."""
         return whole[:, self.columns]
 
     def act(self, observed: Arrays, mask: BoolArray | None, greedy: bool = False) -> tuple[Arrays, Arrays]:
-        """Draw actions, or take the most probable ones; return them with their log-probabilities."""
+        """Return drawn or most probable actions [B] or [B, n], and their log-probabilities [B]."""
         with torch.inference_mode():
             logits = self.network.logits(torch.from_numpy(observed), None if mask is None else torch.from_numpy(mask))
             if self.network.discrete:
@@ -212,12 +216,12 @@ class _Learner:
             return action.numpy(), normal.log_prob(action).sum(1).numpy()
 
     def value(self, observed: Arrays) -> Arrays:
-        """Values [B] of what the critic sees."""
+        """Return values [B] of the critic's inputs [B, size]."""
         with torch.inference_mode():
             return np.asarray(self.network.value(torch.from_numpy(observed)).numpy())
 
     def value_turns(self, track: _Track) -> None:
-        """Value all turns of a rollout at once."""
+        """Write the values of all turns of a rollout."""
         acted = track.acted[1:]
         track.value[1:][acted] = self.value(track.seen[1:][acted])
 
@@ -225,10 +229,10 @@ class _Learner:
         """Learn from a batch of turns.
 
         Args:
-            batch: ``observed`` [B, size], ``seen`` [B, size] (by the critic; None: the same), ``mask`` [B, A] or None,
-                ``action``, ``log_probability``, ``advantage`` and ``target`` [B].
-            remaining: share of training that is left.
-            rng: draws the minibatches.
+            batch: ``observed`` [B, size], ``seen`` [B, size] (input of the critic; None: the same), ``mask`` [B, A] or
+                None, ``action``, ``log_probability``, ``advantage`` and ``target`` [B].
+            remaining: remaining share of training.
+            rng: generator of the minibatches.
         """
         s, policy_weight = self.settings, 0.0 if self.critic_first else 1.0
         self.critic_first = max(self.critic_first - 1, 0)
@@ -250,10 +254,10 @@ class _Learner:
                 self.optimizer.step()
 
     def normalize(self, seen: Arrays) -> None:
-        """Take observations [B, size] of the critic into the means and standard deviations that normalize.
+        """Update the means and standard deviations of the normalization with inputs [B, size] of the critic.
 
-        The scale of a cloned policy is fixed. For a policy from elsewhere it is set once, and the first layer is
-        rescaled so that the policy plays as before.
+        The normalization of a cloned policy is fixed. After ``begin_from`` it is set once, and the first layer is
+        rescaled so that the policy remains the same.
         """
         if not self._normalizes:
             return
@@ -276,7 +280,7 @@ class _Learner:
                 first.weight.div_(self.network.scale[:size])
 
     def _losses(self, batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Clipped policy loss, value loss and entropy of a minibatch."""
+        """Return the clipped policy loss, value loss and entropy of a minibatch."""
         log_probability, entropy = self.network.judge(batch["observed"], batch["mask"], batch["action"])
         advantage = batch["advantage"]
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -287,10 +291,10 @@ class _Learner:
         return policy, value, entropy
 
     def take(self, policy: PretrainedPolicy) -> None:
-        """Begin with the weights of a policy; the critic learns alone at first.
+        """Initialize the actor with the weights of a policy; in the first updates only the critic learns.
 
         Raises:
-            ValueError: the policy has other layers, or observes hints, or notes that this learner has not.
+            ValueError: the policy has other layers, observes hints, or observes notes and the learner does not.
         """
         card, width = policy.card, policy.weights["0.weight"].shape[1]
         if card.advice is not None:
@@ -338,33 +342,33 @@ class _Learner:
             chosen = network.logits(tensors["observed"], tensors["mask"])
             if network.discrete:
                 return float(torch.eq(chosen.argmax(1), tensors["action"]).float().mean())
-            # The maximum likelihood: the optimizer would not reach it in so few updates.
+            # The maximum-likelihood estimate, which the optimizer would not reach in so few updates.
             missing = (chosen - tensors["action"]).square().mean(dim=0).sqrt()
             network.log_std.copy_(missing.clamp(min=least_std).log())
             return float((chosen - tensors["action"]).abs().mean())
 
 
 def _drawn(probability: torch.Tensor) -> torch.Tensor:
-    """Draw an action [B, 1] from each row of probabilities [B, A]; several times faster than ``torch.multinomial``."""
+    """Return an action [B, 1] drawn from each row of probabilities [B, A], faster than ``torch.multinomial``."""
     until = probability.cumsum(1)
     return torch.searchsorted(until, (1.0 - torch.rand(len(until), 1)) * until[:, -1:])  # never one of probability 0
 
 
 def _fading(share: float, remaining: float) -> float:
-    """Return the part of a help that is left, where it fades over a share of training."""
+    """Return the remaining strength, from 1 to 0, of help that fades over a share of training."""
     return max(1.0 - (1.0 - remaining) / share, 0.0) if share else 0.0
 
 
 def _rows(tensors: Mapping[str, torch.Tensor | None], rows: torch.Tensor) -> dict[str, Any]:
-    """Some turns of a batch."""
+    """Return some turns of a batch."""
     own = {name: None if tensor is None else tensor.index_select(0, rows) for name, tensor in tensors.items()}
     return {**own, "seen": own["observed"] if own["seen"] is None else own["seen"]}
 
 
 class _Track:
-    """Turns of one agent in N laboratories over a rollout.
+    """Rollout buffer of one agent in N laboratories, by rounds.
 
-    Row 0 holds turns of the rollout before whose next turn had not come; the rows after it are the rounds.
+    Row 0 has turns of the previous rollout that still wait for the agent's next turn; the other rows are rounds.
     """
 
     def __init__(self, rounds: int, envs: int, observed: int, seen: int, action: tuple[int, ...], masked: int) -> None:
@@ -379,12 +383,12 @@ class _Track:
         self.tick = np.zeros((rows, envs), dtype=np.int64)
 
     def clear(self) -> None:
-        """Forget everything."""
+        """Delete all turns."""
         self.acted[:] = self.ended[:] = False
         self.reward[:] = 0.0
 
     def __getstate__(self) -> dict[str, Any]:
-        # Between rollouts there is nothing but row 0.
+        # Between rollouts only row 0 is in use.
         return {**vars(self), **{name: (array.shape, array[0]) for name, array in self.arrays().items()}}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -398,20 +402,20 @@ class _Track:
         self.__dict__.update(state)
 
     def arrays(self) -> dict[str, Arrays]:
-        """Everything by turn, by name."""
+        """Return the arrays by name."""
         found = {name: value for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return {name: value for name, value in found.items() if name != "seen" or not self.shared}
 
     def finished(
         self, next_value: Arrays, has_turn: BoolArray, gamma: float, gae_lambda: float, ticks: IntArray | None = None
     ) -> dict[str, Arrays | None]:
-        """Return the turns that are complete, with advantages; keep the others for the next rollout.
+        """Return the complete turns with their advantages; keep the others for the next rollout.
 
         Args:
-            next_value: [N] value of the present observation, where the agent has the turn.
-            has_turn: [N] where it has.
+            next_value: [N] values of the current observations, where the agent has the turn.
+            has_turn: [N] True where it has the turn.
             gamma, gae_lambda: see :class:`~.arguments.IPPO`.
-            ticks: [N] present ticks, where the discount is one of ticks and not of turns.
+            ticks: [N] current ticks, for a discount by ticks; None: discount by turns.
         """
         rows, envs = self.acted.shape
         value, advantage, reward = next_value * has_turn, np.zeros(envs, np.float32), np.zeros(envs, np.float32)
@@ -444,7 +448,7 @@ class _Track:
         return batch
 
     def turns(self, chosen: BoolArray) -> dict[str, Arrays | None]:
-        """Return what some turns [rows, N] had: ``observed``, ``seen`` (None: as observed), ``mask`` and ``action``."""
+        """Return ``observed``, ``seen`` (None: as observed), ``mask`` and ``action`` of some turns [rows, N]."""
         return {
             "observed": self.observed[chosen],
             "seen": None if self.shared else self.seen[chosen],
@@ -453,7 +457,7 @@ class _Track:
         }
 
     def _carry(self, waiting: BoolArray, reward: Arrays) -> None:
-        """Move turns that wait for their next one to row 0; forget the rest."""
+        """Move turns that wait for the next turn to row 0, and delete the others."""
         t, n = np.nonzero(waiting)
         for array in self.arrays().values():
             kept = array[t, n]
@@ -465,13 +469,13 @@ class _Track:
 
 
 class _Best:
-    """The manager's latest turns with their returns, to learn again from turns that went better than expected.
+    """Buffer of the manager's latest turns with their undiscounted returns, for self-imitation.
 
-    This is self-imitation (`Oh et al., 2018 <https://arxiv.org/abs/1806.05635>`_). Returns are not discounted.
+    See `Oh et al., 2018 <https://arxiv.org/abs/1806.05635>`_.
 
     Args:
         envs: number of laboratories.
-        track: of the manager.
+        track: rollout buffer of the manager.
     """
 
     def __init__(self, envs: int, track: _Track) -> None:
@@ -485,7 +489,7 @@ class _Best:
         self._ended, self._earned, self._at = np.zeros(size, dtype=np.bool_), np.zeros(envs), 0
 
     def __getstate__(self) -> dict[str, Any]:
-        # Rows that no turn has taken yet are empty: they would make a gigabyte of a checkpoint.
+        # Unused rows are left out; they would enlarge a checkpoint by up to a gigabyte.
         taken = int((self._env >= 0).sum())
         turns = {name: kept[:taken] for name, kept in self._turns.items()}
         return {**vars(self), "_turns": turns, **{name: getattr(self, name)[:taken] for name in _BY_TURN}}
@@ -501,7 +505,7 @@ class _Best:
         self.__dict__.update(state)
 
     def add(self, track: _Track, t: int, rows: IntArray) -> None:
-        """Take turns of the laboratories ``rows`` in round ``t``."""
+        """Add the turns of round ``t`` in the laboratories ``rows`` [B]."""
         at = (self._at + np.arange(len(rows))) % self._size
         self._at = int(at[-1] + 1) % self._size
         for name, kept in self._turns.items():
@@ -509,7 +513,7 @@ class _Best:
         self._env[at], self._following[at], self._ended[at] = rows, -self._earned[rows], False
 
     def rewarded(self, reward: Arrays, over: BoolArray) -> None:
-        """Take the rewards [N] of a round, after which some episodes are over."""
+        """Add the rewards [N] of a round; ``over`` [N] is True where the episode has ended."""
         self._earned += reward
         if over.any():
             mine = np.flatnonzero((self._env >= 0) & ~self._ended)
@@ -519,7 +523,7 @@ class _Best:
             self._earned[over] = 0.0
 
     def learn(self, learner: _Learner, rng: np.random.Generator) -> None:
-        """Make turns more likely whose return is above the critic's value."""
+        """Increase the probability of drawn turns whose return exceeds the critic's value."""
         ended = np.flatnonzero(self._ended)
         if not len(ended):
             return
@@ -530,7 +534,7 @@ class _Best:
         better = (returns - value) / (returns.std() + 1e-8)
         chosen = np.flatnonzero(better > 0.0)  # in random order, as drawn
         learner.network.train()
-        # The loss is a mean over all turns drawn: the fewer are better, the less they count.
+        # The loss is the mean over all drawn turns, of which only the better ones contribute.
         scale = learner.settings.self_imitation * len(chosen) / len(known)
         parts = max(1, len(chosen) // learner.settings.batch_size)
         for rows in np.array_split(chosen, parts) if len(chosen) else ():
@@ -544,11 +548,11 @@ class _Best:
 
 
 class _Practice:
-    """Experiments of one bench on its own, where its learner begins.
+    """Practice of one bench on its own, before it plays in the laboratory.
 
     Args:
-        scenario, bench, learner, settings: of the team.
-        state: size of the laboratory's state that a central critic sees, which is 0 here.
+        scenario, bench, learner, settings: those of the team.
+        state: size of the state that a centralized critic observes; its values are 0 in practice.
     """
 
     def __init__(self, scenario: Scenario, bench: str, learner: _Learner, settings: IPPO, state: int) -> None:
@@ -598,17 +602,17 @@ class PPOTeam:
 
     Args:
         scenario: the laboratory.
-        roles: who learns: ``manager`` or benches' keys.
+        roles: roles that learn: ``manager``, or keys of benches.
         settings: arguments of the run.
-        background: policy of the roles that do not learn.
-        wide: whether the manager observes readings of many numbers, too.
+        background: policy of the other roles.
+        wide: True if the manager observes also readings of many numbers.
 
     Attributes:
-        rounds: of a rollout.
-        turns: by role, how many turns there have been.
-        fixed: roles that have learned and do not go on.
-        notes: of the manager, if it learns and takes any.
-        scores: of the episodes that ended since they were taken.
+        rounds: number of rounds of a rollout.
+        turns: number of turns so far, by role.
+        fixed: roles that play greedily and no longer learn.
+        notes: the manager's notes; None without notes.
+        scores: scores of episodes that have ended; the caller empties the list.
     """
 
     def __init__(
@@ -630,10 +634,10 @@ class PPOTeam:
         self._players = background_players(labs, roles, background)
         self._tracks: dict[str, _Track] = {}
         state = self.batch.state_space.shape[0] if isinstance(settings, MAPPO) else 0
-        # Rollouts much shorter than an episode lose what a long workflow is worth; longer ones only delay updates.
+        # Rollouts much shorter than an episode learn little of long workflows; longer ones only delay updates.
         fitting = min(max(scenario.limits.manager_actions // 2, _ROUNDS[0]), _ROUNDS[1])
         self.rounds = settings.rollout or fitting
-        # Where a bench earns by its own experiments alone, its episode is the experiment.
+        # If a bench is rewarded for its own experiments only, its episode is the experiment.
         self._own_episodes = labs.scenario.rewards.bench_team == 0.0
         for number, agent in enumerate(self.agents):
             role, space = role_of(agent), self.batch.action_space(agent)
@@ -674,7 +678,7 @@ class PPOTeam:
         self._restart()
 
     def _restart(self) -> None:
-        """Begin new episodes and forget all turns."""
+        """Start new episodes and delete all turns."""
         self._best: _Best | None = None
         for agent, track in self._tracks.items():
             track.clear()
@@ -694,18 +698,18 @@ class PPOTeam:
         self._read(0.0, everywhere)
 
     def learn(self, done: float, rounds: int) -> int:
-        """Learn from a rollout; return the number of turns, at least 1.
+        """Play a rollout, learn from it, and return the number of turns, at least 1.
 
         Args:
-            done: share of training that is over.
-            rounds: how many there were.
+            done: completed share of training.
+            rounds: number of rollouts so far.
         """
         s = self.settings
         if self.practices and done < s.practice:
             return self._practise(1.0 - done)
-        # The help in the laboratory fades from its own beginning.
+        # Help in the laboratory fades from the end of practice on.
         remaining = (1.0 - done) / (1.0 - (s.practice if self.practices else 0.0))
-        # Under a manager that starts them at random, benches would forget what they have learned.
+        # With a manager that starts them at random, benches would forget their skills.
         self.fixed = set(self.practices) if MANAGER_ROLE in self.learners else set()
         roles = [role for role in self.learners if role not in self.fixed]
         self.collect(remaining)
@@ -713,7 +717,7 @@ class PPOTeam:
         return max(self.update(remaining, 1.0 - done, learning), 1)
 
     def _practise(self, remaining: float) -> int:
-        """Let each bench learn from a rollout of experiments on its own; return the number of turns."""
+        """Let each bench practise and learn; return the number of turns."""
         turns = 0
         for role, practice in self.practices.items():
             learned = practice.learn(remaining, self.rng)
@@ -722,15 +726,15 @@ class PPOTeam:
         return turns
 
     def _helps(self, share: float, done: float) -> BoolArray:
-        """Return [N] in which laboratories a help goes on that is given for a share of training."""
+        """Return [N] True in laboratories where help that lasts for a share of training is still given."""
         return done < share * self._places
 
     def _read(self, done: float, over: BoolArray) -> None:
-        """Let instruments read vessels on the shelf unasked: each once, with a probability that falls to 0.
+        """Measure vessels on the shelf automatically: each once, with a probability that falls to 0.
 
         Args:
-            done: share of training that is over.
-            over: [N] where an episode has just ended, and another begun.
+            done: completed share of training.
+            over: [N] True where an episode has just ended and the next one has begun.
         """
         labs, state = self.labs, self.labs.state
         share = _fading(self._shown, 1.0 - done)
@@ -752,7 +756,7 @@ class PPOTeam:
             labs.observe(labs.manager.index, rows, self._observed[MANAGER_AGENT], rows)
 
     def collect(self, remaining: float) -> None:
-        """Play a rollout, with the help that is due where a share ``remaining`` of training is left."""
+        """Play a rollout; help depends on the ``remaining`` share of training."""
         done, refund = 1.0 - remaining, _fading(self.settings.refund, remaining)
         free = _fading(self.settings.free_readings, remaining) if self._hides else 0.0
         near = _fading(self.settings.partial, remaining)
@@ -770,7 +774,7 @@ class PPOTeam:
             for agent, track in self._tracks.items():
                 track.reward[t], track.ended[t] = rewards[agent], over
                 if role_of(agent) == MANAGER_ROLE:
-                    # Where an episode has ended, the charges are those of the next one.
+                    # After the end of an episode, charges are those of the next one.
                     self._refunded += free * np.maximum(self.labs.state.charges[:, INSTRUMENTS] - measured, 0.0)
                     track.reward[t] = self._credit(rewards[agent], over, near, refund)
                     if self._best is not None:
@@ -779,16 +783,16 @@ class PPOTeam:
                     track.ended[t] |= self._infos[agent]["experiment_over"]
 
     def _credit(self, reward: Arrays, over: BoolArray, near: float, refund: float) -> Arrays:
-        """Return [N] the manager's rewards with the help that is given, as soon as what they are for has happened.
+        """Return [N] the manager's rewards, with help, in the rounds that cause them.
 
-        Costs, and in some scenarios payments, are otherwise settled at the end of an episode. What unfinished work is
-        nearly worth is a potential, discounted as returns are, which shifts a return by a constant (`Ng et al., 1999
+        The environment settles costs, and in some scenarios payments, at the end of the episode. The value of
+        unfinished work is a discounted potential, which shifts returns by a constant (`Ng et al., 1999
         <https://people.eecs.berkeley.edu/~russell/papers/icml99-shaping.pdf>`_).
 
         Args:
-            reward: [N] of the round.
-            over: [N] where an episode has just ended, and another begun.
-            near, refund: what is left of these helps.
+            reward: [N] rewards of the round.
+            over: [N] True where an episode has just ended and the next one has begun.
+            near, refund: remaining strengths of partial payments and of refunds.
         """
         labs, everywhere, info = self.labs, self.labs.members, self._infos[MANAGER_AGENT]
         share = labs.rules.arrays.share
@@ -808,14 +812,14 @@ class PPOTeam:
         return np.asarray(credit)
 
     def _noted(self, agent: str, rows: IntArray) -> Arrays:
-        """Return [B, observed] what a learner observes in the laboratories ``rows``: with notes, if it takes any."""
+        """Return observations [B, observed] of a learner in the laboratories ``rows`` [B], with notes if it has any."""
         seen = self._observed[agent][rows]
         if self.notes is None or role_of(agent) != MANAGER_ROLE:
             return seen
         return self.notes.shown(seen, None, self.labs.turns_had(self.labs.manager.index)[rows], rows)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
-        """Actions [N] of an agent in round ``t``; None if it has the turn nowhere."""
+        """Return actions [N] or [N, n] of an agent in round ``t``; None if it has no turn in any laboratory."""
         info = self._infos[agent]
         rows = np.flatnonzero(info["has_turn"])
         if not len(rows):
@@ -862,17 +866,17 @@ class PPOTeam:
         return out
 
     def _helped(self, mask: BoolArray, rows: IntArray, done: float) -> BoolArray:
-        """The manager's mask with the help that is given; the mask itself where that would leave nothing.
+        """Return the manager's mask [B, actions] restricted by help; unrestricted where no action would remain.
 
-        Help ends in one laboratory after another. If it ended in all of them at once, actions that have never been
-        tried would suddenly be likely.
+        Help ends in one laboratory after another. If it ended in all of them at once, untried actions would suddenly
+        become likely.
         """
         table, state, settings = self.labs.actions.table, self.labs.state, self.settings
         kinds, helped = table[:, 0], mask.copy()
         starts, submits, discards, measures = (
             np.flatnonzero(kinds == kind) for kind in (START, SUBMIT, DISCARD, MEASURE)
         )
-        # In every second laboratory, what no order asks for can be made on the way.
+        # In every second laboratory, experiments may also have goals that no order asks for.
         own = np.flatnonzero((self._helps(settings.own_goals, done) & (np.arange(settings.envs) % 2 == 0))[rows])
         limited = np.flatnonzero(self._helps(settings.processed, done)[rows])
         wanted = (table[starts, 3][None, :, None] == state.goal[rows[own]][:, None, :]).any(axis=2)
@@ -886,12 +890,12 @@ class PPOTeam:
         return helped
 
     def update(self, remaining: float, whole: float, learning: Sequence[str]) -> int:
-        """Learn from the turns that are complete; return how many they were.
+        """Learn from complete turns; return their number.
 
         Args:
-            remaining: share of the laboratory's part of training that is left, for the manager.
-            whole: share of all of training that is left, for the benches.
-            learning: the roles that learn; the turns of others are forgotten.
+            remaining: remaining share of training after practice, for the manager.
+            whole: remaining share of all training, for the benches.
+            learning: roles that learn; turns of others are deleted.
         """
         batches: dict[str, list[dict[str, Arrays | None]]] = {role: [] for role in self.learners}
         for agent, track in self._tracks.items():
@@ -922,14 +926,14 @@ class PPOTeam:
         return learned
 
     def clone(self, shown: str, turns: int, rounds: int, least_std: float) -> dict[str, float]:
-        """Clone a policy into every learner, by playing its role in these laboratories, which then restart.
+        """Clone a policy into every learner, from its play in these laboratories, which then restart.
 
         Args:
             shown: name of the policy.
-            turns: approximate number of turns per role; unfinished episodes are left out.
-            rounds: number of rounds. After the first the learners play, for as long as the policy did and until an
-                episode has ended in every laboratory, and the policy labels their turns (DAgger).
-            least_std: least initial standard deviation of continuous actions.
+            turns: approximate number of turns per role, without those of unfinished episodes.
+            rounds: number of DAgger rounds. After the first, the learners play, for as long as the policy did and until
+                an episode has ended in every laboratory, and the policy labels their turns.
+            least_std: lower bound of the initial standard deviation of continuous actions.
 
         Returns:
             Accuracy by role, see :meth:`_Learner.clone`.
@@ -962,7 +966,7 @@ class PPOTeam:
         return hit
 
     def weights(self, role: str) -> dict[str, Arrays]:
-        """Weights of a role's actor over the whole observation: ``{i}.weight`` [out, in] and ``{i}.bias`` [out]."""
+        """Return a role's actor for the whole observation: ``{i}.weight`` [out, in] and ``{i}.bias`` [out]."""
         learner = self.learners[role]
         linear = [layer for layer in learner.network.actor if isinstance(layer, (nn.Linear, TiedLinear))]
         found: dict[str, Arrays] = {}
@@ -982,12 +986,12 @@ class PPOTeam:
 
 
 class _Shown:
-    """Turns that a policy has shown or labelled, with the returns that followed them.
+    """Demonstrated or labelled turns with their returns.
 
     Args:
-        tracks: of the agents, which are read after every rollout.
+        tracks: rollout buffers by agent.
         gammas: discount by role.
-        by_ticks: whether it is one of ticks and not of turns.
+        by_ticks: True for a discount by ticks, False by turns.
     """
 
     def __init__(self, tracks: Mapping[str, _Track], gammas: Mapping[str, float], by_ticks: bool) -> None:
@@ -996,14 +1000,14 @@ class _Shown:
         self._rounds: dict[str, list[tuple[Arrays, ...]]] = {agent: [] for agent in tracks}
 
     def add(self, tracks: Mapping[str, _Track]) -> None:
-        """Take a rollout."""
+        """Add the turns of a rollout, and clear its buffers."""
         for agent, track in tracks.items():
             self._turns[agent].append(track.turns(track.acted))
             self._rounds[agent].append((track.acted.copy(), track.ended.copy(), track.reward.copy(), track.tick.copy()))
             track.clear()
 
     def _returns(self, agent: str) -> tuple[BoolArray, Arrays]:
-        """Return, for each turn in order, whether its episode has ended, and its return."""
+        """Return two arrays over turns in order: True if its episode has ended, and its return."""
         acted, ended, rewards, ticks = (np.concatenate(part) for part in zip(*self._rounds[agent], strict=True))
         apart, last = np.ones(acted.shape), ticks[0]
         for t in range(len(acted)) if self._by_ticks else ():
@@ -1021,12 +1025,12 @@ class _Shown:
         return known[acted], returns[acted]
 
     def all_ended(self) -> bool:
-        """Return whether an episode has ended in every laboratory."""
+        """Return True if an episode has ended in every laboratory."""
         ended = [np.concatenate([part[1] for part in parts]).any(axis=0) for parts in self._rounds.values() if parts]
         return bool(ended and np.all(ended))
 
     def enough(self, turns: float) -> bool:
-        """Return whether every role that has had turns has enough of them in finished episodes."""
+        """Return True if every role with turns has at least ``turns`` in finished episodes."""
         if not self.all_ended():
             return False
         counts: dict[str, int] = {}
@@ -1035,7 +1039,7 @@ class _Shown:
         return all(count >= turns for count in counts.values() if count)
 
     def by_role(self) -> dict[str, dict[str, Arrays | None]]:
-        """Return the turns of finished episodes, with ``target``, of each role that has had any."""
+        """Return the turns of finished episodes, with their returns as ``target``, by role."""
         found: dict[str, list[dict[str, Arrays | None]]] = {}
         for agent, turns in self._turns.items():
             known, returns = self._returns(agent)
@@ -1048,7 +1052,7 @@ class _Shown:
 
 
 def joined(parts: Sequence[Mapping[str, Arrays | None]]) -> dict[str, Arrays | None]:
-    """Several batches of turns as one."""
+    """Return several batches of turns as one."""
     return {
         name: None if parts[0][name] is None else np.concatenate([part[name] for part in parts]) for name in parts[0]
     }
