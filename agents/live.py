@@ -1,4 +1,4 @@
-"""Laboratories that are watched and played in a browser: a page for spectators, and one for each seat."""
+"""Web server of laboratories that people watch and play in a browser: a page for spectators, and one for each seat."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ from .seats import Reply, Room
 from .verbs import ToolError, Verb
 
 SPEEDS = (1, 2, 6, 15, 40, 60)
-"""Turns a second."""
+"""Possible speeds in turns per second."""
 LOCAL = ("127.0.0.1", "localhost")
-"""Names of this machine for itself."""
+"""Host names of the local machine."""
 _NEWS_S = 0.05
-"""Least time between two messages to a page, in s; one message has all turns since the last."""
+"""Minimum time in s between two messages to a page; a message has all turns since the last one."""
 _LONGEST_ERROR = 300
-"""Characters of an error on a page."""
+"""Maximum number of characters of an error on a page."""
 _LARGEST_MESSAGE = 10_000
-"""Bytes of a message to the server."""
+"""Maximum number of bytes of a message to the server."""
 _HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'self'",
     "Cache-Control": "no-store",
@@ -60,14 +60,14 @@ _FRAMED = "default-src 'none'; frame-src 'self'; style-src 'unsafe-inline'; img-
 
 
 class Live:
-    """One laboratory at a pace: policies play, and people may take seats and give them back.
+    """A laboratory that policies play turn by turn, and in which people can take and leave seats.
 
     Args:
-        scenario: of the laboratory.
-        policy: of the agents whose seat is free, by name.
-        seed: of the episode.
-        split: of hidden parameters.
-        folder: for the records.
+        scenario: the scenario.
+        policy: name of the policy of the agents whose seat is free.
+        seed: seed of the first episode.
+        split: split of hidden parameters.
+        folder: folder of the records.
     """
 
     def __init__(self, scenario: Scenario, policy: str, seed: int, split: str, folder: Path) -> None:
@@ -75,14 +75,14 @@ class Live:
         self._lock = threading.RLock()
         self.taken: set[str] = set()
         self._unseen: set[str] = set()
-        """Agents whose policy has not acted yet in this experiment or episode, since a person played its first turn."""
+        """Agents whose policy has not acted in the current experiment or episode, since a person played first."""
         self.episode = ""
-        """Identifies the episode, also among those of servers before."""
+        """Random id of the episode."""
         self.room: Room
         self.begin(seed)
 
     def begin(self, seed: int) -> None:
-        """Begin an episode; the record of one that is running ends there."""
+        """Start an episode; close the record of the running one."""
         with self._lock:
             if self.episode:
                 self.room.close()
@@ -104,30 +104,30 @@ class Live:
 
     @property
     def turn(self) -> str:
-        """The agent that has the turn; '' when the episode is over."""
+        """Agent with the turn; empty after the end of the episode."""
         labs = self.room.laboratories
         return "" if self.room.over else labs.agents[labs.turn()]
 
     @property
     def waits(self) -> bool:
-        """True while a policy cannot play: a person has the turn, the episode is over, or is too long for a page."""
+        """True if no policy can play: a person has the turn, or the episode is over or too long for a page."""
         return self.room.over or self.turn in self.taken or self.film.turns >= MOST_TURNS
 
     def step(self, turns: int = 1) -> None:
-        """Let policies play so many turns; fewer where :attr:`waits`."""
+        """Let policies play up to this number of turns, until :attr:`waits` is True."""
         for _ in range(turns):
             with self._lock:
                 if self.waits:
                     return
                 labs = self.room.laboratories
                 number, agent = labs.turn(), self.turn
-                # A policy that comes later begins there, and not where it was in an experiment before.
+                # A policy that takes over within an experiment begins without memory of earlier ones.
                 step = np.zeros(1, np.int64) if agent in self._unseen else labs.turns_had(number)
                 self._unseen.discard(agent)
                 self.room.play(agent, self._players.decide(number, labs.members, step)[0])
 
     def call(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
-        """A turn of the person at a seat."""
+        """Play a call of the person at a seat, and return the reply."""
         with self._lock:
             labs = self.room.laboratories
             if self.turn == agent and not labs.turns_had(labs.agents.index(agent))[0]:
@@ -135,7 +135,7 @@ class Live:
             return self.room.call(agent, verb, arguments)
 
     def page(self, number: int) -> str:
-        """The spectators' page."""
+        """Return the HTML of the spectators' page."""
         with self._lock:
             data = {
                 **self.film.still(),
@@ -152,7 +152,7 @@ class Live:
         return filled_page("replay.html", data, "'self'")
 
     def words(self) -> tuple[str, str]:
-        """A line about the episode, and whether it is good news."""
+        """Return a line about the episode, and its kind: ``good``, ``soft`` or ``warn``."""
         if not self.room.over:
             at = self.turn
             if self.film.turns >= MOST_TURNS:
@@ -167,10 +167,10 @@ class Live:
         return f"over: score {self.room.score:.3f}; {checked}", "good" if status == "ok" else "warn"
 
     def check(self) -> None:
-        """Replay the record of an episode that is over."""
+        """Verify the record of the episode, if it is over."""
         with self._lock:
             if not self.room.over:
-                return  # another one has begun
+                return  # the next one has begun
             episode, record = self.episode, self.room.record
         found = verify_record(record)
         with self._lock:
@@ -180,7 +180,7 @@ class Live:
     # -- seats --------------------------------------------------------------------------------------------------------
 
     def seat(self, agent: str) -> dict[str, Any]:
-        """Data of a seat's page: the observation of its agent in words and curves, and the possible arguments."""
+        """Return the data of a seat's page: the observation as text and curves, and the legal arguments."""
         with self._lock:
             labs = self.room.laboratories
             number, turn = labs.agents.index(agent), self.turn
@@ -202,11 +202,11 @@ class Live:
             }
 
     def acts(self, agent: str) -> list[Verb]:
-        """The verbs of a seat that are actions of the laboratory."""
+        """Return the verbs of a seat that are actions of the laboratory."""
         return [verb for verb in self.room.verbs(agent) if verb.action is not None]
 
     def _choices(self, agent: str) -> dict[str, dict[str, list[Any]]]:
-        """Of each possible verb, the values of each argument that occur in a possible action."""
+        """Return, by verb with a legal action, the values of each argument that occur in legal actions."""
         labs = self.room.laboratories
         mask = labs.mask(labs.agents.index(agent), labs.members)
         found: dict[str, dict[str, list[Any]]] = {}
@@ -231,7 +231,7 @@ class Live:
 
 
 class _Show:
-    """Laboratories under one control, and the news for everybody who watches."""
+    """Laboratories under common control, and notification of all open pages."""
 
     def __init__(self, lives: Sequence[Live], policies: Sequence[str], paused: bool, speed: int) -> None:
         self.lives, self.policies = lives, policies
@@ -241,15 +241,15 @@ class _Show:
         self.server: uvicorn.Server | None = None
 
     async def tell(self) -> None:
-        """Wake everybody up."""
+        """Notify all pages of a change."""
         async with self.changed:
             self.news += 1
             self.changed.notify_all()
 
     async def wait(self, heard: int) -> int | None:
-        """Wait until there is more news than was heard; return how much there is, or None when the server stops."""
+        """Wait until there are more than ``heard`` changes; return their number, or None if the server stops."""
 
-        async def more() -> None:  # it holds the lock by itself: a waiter that is cut off may leave without it
+        async def more() -> None:  # as a task with a lock of its own: a cancelled waiter must not release another's
             async with self.changed:
                 await self.changed.wait_for(lambda: self.news > heard)
 
@@ -260,7 +260,7 @@ class _Show:
         return None
 
     async def run(self, live: Live) -> None:
-        """Play a laboratory for ever, while it is allowed to; an error of a policy or a part pauses it."""
+        """Play a laboratory whenever it is not paused; an error of a policy or a part pauses it."""
         while True:
             async with self.changed:
                 await self.changed.wait_for(lambda: not live.waits and (self.playing or self.due[live] > 0))
@@ -270,7 +270,7 @@ class _Show:
             try:
                 await anyio.to_thread.run_sync(live.step, turns)
                 await self.after(live)
-            except Exception as error:  # of somebody else's code, too
+            except Exception as error:  # also of policies and parts
                 traceback.print_exc()
                 self.playing, self.due = False, dict.fromkeys(self.lives, 0)
                 self.failed[live] = f"{type(error).__name__}: {error}"[:_LONGEST_ERROR]
@@ -280,17 +280,17 @@ class _Show:
                 await asyncio.sleep(max(turns / self.speed - taken, 0.0))
 
     async def after(self, live: Live) -> None:
-        """Tell the news of a turn; at the end of the episode, check the record."""
+        """Notify pages after a turn; at the end of the episode, verify the record."""
         await self.tell()
         if live.room.over and not live.verdict[0]:
             await anyio.to_thread.run_sync(live.check)
             await self.tell()
 
     async def order(self, given: Mapping[str, Any]) -> None:
-        """Obey a control.
+        """Carry out a command of the spectators' page.
 
         Raises:
-            ValueError: it is none.
+            ValueError: the command is unknown.
         """
         what, value = given.get("do"), given.get("value")
         if what in ("play", "step", "new"):
@@ -311,7 +311,7 @@ class _Show:
         await self.tell()
 
     def status(self, live: Live) -> dict[str, Any]:
-        """Data that the page shows beside the film."""
+        """Return the data that the page shows in addition to the turns."""
         words, kind = (self.failed[live], "warn") if live in self.failed else live.words()
         return {
             "playing": self.playing,
@@ -330,7 +330,7 @@ def _event(name: str, data: Any) -> str:
 
 
 async def _film(show: _Show, live: Live, mark: list[int], episode: str) -> AsyncIterator[str]:
-    """The news of a laboratory for one spectator."""
+    """Yield the events of a laboratory for one spectator."""
     told: Any = None
     heard: int | None = show.news
     while heard is not None:
@@ -349,7 +349,7 @@ async def _film(show: _Show, live: Live, mark: list[int], episode: str) -> Async
 
 
 async def _seat(show: _Show, live: Live, agent: str) -> AsyncIterator[str]:
-    """The news of a seat."""
+    """Yield the events of a seat."""
     told: Any = None
     heard: int | None = show.news
     while heard is not None:
@@ -366,10 +366,10 @@ def _stream(events: AsyncIterator[str]) -> Response:
 
 
 async def _message(request: Request) -> dict[str, Any]:
-    """The JSON object of a request.
+    """Return the JSON object of a request.
 
     Raises:
-        HTTPException: there is none.
+        HTTPException: the body is not a JSON object, or is too large.
     """
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise HTTPException(415, "the content type must be application/json")
@@ -393,21 +393,21 @@ async def _refused(request: Request, error: Exception) -> Response:
 
 
 async def _failed(request: Request, error: Exception) -> Response:
-    """Answer after an error of the server, which the terminal shows; a seat must not learn hidden values from it."""
+    """Answer after an error of the server without its text, which may contain hidden values; the terminal shows it."""
     return JSONResponse({"error": "the server failed; its terminal shows the error"}, 500)
 
 
 class _Pages:
-    """Answers to requests: the pages, their news, and the commands."""
+    """Handlers of requests: pages, events and commands."""
 
     def __init__(self, show: _Show, tokens: Mapping[str, str] | None) -> None:
         self.show, self.tokens = show, tokens
 
     def allowed(self, request: Request, agent: str | None = None) -> None:
-        """Refuse a request without the token of the spectators, or of the seat that it is for.
+        """Check that a request has the token of the spectators, or of the seat.
 
         Raises:
-            HTTPException: wrong or missing token.
+            HTTPException: the token is wrong or missing.
         """
         if self.tokens is None:
             return
@@ -417,14 +417,14 @@ class _Pages:
             raise HTTPException(401, "wrong or missing token; open the address that the server has printed")
 
     def lab(self, request: Request) -> tuple[int, Live]:
-        """The number of the laboratory in a path, and the laboratory."""
+        """Return number and laboratory of a path."""
         number = int(request.path_params["lab"])
         if number >= len(self.show.lives):
             raise HTTPException(404, f"there are laboratories 0 to {len(self.show.lives) - 1}")
         return number, self.show.lives[number]
 
     def seat(self, request: Request) -> tuple[Live, str]:
-        """The laboratory and the agent in a path, if the token opens that seat."""
+        """Return laboratory and agent of a path, after checking the token."""
         live, agent = self.lab(request)[1], request.path_params["agent"]
         if agent not in live.room.seats:
             raise HTTPException(404, f"seats: {', '.join(live.room.seats)}")
@@ -432,7 +432,7 @@ class _Pages:
         return live, agent
 
     async def home(self, request: Request) -> Response:
-        """The first page: one laboratory, or two side by side."""
+        """Return the first page: one laboratory, or two side by side."""
         self.allowed(request)
         if len(self.show.lives) == 1:
             return await self._spectators(0)
@@ -443,7 +443,7 @@ class _Pages:
         return HTMLResponse(page, headers=_HEADERS)
 
     async def page(self, request: Request) -> Response:
-        """The page of a laboratory."""
+        """Return the page of a laboratory."""
         number, _ = self.lab(request)
         self.allowed(request)
         return await self._spectators(number)
@@ -453,7 +453,7 @@ class _Pages:
         return HTMLResponse(page, headers=_HEADERS)
 
     async def events(self, request: Request) -> Response:
-        """News of a laboratory for its page."""
+        """Return the stream of a laboratory's events."""
         live = self.lab(request)[1]
         self.allowed(request)
         try:
@@ -464,7 +464,7 @@ class _Pages:
         return _stream(_film(self.show, live, [max(n, 0) for n in mark], episode))
 
     async def control(self, request: Request) -> Response:
-        """A command to all laboratories."""
+        """Carry out a command in all laboratories."""
         self.allowed(request)
         try:
             await self.show.order(await _message(request))
@@ -473,7 +473,7 @@ class _Pages:
         return JSONResponse({})
 
     async def record(self, request: Request) -> Response:
-        """The record of an episode that is over."""
+        """Return the record of an episode that is over."""
         live = self.lab(request)[1]
         self.allowed(request)
         if not live.room.over:
@@ -481,7 +481,7 @@ class _Pages:
         return FileResponse(live.room.record, filename=f"{live.room.scenario.name}-{live.seed}.jsonl")
 
     async def seat_page(self, request: Request) -> Response:
-        """The page of a seat."""
+        """Return the page of a seat."""
         live, agent = self.seat(request)
         verbs = [
             {"name": verb.name, "meaning": verb.meaning, "arguments": [vars(one) for one in verb.arguments]}
@@ -497,11 +497,11 @@ class _Pages:
         return HTMLResponse(filled_page("seat.html", data, "'self'"), headers=_HEADERS)
 
     async def seat_events(self, request: Request) -> Response:
-        """News of a seat for its page."""
+        """Return the stream of a seat's events."""
         return _stream(_seat(self.show, *self.seat(request)))
 
     async def seat_post(self, request: Request) -> Response:
-        """Take a seat, leave it, or act in it."""
+        """Take or leave a seat, or play one of its turns."""
         live, agent = self.seat(request)
         given = await _message(request)
         answer: dict[str, Any] = {}
@@ -533,16 +533,16 @@ def live_app(
     paused: bool = False,
     speed: int = 6,
 ) -> Starlette:
-    """The pages of one or two laboratories.
+    """Return the web application of one or two laboratories.
 
     Args:
-        lives: the laboratories, which are controlled together.
-        policies: name of the policies of each, as shown.
-        tokens: of the spectators (``watch``) and of each seat, given as ``?token=``; a spectator may take any seat.
-            None: everybody who can reach the server may watch and play.
-        hosts: names under which the server may be addressed; ``*`` for any.
-        paused: whether the laboratories wait for a command at the beginning.
-        speed: turns a second.
+        lives: the laboratories, which have common controls.
+        policies: displayed name of the policies of each laboratory.
+        tokens: tokens of the spectators (``watch``) and of each seat, given as ``?token=``; spectators may take any
+            seat. None: no tokens; everyone who can reach the server may watch and play.
+        hosts: accepted host names; ``*`` accepts any.
+        paused: True if the laboratories are paused at first.
+        speed: turns per second.
     """
     show = _Show(lives, policies, paused, speed)
     pages = _Pages(show, tokens)
@@ -577,8 +577,8 @@ def live_app(
 
 
 def live_server(app: Starlette, host: str, port: int) -> uvicorn.Server:
-    """A server of the pages of :func:`live_app`."""
-    # uvicorn's own setting of logging would close the handlers of the whole process.
+    """Return a server of a :func:`live_app`."""
+    # uvicorn's own logging configuration would close the handlers of the whole process.
     config = uvicorn.Config(
         app, host=host, port=port, log_config=None, log_level="warning", timeout_graceful_shutdown=3
     )
