@@ -19,7 +19,7 @@ from pydantic import Field
 
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated
-from chemlab.config.files import write_text
+from chemlab.config.files import write_json
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Actions, Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
@@ -29,7 +29,6 @@ from chemlab.roles.manager_actions import START, SUBMIT, ManagerActions
 from chemlab.roles.manager_view import order_channels
 
 from .former_names import current_name
-from .runs import to_text
 
 Context = tuple[str, ...]
 """The goal of every order, on which a plan may depend."""
@@ -182,7 +181,7 @@ class PlanFile(DataModel):
 
     def save(self, path: Path) -> None:
         """Write the file atomically."""
-        write_text(path, to_text(self.model_dump()))
+        write_json(path, self.model_dump())
 
     def decoded(self, actions: ManagerActions) -> dict[Context, Plan]:
         """Return the plans as action indices of a laboratory.

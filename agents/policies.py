@@ -25,8 +25,8 @@ from .former_names import current_name, split_way
 from .notes import Notes
 from .open_loop import plan_for
 from .pretrained import PretrainedPolicy, Seed, load_pretrained, pretrained_for, pretrained_names
-from .random_policy import RandomPolicy, action_size
-from .roles import role_of
+from .random_policy import RandomPolicy
+from .roles import action_size, role_of
 from .saved import Saved, find_saved, is_saved, saved_files
 from .scripted.crystallization import ScriptedCrystallization
 from .scripted.distillation import ScriptedDistillation

@@ -26,7 +26,7 @@ from safetensors.numpy import load, save
 
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated, written
-from chemlab.config.files import read_bytes, write_bytes, write_text
+from chemlab.config.files import read_bytes, write_bytes, write_json
 from chemlab.envs.players import Actions, Memory, Policy, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.roles.base import Workplace
@@ -37,7 +37,6 @@ from .discretised import ChoosingPolicy
 from .former_names import SAMPLED
 from .notes import notes_size
 from .random_policy import RandomPolicy
-from .runs import to_text
 
 Weights = Mapping[str, npt.NDArray[np.float32]]
 Seed = int | np.random.SeedSequence | None
@@ -446,7 +445,7 @@ def save_policy(path: Path, card: Card, weights: Weights) -> None:
     """
     PretrainedPolicy(card, weights)
     write_bytes(path.with_name(f"{path.name}.safetensors"), save(dict(weights)))
-    write_text(path.with_name(f"{path.name}.json"), to_text(card.model_dump()))
+    write_json(path.with_name(f"{path.name}.json"), card.model_dump())
     load_pretrained(path)
 
 

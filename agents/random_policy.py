@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import gymnasium
 import numpy as np
 
 from chemlab.envs.players import Actions, Remembering
@@ -32,11 +29,6 @@ def _draw_numbers(members: IntArray, stream: StreamArray, out: FloatArray) -> No
     for b in range(out.shape[0]):
         for x in range(out.shape[1]):
             out[b, x] = uniform(stream[members[b]])
-
-
-def action_size(space: gymnasium.Space[Any]) -> int:
-    """Return the length of a continuous action; 0 for discrete actions."""
-    return int((space.shape or (0,))[0])
 
 
 class RandomPolicy(Remembering):

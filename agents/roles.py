@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    import gymnasium
+
     from chemlab.lab.engine import Laboratories
 
 MANAGER_ROLE = "manager"
@@ -33,3 +35,8 @@ def chosen_roles(laboratories: Laboratories, roles: Sequence[str] | None) -> lis
         name = laboratories.scenario.name
         raise ValueError(f"roles: {name} has {', '.join(known)}; given {', '.join(wanted) or 'none'}")
     return [role for role in known if role in wanted]
+
+
+def action_size(space: gymnasium.Space[Any]) -> int:
+    """Return the length of a continuous action; 0 for discrete actions."""
+    return int((space.shape or (0,))[0])

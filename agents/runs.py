@@ -310,17 +310,12 @@ def differences(saved: Mapping[str, Any], expected: Mapping[str, Any]) -> dict[s
         flat = {**config, **(config.get("arguments") or {})}
         return {name: value for name, value in flat.items() if name not in ("arguments", "versions")}
 
-    ours, theirs = fields(saved), fields(json.loads(to_text(dict(expected))))
+    ours, theirs = fields(saved), fields(json.loads(json.dumps(dict(expected))))
     return {
         name: f"{name} {ours.get(name)!r} (now {theirs.get(name)!r})"
         for name in {**ours, **theirs}
         if ours.get(name) != theirs.get(name)
     }
-
-
-def to_text(values: Any) -> str:
-    """Return the content of a JSON file."""
-    return json.dumps(values, indent=1) + "\n"
 
 
 def versions() -> dict[str, str]:

@@ -16,7 +16,7 @@ from chemlab.roles.bench import Bench
 from chemlab.roles.operation_bench import OperationBench
 from chemlab.roles.operations import OPERATIONS
 
-from .random_policy import action_size
+from .roles import action_size
 
 _MOST_TEXT = 60
 """Maximum length of a given value in an error message."""

@@ -46,7 +46,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from chemlab.config.files import write_text
+from chemlab.config.files import write_json, write_text
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import trust
@@ -60,7 +60,7 @@ from ..former_names import current_name, split_way
 from ..ledger import ended_episodes
 from ..open_loop import ConstantPlan
 from ..policies import make_policies, policy_names
-from ..runs import Run, differences, find_runs, to_text, versions
+from ..runs import Run, differences, find_runs, versions
 from . import statistics
 from .jobs import AUDIT_SEED, AuditBudget, Job, JobRunner, budget_of, foreseen, planner_jobs
 from .leaderboard import on_scale, runs_of, write_leaderboard
@@ -587,8 +587,8 @@ def write_benchmark(
     Raises:
         DataError: the existing ``leaderboard.json`` is not a leaderboard.
     """
-    write_text(folder / "benchmark.json", to_text(found))
-    write_text(folder / "marl_eval.json", to_text(marl_eval(found, rows)))
+    write_json(folder / "benchmark.json", found)
+    write_json(folder / "marl_eval.json", marl_eval(found, rows))
     written = _write_records(folder, found, scenarios, rows, records)
     write_leaderboard(folder / "leaderboard.json", _lines(found, written))
 

@@ -29,8 +29,7 @@ from chemlab.roles.manager_actions import KIND, SUBMIT
 
 from ..open_loop import Context, Playback
 from ..policies import make_policies
-from ..random_policy import action_size
-from ..roles import role_of
+from ..roles import action_size, role_of
 from .plans import SEARCH_SEED, Tape, TeamPlan, Trials, drawn_contexts
 from .play import BATCH
 from .search import Search

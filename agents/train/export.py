@@ -22,7 +22,8 @@ from chemlab.kernels.arrays import ObservationArray
 from ..advice import with_advice
 from ..former_names import GREEDY, split_way
 from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
-from ..random_policy import RandomPolicy, action_size
+from ..random_policy import RandomPolicy
+from ..roles import action_size
 from ..runs import RESULT_SEED, Run
 from .arguments import Single, recorded_arguments
 from .tasks import Task, find_task, task_of

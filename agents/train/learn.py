@@ -17,9 +17,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from chemlab.config.extras import needs
-from chemlab.config.files import write_text
+from chemlab.config.files import write_json
 
-from ..runs import Run, RunConfig, RunResult, differences, to_text
+from ..runs import Run, RunConfig, RunResult, differences
 from .arguments import IPPO, Arguments, Single, filled
 
 with needs("training needs Stable-Baselines3", "train"):
@@ -66,7 +66,7 @@ def train(arguments: Arguments, out: Path, watcher: Watcher | None = None) -> Ru
     torch.set_num_threads(1)
     with run.locked():
         if run.config() is None:
-            write_text(run.config_file, to_text(trainee.config.model_dump(exclude_none=True)))
+            write_json(run.config_file, trainee.config.model_dump(exclude_none=True))
         run.failed_file.unlink(missing_ok=True)
         watcher, shown = watcher or Watcher(), getattr(arguments, "bc", None)
         if begins and shown is not None:

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from chemlab.config.extras import needs
-from chemlab.config.files import naming, write_text
+from chemlab.config.files import naming, write_json
 
-from ..runs import RESULT_SEED, CurvePoint, Evaluation, Run, RunConfig, RunResult, to_text, versions
+from ..runs import RESULT_SEED, CurvePoint, Evaluation, Run, RunConfig, RunResult, versions
 from .arguments import Arguments
 
 with needs("training needs Stable-Baselines3", "train"):
@@ -259,7 +259,7 @@ def train_in_rounds(run: Run, trainee: Trainee, progress: Progress, watcher: Wat
             watcher.advanced(p.step, point.return_mean, trainee.note)
     watcher.finishing()
     result = _result(run, trainee, p)
-    write_text(run.result_file, to_text(asdict(result)))
+    write_json(run.result_file, asdict(result))
     return result
 
 

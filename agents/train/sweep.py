@@ -27,11 +27,11 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.config.datafile import DataError, read_toml
-from chemlab.config.files import write_text
+from chemlab.config.files import write_json
 from chemlab.config.parts import may_run
 
 from ..executors import WorkerLost, run_chemlab
-from ..runs import Run, RunBusy, differences, to_text
+from ..runs import Run, RunBusy, differences
 from .arguments import Arguments, filled, training_arguments
 from .tasks import task_fingerprint
 
@@ -209,7 +209,7 @@ def run_sweep(
             if code == RunBusy.exit_code:  # another sweep's process was slightly earlier
                 queue.append(one)
             elif code != 0:
-                write_text(one.run.failed_file, to_text({"exit_code": code, "log": one.log.name}))
+                write_json(one.run.failed_file, {"exit_code": code, "log": one.log.name})
         for one in [one for one in queue if not one.run.busy()]:
             queue.remove(one)
             one.run.path.mkdir(parents=True, exist_ok=True)

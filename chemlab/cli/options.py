@@ -17,7 +17,7 @@ from typer.core import TyperGroup
 
 from .. import __version__
 from ..config.datafile import DataError
-from ..config.files import check_apart, check_target, write_text
+from ..config.files import check_apart, check_target, write_json
 from ..config.inherit import files_of, split_level
 from ..config.parts import strangers_code
 from .screen import err, page, plain
@@ -318,4 +318,4 @@ def report_result(
     else:
         show(found)
     if output is not None:
-        write_text(output, json.dumps(found, indent=1) + "\n")
+        write_json(output, found)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import json
 import os
 import secrets
 import stat
@@ -13,7 +14,7 @@ import time
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 DRAFT = ".draft-"
 """Prefix of the names of drafts, by which drafts of killed processes are recognized."""
@@ -99,6 +100,11 @@ def write_bytes(path: Path, content: bytes) -> None:
 def write_text(path: Path, text: str) -> None:
     """Write ``text`` to ``path`` as UTF-8 atomically (see :func:`draft_of`)."""
     write_bytes(path, text.encode())
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a value to ``path`` as indented JSON atomically (see :func:`draft_of`)."""
+    write_text(path, json.dumps(value, indent=1) + "\n")
 
 
 def write_texts(texts: Mapping[Path, str]) -> None:
