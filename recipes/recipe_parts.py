@@ -19,7 +19,7 @@ from chemlab.agents.evaluate.jobs import AUDIT_SEED
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.policies import bench_policy
 from chemlab.agents.runs import Run, versions
-from chemlab.config.files import check_target, write_text
+from chemlab.config.files import check_target, write_json
 from chemlab.envs.players import as_policy
 
 PLAIN = "plain PPO"
@@ -107,7 +107,7 @@ def cook(recipe: Recipe, page: str | None, environment: str, steps: int, episode
     }
     print(json.dumps(result, indent=1))
     if given.out is not None:
-        write_text(given.out, json.dumps(result, indent=1) + "\n")
+        write_json(given.out, result)
     return result
 
 

@@ -183,9 +183,8 @@ def _hint(name: str, kind: Any, text: str, panel: str = "", hidden: bool = False
     option = name.replace("_", "-")
     flag = f"--{option}/--no-{option}" if kind is bool else f"--{option}"
     # An option that is not given is None, so that what was given wins over file and preset.
-    given = typer.Option(flag, help=text, hidden=hidden, show_default=False, rich_help_panel=panel or None)
-    if kind is int:
-        given.parser, given.metavar = _whole, "<int>"
+    number: dict[str, Any] = {"parser": _whole, "metavar": "<int>"} if kind is int else {}
+    given = typer.Option(flag, help=text, hidden=hidden, show_default=False, rich_help_panel=panel or None, **number)
     return Annotated[Optional[kind], given]  # noqa: UP045 - made at run time
 
 

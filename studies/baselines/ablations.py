@@ -14,7 +14,7 @@ from typing import Any
 
 from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.runs import find_runs
-from chemlab.config.files import replace_between, write_text
+from chemlab.config.files import replace_between, write_json
 
 SCORES = Path(__file__).parent / "results" / "ablations.json"
 PAGE = Path(__file__).parent.parent.parent / "docs" / "training.md"
@@ -55,7 +55,7 @@ def main() -> None:
         key = {"scenario": config["scenario"], "help": run.path.parent.name, "seed": result.seed}
         scores = [old for old in scores if any(old[name] != value for name, value in key.items())]
         scores.append({**key, "steps": result.steps, "score": result.mean, "last": result.last_mean})
-    write_text(SCORES, json.dumps(scores, indent=1) + "\n")
+    write_json(SCORES, scores)
     replace_between(PAGE, "ablations", table(scores))
 
 

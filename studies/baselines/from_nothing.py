@@ -28,7 +28,7 @@ from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.evaluate.statistics import interval_text
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
-from chemlab.config.files import replace_between, write_text
+from chemlab.config.files import replace_between, write_json
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario
 from chemlab.envs.players import Policy, as_policy
@@ -228,7 +228,7 @@ def main() -> None:
         scores["runs"] = [old for old in scores["runs"] if (old["scenario"], old["roles"], old["seed"]) not in same]
         scores["runs"].append(new)
         print(json.dumps(new), json.dumps(scores["untrained"][new["scenario"]]), flush=True)
-        write_text(SCORES, json.dumps(scores, indent=1) + "\n")
+        write_json(SCORES, scores)
     replace_between(PAGE, "from nothing", table(scores))
     replace_between(PAGE, "ladder", ladder(scores))
     replace_between(PAGE, "gains", compared(scores))

@@ -35,7 +35,7 @@ from chemlab.agents.train.arguments import IPPO, training_arguments
 from chemlab.agents.train.joint import Team
 from chemlab.agents.train.loop import EVALUATION_SEED, Progress
 from chemlab.agents.train.single import Agent
-from chemlab.config.files import replace_between, write_text
+from chemlab.config.files import replace_between, write_json
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import Policy, as_policy
@@ -234,7 +234,7 @@ def main() -> None:
             runs = json.loads(SCORES.read_text(encoding="utf-8")) if SCORES.exists() else []
             key = ("learner", "scenario", "seed")
             runs = [run for run in runs if [run[name] for name in key] != [new[name] for name in key]]
-            write_text(SCORES, json.dumps([*runs, new], indent=1) + "\n")
+            write_json(SCORES, [*runs, new])
     if not given.scenario:
         replace_between(PAGE, "time to score", table(json.loads(SCORES.read_text(encoding="utf-8"))))
 

@@ -27,7 +27,7 @@ import fuzz_records
 
 from chemlab.agents.evaluate.benchmark import _commit
 from chemlab.config.datafile import read_json
-from chemlab.config.files import replace_between, write_text
+from chemlab.config.files import replace_between, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "docs" / "results" / "attacks.json"
@@ -127,7 +127,7 @@ def main() -> int:
         others = [
             run for run in kept() if run["kind"] != own["kind"] or not (arguments.forget or run["seed"] == own["seed"])
         ]
-        write_text(KEPT, json.dumps([*others, own], indent=1) + "\n")
+        write_json(KEPT, [*others, own])
     replace_between(PAGE, _MARK, list(table(kept())))
     return int(bool(failures))
 
