@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import gc
 import hashlib
 import importlib
 import os
@@ -89,13 +88,7 @@ def told(name: str) -> Any:
     mark = place / f"{name}.compiled" if place is not None else None
     if mark is None or not mark.exists():
         _say_once("compiling kernels for this machine (about a minute); later starts load them from the cache")
-    collects = gc.isenabled()
-    gc.disable()  # The garbage collector would search numba's structures again and again.
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
+    yield
     if mark is not None:
         with contextlib.suppress(OSError):
             mark.touch()

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+import gc
 import hashlib
 import math
 import os
@@ -19,7 +20,7 @@ import numba
 import numpy as np
 import numpy.typing as npt
 from numba import extending, types
-from numba.core import cgutils
+from numba.core import cgutils, event
 from numba.core.typing import templates
 
 from .arrays import SLOT, FloatArray, Handle, declared
@@ -37,6 +38,30 @@ _INSIDE: dict[str, Any] = {**_SETTINGS, "nogil": True, "no_cfunc_wrapper": True}
 _TINY: dict[str, Any] = {**_INSIDE, "forceinline": True, "no_cpython_wrapper": True}
 """Options for callbacks, for kernels and helpers, and for overloads that are inlined."""
 _DECORATING = threading.RLock()
+
+
+class _WithoutGarbageCollector(event.Listener):  # type: ignore[misc]
+    """Pauses Python's garbage collector while numba compiles: it would search numba's structures again and again.
+
+    numba compiles in one thread at a time, and tells of functions that are compiled for others, too.
+    """
+
+    depth = 0
+    collects = False
+
+    def on_start(self, _: event.Event) -> None:
+        if not self.depth:
+            self.collects = gc.isenabled()
+            gc.disable()
+        self.depth += 1
+
+    def on_end(self, _: event.Event) -> None:
+        self.depth -= 1
+        if self.collects and not self.depth:
+            gc.enable()
+
+
+event.register("numba:compile", _WithoutGarbageCollector())
 
 
 def kernel(function: F) -> F:

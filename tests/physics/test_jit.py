@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import numba
 import pytest
+from numba import extending, types
 
 import chemlab
 from chemlab.kernels.arrays import FloatArray
@@ -52,6 +56,33 @@ def test_what_is_compiled_is_kept_and_used(tmp_path: Path) -> None:
     assert len(kept) >= 1
     assert play(tmp_path) == first
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == kept
+
+
+def test_the_garbage_collector_rests_while_numba_compiles() -> None:
+    enabled = []
+
+    @extending.intrinsic
+    def looked(context: Any) -> Any:
+        enabled.append(gc.isenabled())
+        return types.int64(), lambda context, builder, signature, arguments: context.get_constant(types.int64, 7)
+
+    @numba.njit
+    def within() -> int:
+        return looked()
+
+    @numba.njit
+    def around() -> int:
+        return within() + looked()
+
+    assert around() == 14
+    assert set(enabled) == {False}
+    assert gc.isenabled()
+    gc.disable()
+    try:
+        numba.njit(lambda: 7)()
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
 
 
 @pytest.mark.slow
