@@ -62,7 +62,7 @@ def train(arguments: Arguments, out: Path, watcher: Watcher | None = None) -> Ru
     begins = run.checkpoint("last") is None
     if begins:
         trainee.check()
-    # On this size of network a second thread gains nothing, and another number of threads adds in another order.
+    # Sums depend on the number of threads; the critic has a thread of its own where there is a second core.
     torch.set_num_threads(1)
     with run.locked():
         if run.config() is None:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,7 @@ from chemlab.roles.manager_state import INSTRUMENTS
 
 from ..advice import Advisor
 from ..background import background_players
+from ..executors import Inline
 from ..notes import WIDE, Notes
 from ..policies import agent_policy
 from ..pretrained import LOG_STD, PretrainedPolicy
@@ -70,6 +72,8 @@ _RECALLED = 1 << 13
 """Maximum number of these turns that one update draws."""
 _CRITIC_FIRST = 5
 """Number of first updates in which only the critic learns, after ``begin_from``."""
+_CORES = torch.get_num_threads()
+"""Number of cores; OMP_NUM_THREADS can limit it."""
 
 Arrays = npt.NDArray[Any]
 
@@ -241,17 +245,20 @@ class _Learner:
             group["lr"] = group["rate"] * max(remaining, 0.05)
         count = len(tensors["advantage"])  # type: ignore[arg-type]
         self.network.train()
-        for _ in range(s.epochs):
-            for rows in torch.from_numpy(rng.permutation(count)).split(s.batch_size):  # type: ignore[no-untyped-call]
-                if len(rows) < 2:  # advantages are normalized
-                    continue
-                policy, value, entropy = self._losses(_rows(tensors, rows))
-                bonus = s.ent_coef * max(remaining, 0.1) * entropy
-                loss = policy_weight * (policy - bonus) + 0.5 * value
-                self.optimizer.zero_grad()
-                loss.backward()  # type: ignore[no-untyped-call]
-                nn.utils.clip_grad_norm_(self.network.parameters(), 0.5)
-                self.optimizer.step()
+        with _another_core() as core:
+            for _ in range(s.epochs):
+                for rows in torch.from_numpy(rng.permutation(count)).split(s.batch_size):  # type: ignore[no-untyped-call]
+                    if len(rows) < 2:  # advantages are normalized
+                        continue
+                    own = _rows(tensors, rows)
+                    self.optimizer.zero_grad()
+                    critic = core.submit(self._learn_values, own["seen"], own["target"])
+                    policy, entropy = self._policy_losses(own)
+                    bonus = s.ent_coef * max(remaining, 0.1) * entropy
+                    (policy_weight * (policy - bonus)).backward()  # type: ignore[no-untyped-call]
+                    critic.result()
+                    nn.utils.clip_grad_norm_(self.network.parameters(), 0.5)
+                    self.optimizer.step()
 
     def normalize(self, seen: Arrays) -> None:
         """Update the means and standard deviations of the normalization with inputs [B, size] of the critic.
@@ -279,16 +286,18 @@ class _Learner:
                 first.bias.add_(first.weight @ self.network.mean[:size])
                 first.weight.div_(self.network.scale[:size])
 
-    def _losses(self, batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Return the clipped policy loss, value loss and entropy of a minibatch."""
+    def _learn_values(self, seen: torch.Tensor, target: torch.Tensor) -> None:
+        """Compute the gradient of the value loss of a minibatch."""
+        (0.5 * (self.network.value(seen) - target).square().mean()).backward()  # type: ignore[no-untyped-call]
+
+    def _policy_losses(self, batch: Mapping[str, Any]) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return the clipped policy loss and the entropy of a minibatch."""
         log_probability, entropy = self.network.judge(batch["observed"], batch["mask"], batch["action"])
         advantage = batch["advantage"]
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         ratio = (log_probability - batch["log_probability"]).exp()
         clip = self.settings.clip_range
-        policy = -torch.min(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean()
-        value = (self.network.value(batch["seen"]) - batch["target"]).square().mean()
-        return policy, value, entropy
+        return -torch.min(ratio * advantage, ratio.clamp(1.0 - clip, 1.0 + clip) * advantage).mean(), entropy
 
     def take(self, policy: PretrainedPolicy) -> None:
         """Initialize the actor with the weights of a policy; in the first updates only the critic learns.
@@ -363,6 +372,14 @@ def _rows(tensors: Mapping[str, torch.Tensor | None], rows: torch.Tensor) -> dic
     """Return some turns of a batch."""
     own = {name: None if tensor is None else tensor.index_select(0, rows) for name, tensor in tensors.items()}
     return {**own, "seen": own["observed"] if own["seen"] is None else own["seen"]}
+
+
+def _another_core() -> Executor:
+    """Return an executor of functions: in a second thread if there is another core, otherwise in this one.
+
+    The results are the same, since each thread computes with one core.
+    """
+    return ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,)) if _CORES > 1 else Inline()
 
 
 class _Track:

@@ -274,10 +274,8 @@ def manager_view(count: int, seconds: float) -> float:
     return rate(step, seconds)
 
 
-def collection(seconds: float, scenario: str = "rush@1", every_role: bool = False) -> float:
-    """Return turns per second of processor time that the built-in PPO collects in 256 laboratories: of the manager over
-    scripted benches, or of every role. It learns nothing.
-    """
+def learning_team(scenario: str, every_role: bool, **settings: Any) -> Any:
+    """Return what the built-in PPO trains, without practice: the manager over scripted benches, or every role."""
     import torch  # only here: the other rates need no PyTorch
 
     from chemlab.agents.train.arguments import IPPO
@@ -286,8 +284,14 @@ def collection(seconds: float, scenario: str = "rush@1", every_role: bool = Fals
     torch.set_num_threads(1)
     spec = load_scenario(scenario)
     roles = ("manager", *spec.benches) if every_role else ("manager",)
-    settings = IPPO(scenario=scenario, envs=256, rollout=16, practice=0.0)
-    team = PPOTeam(spec, roles, settings, "scripted")
+    return PPOTeam(spec, roles, IPPO(scenario=scenario, practice=0.0, **settings), "scripted")
+
+
+def collection(seconds: float, scenario: str = "rush@1", every_role: bool = False) -> float:
+    """Return turns per second of processor time that the built-in PPO collects in 256 laboratories: of the manager over
+    scripted benches, or of every role. It learns nothing.
+    """
+    team = learning_team(scenario, every_role, envs=256, rollout=16)
     team.collect(1.0)
     before, begun = sum(team.turns.values()), time.process_time()
     while time.process_time() - begun < seconds:
@@ -313,17 +317,28 @@ def verification(seconds: float) -> float:
         return rate(step, seconds, time.process_time)
 
 
+def second_core(scenario: str, every_role: bool, updates: int) -> float:
+    """Return how many times as many turns a second (wall time) training makes if the critic has a second core."""
+    from chemlab.agents.train import ppo
+
+    team, turns, taken = learning_team(scenario, every_role), {1: 0, 2: 0}, {1: 0.0, 2: 0.0}
+    for number in range(2 * updates):
+        ppo._CORES = 1 + number % 2
+        begun = time.perf_counter()
+        turns[ppo._CORES] += team.learn(number / 100.0, number)
+        taken[ppo._CORES] += time.perf_counter() - begun
+    return turns[2] / taken[2] / (turns[1] / taken[1])
+
+
 def shares(scenario: str, every_role: bool, updates: int) -> dict[str, float]:
     """Return the share of processor time of each part of the built-in PPO's training, and its turns per second.
 
     As many updates as are measured come before, because self-imitation takes longer the more turns it remembers.
     """
-    from chemlab.agents.train.arguments import IPPO
-    from chemlab.agents.train.ppo import PPOTeam
+    from chemlab.agents.train import ppo
 
-    spec, spent, inside = load_scenario(scenario), dict[str, float](), [0.0]
-    roles = ("manager", *spec.benches) if every_role else ("manager",)
-    team = PPOTeam(spec, roles, IPPO(scenario=scenario, practice=0.0), "scripted")
+    ppo._CORES = 1
+    team, spent, inside = learning_team(scenario, every_role), dict[str, float](), [0.0]
 
     def time_part(owner: Any, names: str, part: str) -> None:
         """Count the time of methods to a part, without what they call of other parts."""
@@ -456,6 +471,8 @@ def collections(seconds: float) -> list[str]:
     for part in sorted(parts, key=lambda part: -sum(each.get(part, 0.0) for each in found.values())):
         lines.append(f"| {part} | " + " | ".join(f"{each.get(part, 0.0):.1%}" for each in found.values()) + " |")
     lines.append(f"| {first} | " + " | ".join(f"{each[first]:,.0f}" for each in found.values()) + " |")
+    more = [second_core("rush", False, 30), second_core("wurtz_dodecane", True, 6)]
+    lines.append("| times as many of wall time with a second core | " + " | ".join(f"{x:.2f}" for x in more) + " |")
     return [*lines, "", f"Load average {os.getloadavg()[0]:.1f}."]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -21,10 +22,10 @@ from chemlab.agents.notes import notes_size
 from chemlab.agents.policies import make_policies
 from chemlab.agents.pretrained import load_pretrained
 from chemlab.agents.runs import RESULT_SEED, Run
-from chemlab.agents.train.arguments import IPPO
+from chemlab.agents.train.arguments import IPPO, MAPPO
 from chemlab.agents.train.export import export_run
 from chemlab.agents.train.learn import train
-from chemlab.agents.train.ppo import PPOTeam, _drawn, _Shown, _Track
+from chemlab.agents.train.ppo import PPOTeam, _drawn, _Learner, _Shown, _Track
 from chemlab.agents.train.tied import TiedLinear, Unit, action_units, notes_units, observed_units
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
@@ -435,6 +436,24 @@ def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
     made = IPPO(scenario="wurtz_dodecane", roles=("manager",), steps=60_000, evaluations=2, checkpoints=2, seed=1)
     result = train(made, tmp_path / "run")
     assert result.mean > result.scripted_mean > 0.7
+
+
+@pytest.mark.parametrize("algorithm", [IPPO, MAPPO])
+def test_a_second_core_changes_no_number(monkeypatch: pytest.MonkeyPatch, algorithm: type[IPPO]) -> None:
+    threads, learned = set(), []
+    values = _Learner._learn_values
+    monkeypatch.setattr(_Learner, "_learn_values", lambda *own: threads.add(get_ident()) or values(*own))
+    for cores in (1, 2):
+        monkeypatch.setattr("chemlab.agents.train.ppo._CORES", cores)
+        threads.clear()
+        torch.manual_seed(0)
+        team = PPOTeam(load_scenario("rush"), ["manager"], algorithm(scenario="rush", **QUICK), "scripted", False)
+        for number in range(3):
+            team.learn(0.1 * number, number)
+        learned.append(team.learners["manager"].network.state_dict())
+        assert (get_ident() in threads) == (cores == 1)
+    one, two = learned
+    assert all(torch.equal(one[name], two[name]) for name in one)
 
 
 def test_a_policy_to_begin_from_has_no_shared_weights_and_learns_in_small_steps() -> None:
