@@ -130,10 +130,7 @@ class Room:
     # -- episodes -----------------------------------------------------------------------------------------------------
 
     def begin(self, goal: str | None = None) -> None:
-        """Begin an episode; a running one ends with the status "given up".
-
-        Args:
-            goal: goal of all orders; None: drawn.
+        """Begin an episode with a goal, or a drawn one; a running episode ends with the status "given up".
 
         Raises:
             ValueError: the goal is unknown.
@@ -168,8 +165,7 @@ class Room:
             self._last: dict[str, tuple[int, str, Mapping[str, Any], Reply]] = {}
             self._notices: dict[str, list[str]] = {seat: [] for seat in self.seats}
             self._said = dict.fromkeys(self.seats, 0)
-            self._calls, self._wrong = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
-            self._characters, self._tokens = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
+            self._counts = {seat: dict.fromkeys(("calls", "wrong", "characters", "tokens"), 0) for seat in self.seats}
             self._transcript: list[dict[str, Any]] = []
             self._played = 0
             self._open_files({} if goal is None else {"goal": goal})
@@ -266,17 +262,13 @@ class Room:
         return Path(f"{self._stem}.jsonl")
 
     def report(self) -> dict[str, Any]:
-        """Return status and score, and by seat the numbers of calls, refused calls, characters of replies and tokens.
-
-        Only tokens that were reported by :meth:`spent` are counted.
-        """
-        counts = {"calls": self._calls, "wrong": self._wrong, "characters": self._characters, "tokens": self._tokens}
-        seats = {seat: {name: count[seat] for name, count in counts.items()} for seat in self.seats}
+        """Return status and score, and by seat the numbers of calls, refused calls, characters and tokens."""
+        seats = {seat: dict(counts) for seat, counts in self._counts.items()}
         return {"status": self._status, "score": self.score, "seats": seats, "condition": self._condition}
 
     def spent(self, seat: str, tokens: int) -> None:
         """Count tokens that the model at a seat has used."""
-        self._tokens[seat] += tokens
+        self._counts[seat]["tokens"] += tokens
 
     def close(self) -> None:
         """End the episode, if it is running, and write its files."""
@@ -402,8 +394,9 @@ class Room:
                 return Reply(f"no seat {plain(agent)}; seats: {', '.join(self.seats)}", self._over, True)
             if self._over:
                 return Reply(self._end_words(), True)
-            self._calls[agent] += 1
-            if self._budget is not None and self._calls[agent] > self._budget:
+            counts = self._counts[agent]
+            counts["calls"] += 1
+            if self._budget is not None and counts["calls"] > self._budget:
                 self._finish("out of calls")
                 self._close_files()
                 return Reply(self._end_words(), True)
@@ -414,10 +407,10 @@ class Room:
                     raise ToolError(f"{verb}: {self._verbs[agent][verb].takes}, given {count}")
                 reply = self._answer(agent, verb, arguments)
             except ToolError as error:
-                self._wrong[agent] += 1
+                counts["wrong"] += 1
                 reply = Reply(f"Error: {error}", self._over, True)
             if episode == self._episode:
-                self._characters[agent] += len(reply.text)
+                counts["characters"] += len(reply.text)
                 shown = {plain(k): plain(v, 1000) for k, v in arguments.items()} if _is_small(arguments) else {}
                 at = min(self._played, played + 1)  # number of the call's turn in the record
                 entry = {"at": at, "agent": agent, "verb": plain(verb), "arguments": shown, **asdict(reply)}
@@ -426,11 +419,7 @@ class Room:
             return reply
 
     def _answer(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
-        """Carry out a call, and return the reply.
-
-        Raises:
-            ToolError: the call is refused.
-        """
+        """Carry out a call, and return the reply; ToolError if it is refused."""
         if not _is_small(arguments):
             raise ToolError(f"{plain(verb)}: arguments must be at most {_MOST_ARGUMENTS}, given by name")
         verbs = self._verbs[agent]
@@ -442,12 +431,12 @@ class Room:
             raise ToolError(
                 f"{verb}: reason must be a text of at most {_LONGEST_REASON} characters, given {amount_of(reason)}"
             )
-        known = verbs[verb].checked(given)
+        values = verbs[verb].checked(given)
         if verb == "look":
-            return Reply(self._display(agent, True, known.get("at", "all")))
+            return Reply(self._display(agent, True, values.get("at", "all")))
         if verb == "say":
-            return self._deliver(agent, known["to"], known["text"])
-        repeated = None if turn is None else self._repeated(agent, verb, known, turn)
+            return self._deliver(agent, values["to"], values["text"])
+        repeated = None if turn is None else self._repeated(agent, verb, values, turn)
         if repeated is not None:
             return repeated
         if self._current() != agent:
@@ -458,30 +447,22 @@ class Room:
         action = verbs[verb].action
         if action is None or (verb == "wait" and self._fresh[agent]):  # the seat has not yet been shown its turn
             return Reply(self._situation(agent))
-        reply = self._act(agent, verb, action(known))
-        self._last[agent] = (self._turns[agent] - 1, verb, known, reply)
+        reply = self._act(agent, verb, action(values))
+        self._last[agent] = (self._turns[agent] - 1, verb, values, reply)
         return reply
 
-    def _repeated(self, agent: str, verb: str, known: Mapping[str, Any], turn: Any) -> Reply | None:
-        """Return the reply to the same call of the previous turn, or None if the call is for the current turn.
-
-        Raises:
-            ToolError: the call is for another turn.
-        """
+    def _repeated(self, agent: str, verb: str, values: Mapping[str, Any], turn: Any) -> Reply | None:
+        """Return the earlier reply to a call of the previous turn, or None for the current turn; else ToolError."""
         number, now = number_of(turn), self._turns[agent]
         if number == now:
             return None
         last = self._last.get(agent)
-        if last is not None and number == last[0] and (verb, known) == last[1:3]:
+        if last is not None and number == last[0] and (verb, values) == last[1:3]:
             return last[3]
         raise ToolError(f"{verb}: turn must be {now}, the current turn, or left out; given {plain(turn)}")
 
     def _act(self, agent: str, verb: str, action: Any) -> Reply:
-        """Play a seat's action, and all turns of policies after it.
-
-        Raises:
-            ToolError: the action is not legal.
-        """
+        """Play a seat's action and the following turns of policies; ToolError if the action is illegal."""
         labs = self.laboratories
         mask = labs.mask(labs.agents.index(agent), labs.members)
         if mask is not None and not mask[0, int(action)]:
@@ -497,9 +478,7 @@ class Room:
         return Reply(f"{done}{situation}", self._over)
 
     def _situation(self, agent: str) -> str:
-        """Return and clear a seat's notices, followed by the changes of its observation or the agent that has the
-        turn.
-        """
+        """Return a seat's new notices, and the changes of its observation or the agent that has the turn."""
         notices = " ".join(self._notices[agent])
         self._notices[agent] = []
         if self._over:
@@ -531,15 +510,15 @@ class Room:
                 head, lines = f"{head}: no experiment here", []
             elif whole:
                 head += f": step {had + 1} of {labs.benches[index - 1].spec.step_limit}"
-        known, self._shown[agent] = self._shown[agent], set(lines)
-        shown = lines if whole else [line for line in lines if line not in known]
+        before, self._shown[agent] = self._shown[agent], set(lines)
+        shown = lines if whole else [line for line in lines if line not in before]
         if at:  # earlier readings of vessels at benches are details, too
             shown = [(subject, words.partition(" (before: ")[0]) for subject, words in shown]
         if self._current() == agent:
             self._fresh[agent] = False
         else:
             head += f"; {self._current()} has the turn"
-        return "\n".join([head, *folded_lines(shown, known if whole and at else ())])
+        return "\n".join([head, *folded_lines(shown, before if whole and at else ())])
 
     def _without_small_changes(self, agent: str, observation: Any) -> Any:
         """Return the observation, in which spectra that have hardly changed are replaced by those last shown."""
@@ -548,9 +527,9 @@ class Room:
             return observation
         channels = self.laboratories.roles[self.laboratories.agents.index(agent)].channels
         columns = channel_slices(channels)
-        for own in [columns[channel.name] for channel in channels if channel.unit == "absorption"]:
-            if np.abs(observation[own] - last[own]).max() <= _UNNOTICED:
-                observation[own] = last[own]
+        for part in [columns[channel.name] for channel in channels if channel.unit == "absorption"]:
+            if np.abs(observation[part] - last[part]).max() <= _UNNOTICED:
+                observation[part] = last[part]
         return observation
 
     def _impossible(self, agent: str, verb: str, mask: Any) -> str:
@@ -562,20 +541,18 @@ class Room:
             possible = "; ".join(renamed(plain(kind), self._name) for kind in kinds)
             return f"{verb}: not possible now (empty vessel or bottle); possible: {possible}"
         legal = [labs.actions.decode(action) for action in actions]
-        own = [arguments for kind, *arguments in legal if kind == verb]
-        columns = [", ".join(dict.fromkeys(self._name(str(v)) for v in column)) for column in zip(*own, strict=True)]
+        alternatives = [arguments for kind, *arguments in legal if kind == verb]
+        columns = [
+            ", ".join(dict.fromkeys(self._name(str(v)) for v in column)) for column in zip(*alternatives, strict=True)
+        ]
         names = [argument.name for argument in self._verbs[agent][verb].arguments]
-        if own and len(names) == len(columns):
+        if alternatives and len(names) == len(columns):
             ways = "; ".join(f"{name} {values}" for name, values in zip(names, columns, strict=True))
             return f"{verb}: not possible with these arguments now; possible: {ways}"
         return f"{verb}: not possible now; possible verbs: {', '.join(dict.fromkeys(str(kind) for kind, *_ in legal))}"
 
     def _deliver(self, agent: str, to: str, text: str) -> Reply:
-        """Add a message to the notices of another seat.
-
-        Raises:
-            ToolError: it is longer than the remaining number of characters.
-        """
+        """Add a message to another seat's notices; ToolError if it has more characters than are left."""
         left = self._say - self._said[agent]
         if len(text) > left:
             raise ToolError(f"say: {len(text)} characters, but only {left} are left of {self._say}")
@@ -632,14 +609,14 @@ def input_schema(verb: Verb) -> dict[str, Any]:
     """Return the JSON schema of a verb's arguments."""
     properties: dict[str, Any] = {}
     for argument in verb.arguments:
-        own: dict[str, Any] = {"description": argument.meaning}
+        schema: dict[str, Any] = {"description": argument.meaning}
         if argument.options:
-            own["enum"] = list(argument.options)
+            schema["enum"] = list(argument.options)
         elif argument.longest:
-            own |= {"type": "string", "maxLength": argument.longest}
+            schema |= {"type": "string", "maxLength": argument.longest}
         else:
-            own |= {"type": "number", "minimum": argument.low, "maximum": argument.high}
-        properties[argument.name] = own | ({} if argument.default is None else {"default": argument.default})
+            schema |= {"type": "number", "minimum": argument.low, "maximum": argument.high}
+        properties[argument.name] = schema | ({} if argument.default is None else {"default": argument.default})
     if verb.action is not None:
         properties["turn"] = {"type": "integer", "description": _TURN}
     required = [argument.name for argument in verb.arguments if argument.default is None]

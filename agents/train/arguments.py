@@ -168,10 +168,7 @@ class Arguments(BaseModel):
 
     @property
     def label(self) -> str:
-        """Name of the run's settings in figures and tables.
-
-        It is the preset; ``PRESET-ALGO`` with another algorithm than the preset's; the algorithm without a preset.
-        """
+        """Name in figures and tables: algorithm, preset, or ``PRESET-ALGO`` for another algorithm than the preset's."""
         if self.preset == "paper":
             return self.algo
         is_usual = PRESETS[self.preset].get("algo", self.algo) == self.algo
@@ -420,16 +417,7 @@ class TD3(Replay):
     action_noise: Weight = 0.1
 
 
-_HELP = (
-    "practice",
-    "refund",
-    "processed",
-    "own_goals",
-    "shown_readings",
-    "partial",
-    "free_readings",
-    "self_imitation",
-)
+_HELP = ("practice", "refund", "processed", "own_goals", "shown_readings", "partial", "free_readings", "self_imitation")
 """Options against sparse reward, for learning from nothing; they apply to training, never to evaluations."""
 
 
@@ -630,11 +618,7 @@ def _environments() -> dict[str, dict[str, str]]:
 
 
 def _without_env_id(given: dict[str, Any], where: str) -> dict[str, Any]:
-    """Return arguments with the environment id replaced by its scenario and its bench or role.
-
-    Raises:
-        DataError: the environment is unknown, or another argument contradicts it.
-    """
+    """Return arguments with the environment id, if there is one, replaced by its scenario and its bench or role."""
     env_id = given.pop("env_id", None)
     scenario = str(given.get("scenario", ""))
     if env_id is None and (scenario.startswith("chemlab/") or scenario == "manager"):

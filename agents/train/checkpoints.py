@@ -163,16 +163,7 @@ def forget_replay(run: Run) -> None:
 
 
 def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
-    """Fill a replay buffer from the run's files.
-
-    Args:
-        run: the run.
-        buffer: the buffer.
-        rows: number of rows at the checkpoint; files of later rows are removed.
-
-    Raises:
-        ValueError: files are missing.
-    """
+    """Fill a replay buffer from the files of ``rows`` rows, and remove later ones; ValueError if one is missing."""
     size, available = buffer.buffer_size, 0
     for start, stop, file in _replay_files(run):
         if stop > rows:  # a crash interrupted the checkpoint of this file
@@ -191,13 +182,7 @@ def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
 
 
 def load_agent(run: Run, folder: Path, algo: str, venv: ChemlabVecEnv) -> tuple[BaseAlgorithm, dict[str, Any]]:
-    """Load the learner of a ``last`` checkpoint, with its environments and the process's random generators.
-
-    Args:
-        run: the run.
-        folder: folder of the checkpoint.
-        algo: a name of :data:`~chemlab.agents.learners.LEARNERS`.
-        venv: environments of the run, whose state is restored.
+    """Restore the learner, the environments and the process's random generators from a ``last`` checkpoint.
 
     Returns:
         The learner, and the state of the training loop.

@@ -71,11 +71,6 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
 
     Actions are compared, and the quantities that determine them: Q values, log-probabilities, unclipped means. Infinite
     if the discrete actions differ without a tie.
-
-    Args:
-        model: the learner of Stable-Baselines3.
-        policy: the exported policy.
-        observation: [B, size] observations; for a policy with a memory, successive ones.
     """
     if policy.card.memory:
         return _largest_in_sequence(model, policy, observation)
@@ -119,9 +114,6 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
         out: path of the two files, with or without a suffix; the file name is the policy's name.
         role: role to export, if several were trained together. A bench is then evaluated on its own, on vessels of
             laboratories.
-
-    Returns:
-        The card of the exported policy.
 
     Raises:
         ValueError: the folder has no run or no checkpoint, its bench has changed since, the role is missing or unknown,
@@ -177,11 +169,7 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
 
 
 def _compare(folder: Path, checkpoint: Path, algo: str, task: Task, policy: PretrainedPolicy) -> None:
-    """Compare an exported policy with the learner of its checkpoint; the learner of an untrusted run is not loaded.
-
-    Raises:
-        ValueError: their outputs differ.
-    """
+    """Raise ValueError if a policy differs from its learner; the learner of an untrusted run is not loaded."""
     try:
         model = load_learner(checkpoint, algo)
     except DataError:

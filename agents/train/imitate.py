@@ -26,17 +26,12 @@ from ..runs import training_seeds
 LEAST_STD = 0.02
 """Lower bound of the standard deviation of a clone's continuous actions."""
 
-_EPOCHS = 10
-"""Minimum number of epochs."""
-_UPDATES = 1_100
-"""Minimum number of updates; few examples have more epochs."""
-BATCH = 256
-"""Approximate number of turns in a minibatch."""
-_SEQUENCES_BATCH = 2_048
-"""Approximate number of turns in a minibatch of whole episodes."""
-LEARNING_RATE = 1e-3
-_SEQUENCES_LEARNING_RATE = 3e-3
-"""Learning rate for whole episodes, whose minibatches have more turns."""
+_EPOCHS, _UPDATES = 10, 1_100
+"""Minimum numbers of epochs and of updates."""
+BATCH, LEARNING_RATE = 256, 1e-3
+"""Approximate number of turns in a minibatch, and initial learning rate."""
+_SEQUENCES_BATCH, _SEQUENCES_LEARNING_RATE = 2_048, 3e-3
+"""The same for minibatches of whole episodes."""
 ENTROPY = 0.03
 """Weight of the entropy bonus, without which the clone would hardly explore where its examples agree."""
 VALUES = 0.5
@@ -146,12 +141,9 @@ def descend(
 
     Args:
         network: the network to train.
-        loss: loss of a minibatch, given the indices of its examples.
-        count: number of examples.
+        loss: loss of a minibatch, given the indices of its examples, of which there are ``count``.
         batch: approximate size of a minibatch.
-        learning_rate: initial learning rate.
-        max_grad_norm: norm to which gradients are clipped.
-        rng: generator of the minibatches.
+        learning_rate, max_grad_norm, rng: initial learning rate, bound of the gradient's norm, order of minibatches.
 
     Returns:
         The number of minibatches of an epoch.
@@ -300,11 +292,7 @@ def _examples(
     gamma: float,
     advised: bool = False,
 ) -> _Examples:
-    """Collect at least ``steps`` turns with the actions of a policy; ``learner`` acts if it is not None.
-
-    Raises:
-        ValueError: no episode ended within these turns.
-    """
+    """Collect about ``steps`` turns with the actions of a policy, in which the policy or ``learner`` acts."""
     n, discrete = batch.num_envs, batch.single_action_space.shape == ()
     members, turns, teacher = np.arange(n), np.zeros(n, dtype=np.int64), Advisor(policy)
     rows: list[tuple[Any, Any, Any]] = []

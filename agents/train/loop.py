@@ -36,8 +36,7 @@ with needs("training needs Stable-Baselines3", "train"):
 EVALUATION_SEED = 1_000_000
 """First seed of the evaluations that choose the best checkpoint.
 
-The final evaluation begins at :data:`~chemlab.agents.runs.RESULT_SEED`; training has the seeds of
-:func:`~chemlab.agents.runs.training_seeds`.
+The final evaluation begins at :data:`~chemlab.agents.runs.RESULT_SEED`.
 """
 
 
@@ -64,15 +63,8 @@ class Watcher:
 class Progress:
     """State of the loop, stored in each checkpoint.
 
-    Attributes:
-        step: training steps so far.
-        rounds: rounds so far.
-        seconds: wall time in s, summed over all sessions.
-        best_mean: highest mean of an evaluation so far.
-        best_step: its step.
-        sampled: True if the policy's actions are drawn, False if they are the most probable ones. Each evaluation
-            decides it; before the first one, the argument ``play`` does.
-        best_sampled: the same for the best checkpoint.
+    ``seconds`` is wall time over all sessions. ``sampled`` is True if the policy's actions are drawn, as in the last
+    evaluation; before the first one, the argument ``play`` decides.
     """
 
     step: int = 0
@@ -116,12 +108,7 @@ class Trainee(ABC):
 
     @abstractmethod
     def check(self) -> None:
-        """Check a new run's other requirements, before anything is written.
-
-        Raises:
-            ValueError: a policy or an argument does not fit the task.
-            DataError: a file that the run needs is missing or invalid.
-        """
+        """Check the other requirements of a new run before anything is written; ValueError if one is not met."""
 
     @abstractmethod
     def begin(self, run: Run) -> Progress:
@@ -133,13 +120,7 @@ class Trainee(ABC):
 
     @abstractmethod
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
-        """Evaluate the policy, and return its mean return by goal.
-
-        Args:
-            episodes: number of episodes for each goal.
-            seed: seed of the first one; the others follow it.
-            sampled: True to draw actions, False for the most probable ones; after :meth:`take`, the checkpoint decides.
-        """
+        """Return the policy's mean return by goal, ``sampled`` or greedy (after :meth:`take`, as its card states)."""
 
     @abstractmethod
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
@@ -191,10 +172,7 @@ def evaluation_fields(arguments: Arguments, evaluation: Evaluation | None) -> di
 
 
 class _TensorBoardFiles(TensorBoardOutputFormat):
-    """TensorBoard's files; disk errors name the folder.
-
-    A resumed run removes the points that it logged after its last checkpoint.
-    """
+    """TensorBoard's files without the points after the checkpoint of a resumed run; disk errors name the folder."""
 
     def __init__(self, folder: Path, step: int) -> None:
         self._folder = folder

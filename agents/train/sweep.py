@@ -76,11 +76,7 @@ class Status:
 
 
 def plan(file: Path, out: Path) -> list[Planned]:
-    """Return the runs of a sweep file in the order of execution: the first seed of every combination comes first.
-
-    Args:
-        file: the sweep file.
-        out: folder of the results.
+    """Return the runs of a sweep file in the order of execution, with their folders below ``out``.
 
     Raises:
         DataError: the file is missing or not TOML.
@@ -122,11 +118,7 @@ def plan(file: Path, out: Path) -> list[Planned]:
 
 
 def _folder(arguments: Arguments, label: str, where: str) -> Path:
-    """Return a run's folder, relative to the folder of results.
-
-    Raises:
-        DataError: it would not be a folder below the folder of results.
-    """
+    """Return a run's folder, relative to the folder of results; DataError if it is not below that folder."""
     folder = arguments.folder(label)
     if len(folder.parts) != 3 or not all(_FOLDER.fullmatch(part) for part in folder.parts):
         raise DataError(

@@ -30,21 +30,15 @@ from .arguments import PPO, Arguments, Single
 
 
 class Task(ABC):
-    """Base class of training tasks.
-
-    Attributes:
-        scenario: the scenario.
-        agent: the learning agent: the key of a single bench, or the name of an agent of a laboratory.
-        goals: goals of the episodes.
-        workplace: bench or manager of the learning agent.
-        background: policies of the other agents of a laboratory; None for a single bench.
-    """
+    """Base class of training tasks."""
 
     scenario: Scenario
     agent: str
+    """Learning agent: the key of a single bench, or the name of an agent of a laboratory."""
     goals: tuple[str, ...]
     workplace: Workplace
     background: str | None = None
+    """Policies of the other agents of a laboratory."""
 
     @property
     def fingerprint(self) -> str:
@@ -71,11 +65,7 @@ class Task(ABC):
 
     @abstractmethod
     def policy(self, name: str, seed: int = 0) -> Policy:
-        """Return a policy for this task by name.
-
-        Args:
-            name: name of the policy.
-            seed: seed of the policy's random numbers until an episode's seed replaces it.
+        """Return a policy for this task by name; ``seed`` is that of its random numbers until an episode sets another.
 
         Raises:
             ValueError: the name is unknown, or the policy does not fit.

@@ -127,10 +127,7 @@ def numbered(kinds: Sequence[Hashable]) -> IntArray:
 
 
 def _relation(ins: Sequence[int], outs: Sequence[int]) -> IntArray:
-    """Return the relation [out, in] of units by their slots or orders.
-
-    0: the input has no slot; 1: only the input has one; 2: both have the same; 3: both have different ones.
-    """
+    """Return [out, in]: 0 if the input has no slot (or order), 1 if only the input has one, 2 if equal, 3 if not."""
     a, b = np.array(ins)[None, :], np.array(outs)[:, None]
     return np.where(a < 0, 0, np.where(b < 0, 1, np.where(a == b, 2, 3)))
 

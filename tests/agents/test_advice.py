@@ -240,8 +240,12 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
     from chemlab.agents.runs import Run
     from chemlab.agents.train.export import export_run
     from chemlab.agents.train.learn import train
+    from chemlab.agents.train.loop import Watcher
 
-    result = train(arguments(learning_rate=1e-12, bc_steps=2400, final_episodes=20), tmp_path / "run")
+    announced, watcher = list[str](), Watcher()
+    watcher.cloning = announced.append  # type: ignore[method-assign]
+    result = train(arguments(learning_rate=1e-12, bc_steps=2400, final_episodes=20), tmp_path / "run", watcher)
+    assert announced == ["scripted"]
     assert result.mean == pytest.approx(result.scripted_mean, abs=0.1)
     best = Run(tmp_path / "run").checkpoint("best")
     card = load_pretrained(best / "manager").card
