@@ -89,7 +89,7 @@ class Watched:
         advice = self.watches.advise(observation, mask, step, members)
         self.agreed += (advice == played).tolist()
         asked = self.watches._advised
-        asked.update({i: asked[i]._replace(decided=-1) for i in members.tolist()})
+        asked.update({i: (-1, *asked[i][1:]) for i in members.tolist()})
         self.watches.played(played, members)
         return played
 
