@@ -10,7 +10,6 @@ import numpy.typing as npt
 from chemlab.config.scenario import MANAGER_AGENT
 from chemlab.envs.players import Players
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
-from chemlab.envs.role_episodes import Policies
 from chemlab.kernels.arrays import IntArray
 from chemlab.lab.engine import Laboratories
 
@@ -58,7 +57,7 @@ def role_vector_env(
     return RoleVectorEnv(num_envs, scenario, agent, background_policies(background, agent), **arguments)
 
 
-def background_policies(background: Background, learner: str | None = None) -> Policies:
+def background_policies(background: Background, learner: str | None = None) -> Callable[[Laboratories], dict[str, Any]]:
     """Return a function that makes the policies of all agents of some laboratories as named by ``background``.
 
     Raises (when called):

@@ -1,7 +1,7 @@
-"""Human players as policies: the observation in words and bars, and typed input as actions.
+"""Human players as policies: observations are shown in words and bars, and actions are typed.
 
-Everything shown is taken from the role's observation, so a person has the information of a learned policy, the public
-scenario, and (as the manager, from ``info``) the costs so far.
+A person has the observation of a learned policy, the public scenario, and (as the manager, from ``info``) the costs so
+far.
 """
 
 from __future__ import annotations
@@ -24,30 +24,32 @@ from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import RoleText, Shades, action_words, folded_lines, position_words
 from chemlab.roles.bench import Bench, channel_slices
 
+from .roles import action_size
+
 _FLAT = 12
 """Maximum number of actions that are listed individually; more are grouped."""
 _BLOCKS, _PLAIN = " ▁▂▃▄▅▆▇█", " .:-=+*#@"
+"""Signs of a sparkline in Unicode and in ASCII, from 0 to 1."""
 
 
 class Left(Exception):
-    """The person has left the game."""
+    """Raised when the person leaves the game."""
 
 
 # -- observations ------------------------------------------------------------------------------------------------------
 
 
 def sparkline(values: Sequence[float] | npt.NDArray[Any], width: int, signs: str = _BLOCKS) -> str:
-    """Format numbers in [0, 1] as a line of at most ``width`` signs, each the maximum of its numbers, so that peaks are
-    kept.
+    """Format numbers in [0, 1] as a line of at most ``width`` signs, from the first sign for 0 to the last for 1.
 
-    A number is shown as the nearest sign; the first sign is 0, the last is 1.
+    A sign shows the maximum of its numbers, so that peaks remain visible.
     """
     parts = np.array_split(np.asarray(values, dtype=np.float64), min(width, len(values)))
     return "".join(signs[round(float(part.max().clip(0.0, 1.0)) * (len(signs) - 1))] for part in parts)
 
 
 def _grid(rows: Sequence[tuple[str, str | Text]]) -> Table:
-    """Return a table of labels and contents; long lines are indented on continuation."""
+    """Return a table of labels and contents; the continuation of a long line is indented."""
     grid = Table.grid(padding=(0, 1))
     grid.add_column(no_wrap=True)
     grid.add_column(overflow="fold")
@@ -73,12 +75,12 @@ class LetterShades(Shades):
         for part in np.array_split(self.materials(pixels), min(width, len(pixels))):
             kind = int(np.bincount(part).argmax())
             color = self.colors[kind]
-            light = sum(int(color[i : i + 2], 16) * w for i, w in ((1, 0.3), (3, 0.6), (5, 0.1))) > 110.0
-            text.append(self.letters[kind], style="" if kind == 0 else f"{'black' if light else 'white'} on {color}")
+            is_light = sum(int(color[i : i + 2], 16) * w for i, w in ((1, 0.3), (3, 0.6), (5, 0.1))) > 110.0
+            text.append(self.letters[kind], style="" if kind == 0 else f"{'black' if is_light else 'white'} on {color}")
         return text
 
     def legend(self, *pictures: npt.NDArray[Any]) -> str:
-        """Return the materials of the letters in some pictures."""
+        """Return the letters in some pictures with their materials."""
         kinds = sorted({int(kind) for pixels in pictures for kind in self.materials(pixels)})
         return ", ".join(f"{self.letters[kind]} {self.names[kind]}" for kind in kinds)
 
@@ -87,18 +89,18 @@ class LetterShades(Shades):
 
 
 class Menu:
-    """Numbered actions, grouped if there are many, and narrowed by typing.
+    """Numbered legal actions; many actions are shown in groups, which typing narrows.
 
     Args:
         meanings: description of every action.
-        paths: the same in steps (``start rxn_0``, ``slot 0``, ``goal dodecane``) for grouping.
-        legal: which of them are legal now.
+        paths: description of every action in steps (``start rxn_0``, ``slot 0``, ``goal dodecane``), for grouping.
+        legal: indices of the legal actions.
     """
 
     def __init__(self, meanings: Sequence[str], paths: Sequence[Sequence[str]], legal: Sequence[int]) -> None:
         self._meanings, self._paths = meanings, paths
         self._legal = list(legal)
-        self._shown, self._depth = self._legal, 0
+        self.back()
 
     def entries(self) -> list[tuple[str, list[int]]]:
         """Return (label, actions) of each numbered line."""
@@ -120,32 +122,33 @@ class Menu:
         self._shown, self._depth = self._legal, 0
 
     def _narrow(self, actions: list[int]) -> None:
-        """Show only these actions; their common steps are completed."""
+        """Show only these actions, grouped by the first step in which they differ."""
         self._shown, self._depth = actions, 0
         if len(actions) > _FLAT:
             while len({self._paths[action][self._depth] for action in actions}) == 1:
                 self._depth += 1
 
     def take(self, typed: str) -> int | None:
-        """Return the typed action: numbers of successive lines, or the beginning of its description.
+        """Return the typed action, or None if the menu was narrowed instead.
 
-        None if the menu was narrowed instead.
+        Args:
+            typed: numbers of lines, one for each level of groups; or the beginning of a description, or words of it.
 
         Raises:
-            ValueError: the line or action does not exist; the message says so.
+            ValueError: the line or action does not exist.
         """
-        if all(part.isdigit() for part in typed.split()):
+        if all(part.isdecimal() for part in typed.split()):
             return self._take_numbers([int(part) for part in typed.split()])
-        begins, says = _matchers(typed)
+        begins, contains = _matchers(typed)
         starting = [action for action in self._legal if begins(self._meanings[action])]
         exact = [action for action in starting if len(self._meanings[action]) == len(" ".join(typed.split()))]
         if len(exact or starting) == 1:
             return (exact or starting)[0]
-        found = starting or [action for action in self._legal if says(self._meanings[action])]
-        if found:
-            self._narrow(found)
+        matching = starting or [action for action in self._legal if contains(self._meanings[action])]
+        if matching:
+            self._narrow(matching)
             return None
-        if any(begins(meaning) or says(meaning) for meaning in self._meanings):
+        if any(begins(meaning) or contains(meaning) for meaning in self._meanings):
             raise ValueError(f"{typed!r} is not possible now")
         raise ValueError(f"no action is called {typed!r}; type a number of the list, or ? for help")
 
@@ -157,17 +160,17 @@ class Menu:
             actions = entries[number - 1][1]
             if len(actions) == 1:
                 if i < len(numbers) - 1:
-                    raise ValueError(f"{number} is an action already: what is {numbers[i + 1]} for?")
+                    raise ValueError(f"{number} is an action, not a group; leave out {numbers[i + 1]}")
                 return actions[0]
             self._narrow(actions)
         return None
 
 
 def _matchers(typed: str) -> tuple[Callable[[str], bool], Callable[[str], bool]]:
-    """Return two tests of a description: whether it begins like the typed text, and whether it has all its words.
+    """Return two tests of a description: True if it begins with the typed text; True if it contains all its words.
 
-    Words may be abbreviated, numbers may not, and a number belongs to the word before it: ``slot 1`` is neither slot 10
-    nor the 1 of ``rxn_1``.
+    Words may be abbreviated, but not numbers, and a number belongs to the word before it: ``slot 1`` matches neither
+    slot 10 nor ``rxn_1``.
     """
 
     def pattern(words: str) -> str:
@@ -184,7 +187,7 @@ def _matchers(typed: str) -> tuple[Callable[[str], bool], Callable[[str], bool]]
 
 
 def _joined(steps: Sequence[str]) -> str:
-    """Join choices with their common words stated once: ``1 / 3 / 8 L``, ``slot 0 / 1``."""
+    """Join choices, and state their common word once: ``1 / 3 / 8 L``, ``slot 0 / 1``."""
     heads, tails = zip(*(step.partition(" ")[::2] for step in steps), strict=True)
     if len(set(tails)) == 1:
         return f"{' / '.join(heads)} {tails[0]}".strip()
@@ -199,9 +202,9 @@ _MOVE = re.compile(
 
 
 def _share(text: str, what: str) -> float:
-    percent = text.endswith("%")
+    """Parse a number from 0 to 1, or a percentage; errors name ``what``."""
     try:
-        value = float(text.rstrip("%")) / (100.0 if percent else 1.0)
+        value = float(text.removesuffix("%")) / (100.0 if text.endswith("%") else 1.0)
     except ValueError:
         raise ValueError(f"{what}: {text!r} is not a number") from None
     if not (math.isfinite(value) and 0.0 <= value <= 1.0):
@@ -212,13 +215,13 @@ def _share(text: str, what: str) -> float:
 def parse_numbers(typed: str, size: int, reagents: Sequence[str] = ()) -> FloatArray:
     """Parse typed text as a continuous action of ``size`` numbers in [0, 1].
 
-    Either all the numbers; or, on a bench with reagents, what is to change: ``T+`` (a whole step up), ``T-0.5`` (half a
-    step down), ``T=0.7`` (the number itself), ``T0`` (hold), the same with ``V``, and ``NAME=SHARE`` (or ``NAME`` for
-    all that is left), where a beginning of the name is enough if no other reagent begins so. What is not
-    mentioned stays: no change, nothing added.
+    The text has all numbers, or, on a bench with reagents, only changes: ``T+`` (a whole step up), ``T-0.5`` (half a
+    step down), ``T=0.7`` (the number itself), ``T0`` (no change), the same with ``V``, and ``NAME=SHARE`` (``NAME``
+    alone adds all that is left of the reagent). Names may be abbreviated if they remain unique. Otherwise temperature
+    and volume do not change, and nothing is added.
 
     Raises:
-        ValueError: what cannot be understood, and what could.
+        ValueError: a part cannot be parsed; the message states the accepted ones.
     """
     parts = typed.replace(",", " ").split()
     if not reagents or all(re.fullmatch(r"[\d.]+%?", part) for part in parts):
@@ -243,8 +246,9 @@ def parse_numbers(typed: str, size: int, reagents: Sequence[str] = ()) -> FloatA
         fitting = [r for r in reagents if r.lower() == name.lower()]
         fitting = fitting or [r for r in reagents if r.lower().startswith(name.lower())]
         if len(fitting) != 1 or not name:
-            which = f"could be {' or '.join(fitting)}" if fitting and name else f"knows T, V, {', '.join(reagents)}"
-            raise ValueError(f"{part!r}: {which}; for example: T+ {reagents[0]}=1")
+            known = f"T, V, {', '.join(reagents)}"
+            problem = f"could be {' or '.join(fitting)}" if fitting and name else f"unknown; choose from {known}"
+            raise ValueError(f"{part!r}: {problem}; for example: T+ {reagents[0]}=1")
         action[2 + reagents.index(fitting[0])] = _share(share, fitting[0]) if equals else 1.0
     return action
 
@@ -256,9 +260,9 @@ class HumanPolicy:
     """Policy of a person for one agent of one laboratory.
 
     Args:
-        laboratories: the laboratory; only its public part is used.
+        laboratories: the laboratory; only public information is shown.
         number: agent index.
-        ask: prompt function that returns the typed text; ``EOFError`` means the end of input.
+        ask: prompt function that returns the typed text, and raises ``EOFError`` at the end of input.
         console: output console; its width and encoding are respected.
         before: called at the beginning of each of the person's turns.
     """
@@ -272,7 +276,7 @@ class HumanPolicy:
         before: Callable[[], None] | None = None,
     ) -> None:
         self._labs, self._number = laboratories, number
-        self._manages = number == laboratories.manager.index
+        self._is_manager = number == laboratories.manager.index
         self._ask, self._console, self._before = ask, console or Console(), before
         self._role = laboratories.roles[number].workplace
         self._slices = channel_slices(self._role.channels)
@@ -311,12 +315,11 @@ class HumanPolicy:
     # -- output ---------------------------------------------------------------------------------------------------
 
     def view(self, observation: ObservationArray, step: int) -> Iterator[Any]:
-        """The text of the observation (see :class:`~chemlab.lab.text.RoleText`), and its pictures, as things rich can
-        print.
+        """Yield the observation as printable objects of rich: text (:class:`~chemlab.lab.text.RoleText`) and pictures.
 
         Args:
-            observation: the agent's.
-            step: turns it has had (in the experiment, or as the manager in the episode).
+            observation: [size] observation of the agent.
+            step: number of its earlier turns in the experiment (the manager: in the episode).
         """
         yield ""
         if isinstance(self._role, Bench):
@@ -330,21 +333,17 @@ class HumanPolicy:
         yield _grid([("", line) for line in folded_lines(self._text.lines(observation))])
         yield from self._pictures(observation)
 
-    @property
-    def _width(self) -> int:
-        return max(min(self._console.width - 16, 60), 10)
-
     def _pictures(self, observation: ObservationArray) -> Iterator[Any]:
-        """Yield layers as letters and spectra as blocks, if there are any."""
+        """Yield camera pictures as letters and spectra as blocks, if there are any."""
         rows: list[tuple[str, str | Text]] = []
-        layers = []
+        layers, width = [], max(min(self._console.width - 16, 60), 10)
         for channel in self._role.channels:
             values, label = observation[self._slices[channel.name]], channel.name.removeprefix("layers_")
             if channel.unit == "grey" and values.any():
                 layers.append(values)
-                rows.append((label, self._shades.line(values, self._width)))
+                rows.append((label, self._shades.line(values, width)))
             elif channel.unit == "absorption" and values.any():
-                rows.append((label, sparkline(values, self._width, self._signs)))
+                rows.append((label, sparkline(values, width, self._signs)))
         if layers:
             rows.append(("", f"(bottom at the left; {self._shades.legend(*layers)})"))
         if rows:
@@ -353,7 +352,11 @@ class HumanPolicy:
     # -- input ----------------------------------------------------------------------------------------------------
 
     def _typed(self) -> str:
-        """Return the typed text, after handling commands."""
+        """Return the next typed text that is not a command.
+
+        Raises:
+            Left: the person has left, or the input has ended.
+        """
         while True:
             try:
                 text = self._ask(f"{self.agent}> ").strip()
@@ -365,23 +368,24 @@ class HumanPolicy:
                 return text
             self._console.print(_grid([("", line) for line in self.help()]))
 
-    def _sorry(self, error: ValueError) -> None:
+    def _print_error(self, error: ValueError) -> None:
         self._console.print(Text(f"  {error}", style="yellow"))
 
     def _choose(self, mask: npt.NDArray[np.int8]) -> int:
         """Ask for a legal discrete action."""
         labs, meanings = self._labs, list(self._role.action_meanings)
-        paths = _manager_paths(labs) if self._manages else [_bench_path(meaning) for meaning in meanings]
+        # A bench's action is a process and a magnitude.
+        paths = _manager_paths(labs) if self._is_manager else [meaning.split(", ", 1) for meaning in meanings]
         menu = Menu(meanings, paths, np.flatnonzero(mask).tolist())
-        repeat = int(self._last) if not self._manages and self._last is not None and mask[int(self._last)] else None
-        fresh = True
+        repeat = int(self._last) if not self._is_manager and self._last is not None and mask[int(self._last)] else None
+        show_menu = True
         while True:
-            if fresh:
+            if show_menu:
                 lines = enumerate(menu.entries(), start=1)
                 self._console.print(_grid([(f"{i:>2}", label) for i, (label, _) in lines]))
                 if repeat is not None:
                     self._console.print(Text(f"  Enter repeats: {meanings[repeat]}", style="dim"))
-            fresh = True
+            show_menu = True
             text = self._typed()
             try:
                 if text.lower() in ("b", "back"):
@@ -395,13 +399,12 @@ class HumanPolicy:
                 if action is not None:
                     return action
             except ValueError as error:
-                self._sorry(error)
-                fresh = False
+                self._print_error(error)
+                show_menu = False
 
     def _numbers(self) -> FloatArray:
         """Ask for a continuous action."""
-        space = self._labs.action_space(self._number)
-        size = int(space.shape[0]) if space.shape else 0
+        size = action_size(self._labs.action_space(self._number))
         reagents = getattr(self._role, "reagent_names", ())
         last = self._last
         if last is None and reagents:
@@ -418,45 +421,44 @@ class HumanPolicy:
                     raise ValueError(f"type {size} numbers from 0 to 1, or ? for help")
                 return np.asarray(last)
             except ValueError as error:
-                self._sorry(error)
+                self._print_error(error)
 
     def help(self) -> list[str]:
         """Return instructions for the role, in lines."""
         scenario = self._labs.scenario
         lines = [f"{scenario.title}: {scenario.summary}"]
         reagents = getattr(self._role, "reagent_names", ())
-        if self._manages:
-            worth = scenario.theoretical_maximum_mol
-            goals = ", ".join(f"{goal} ({worth[goal]:g} mol at best)" for goal in scenario.lab_goals if goal in worth)
+        if self._is_manager:
+            maxima = scenario.theoretical_maximum_mol
+            goals = [f"{goal} ({maxima[goal]:g} mol at most)" for goal in scenario.lab_goals if goal in maxima]
             prices = [f"{name} {spec.price:g}" for name, spec in scenario.instruments.items()]
-            goals = goals or ", ".join(scenario.lab_goals)
             lines += [
-                f"Submit a vessel with as much and as pure a product as you can: {goals}.",
-                f"Measuring costs: {', '.join(prices) or 'there is nothing to measure with'}.",
-                "start puts a vessel on a bench; wait lets the benches work until one is done.",
+                f"Submit a vessel with much and pure product: {', '.join(goals or scenario.lab_goals)}.",
+                f"Prices of measurements: {', '.join(prices) or 'there are no instruments'}.",
+                "start puts a vessel on a bench; wait lets the benches work until one has finished.",
             ]
         elif isinstance(self._role, Bench):
             gauges = [c for c in self._role.channels if c.size == 1 and c.unit not in ("fraction", "one-hot", "0 or 1")]
             lines += [
-                f"You are paid {self._role.score_meaning}, when the experiment ends.",
+                f"When the experiment ends, you are paid {self._role.score_meaning}.",
                 f"Vessels: {position_words(self._role)}.",
                 *(f"{c.name}: {c.low:g} to {c.high:g} {c.unit}, {c.meaning}" for c in gauges),
             ]
         if self._labs.action_counts[self._number]:
             lines += [
-                "Type the number of a line (several numbers go through the groups at once: 1 3),",
-                "or the beginning of what it says; any words narrow the list (slot 0); b shows all of it again.",
+                "Type the number of a line, or several numbers for a line in a group (1 3),",
+                "or the beginning of a description; any words narrow the list (slot 0), and b shows all of it again.",
             ]
         elif reagents:
             lines += [f"- {meaning}" for meaning in self._role.action_meanings]
             lines += [
-                f"Type what is to change: T+ V- {reagents[0]}=0.5 (T+0.5 is half a step, T=0.7 the number itself),",
-                f"or all {2 + len(reagents)} numbers. What you do not mention stays as it is, and nothing is added.",
-                "The experiment ends by itself after the last step.",
+                f"Type changes: T+ V- {reagents[0]}=0.5 (T+0.5 is half a step, T=0.7 the number itself),",
+                f"or all {2 + len(reagents)} numbers. Without a change, T and V stay the same; nothing is added.",
+                "The experiment ends after the last step.",
             ]
         else:
             lines += [f"  {meaning}" for meaning in self._role.action_meanings]
-        return [*lines, "q leaves; what has been recorded so far is kept."]
+        return [*lines, "q leaves the game; the record so far is kept."]
 
 
 def _manager_paths(labs: Laboratories) -> list[list[str]]:
@@ -476,9 +478,3 @@ def _manager_paths(labs: Laboratories) -> list[list[str]]:
         else:
             paths.append([labs.actions.action_meanings[action]])
     return paths
-
-
-def _bench_path(meaning: str) -> list[str]:
-    """Return a bench's action in steps: process, magnitude."""
-    what, comma, magnitude = meaning.partition(", ")
-    return [what, magnitude] if comma else [meaning]

@@ -1,12 +1,11 @@
-"""Seats of a laboratory for language agents: calls of typed verbs in, short texts out.
+"""Seats of a laboratory for language agents: an agent calls verbs with arguments and receives short texts.
 
-A :class:`Room` holds one laboratory, its episode and its seats; policies play the agents that have no seat.
-:class:`LabTools` is the facade that agent frameworks take: its public methods are the seat's verbs, ``reset`` and
+A :class:`Room` has one laboratory with its episode and its seats; policies play the agents without a seat.
+:class:`LabTools` is the interface for agent frameworks: its public methods are the seat's verbs, ``reset`` and
 ``get_reward``. Annotations in this module are types, not strings, because frameworks read them.
 """
 
 import atexit
-import functools
 import hashlib
 import inspect
 import json
@@ -27,7 +26,7 @@ from chemlab.envs.players import Players
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.text import RoleText, folded_lines
 from chemlab.record import Play, Recorder
-from chemlab.roles.bench import Bench
+from chemlab.roles.bench import Bench, channel_slices
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
 
 from .briefs import brief, opaque_names, renamed
@@ -36,15 +35,16 @@ from .policies import agent_policy
 from .verbs import Argument, ToolError, Verb, amount_of, bench_verbs, manager_verbs, number_of, plain
 
 CANARY = "chemlab-transcript canary 5f0e3c7a-91d4-4f0e-8a55-6c1b2d9e7f43: not for training data"
-"""First line of every transcript, so that corpora can leave transcripts out."""
+"""First line of every transcript, by which corpora can exclude transcripts."""
 
 LONGEST_WAIT_S = 15.0
+"""Maximum of a room's ``patience`` in s."""
 _MOST_ARGUMENTS = 64
 _LONGEST_REASON = 200
 _LONGEST_ANSWER = 10_000
-"""Characters at the end of an answer in which a call is searched for: nested braces take quadratic time."""
+"""Number of last characters of an answer that are searched for a call; nested braces take quadratic time."""
 _UNNOTICED = 0.03
-"""Largest change of a spectrum that a reply does not repeat it for; ``look`` always shows it as it is."""
+"""Largest change of a spectrum after which a reply does not show it again; ``look`` always shows it."""
 
 
 @dataclass(frozen=True)
@@ -52,9 +52,9 @@ class Reply:
     """The answer to a call.
 
     Attributes:
-        text: for the agent.
-        done: whether the episode is over.
-        error: whether the call was refused, so that nothing has changed.
+        text: text for the agent.
+        done: True if the episode is over.
+        error: True if the call was refused; it has changed nothing.
     """
 
     text: str
@@ -66,29 +66,28 @@ class Room:
     """One laboratory with several seats.
 
     Args:
-        scenario: a shipped name, a path to a TOML file, or a loaded scenario.
-        seats: the agents that are called from outside.
+        scenario: a bundled name, a path to a TOML file, or a loaded scenario.
+        seats: names of the agents that are called from outside.
         background: policy of the other agents, by name (see :func:`~chemlab.agents.policies.make_policies`).
-        names: ``plain``, or ``opaque`` for materials under permuted code names, which stay the same in all episodes of
-            the room, because frameworks read the verbs once.
-        calls: budget of calls of each seat; one more truncates the episode. None: no budget.
-        say: characters that each seat may say to other seats in an episode; 0: the verb is not there.
-        patience: seconds that ``wait`` may block while another seat has the turn, at most 15.
-        folder: records, transcripts and the ledger are written here, the records when an episode is over.
-        condition: what the seats could reach, as the ledger states it.
-        salt: of the private split, which stays with the caller; default: a fresh one for every episode, which the
-            ledger has at the episode's end.
-        seed: of the episode; default: a fresh one.
-        split: of hidden parameters; default: the private one of the salt.
-        watch: called after every turn with the tick when it began and what was played.
+        names: ``plain``, or ``opaque`` for permuted code names of materials. These are the same in all episodes of the
+            room, because frameworks read the verbs once.
+        calls: maximum number of calls of each seat; one more truncates the episode. None: no limit.
+        say: maximum number of characters that each seat may send to other seats in an episode; 0: no verb ``say``.
+        patience: maximum duration in s that ``wait`` blocks while another seat has the turn, at most 15.
+        folder: folder of records, transcripts and the ledger; None: no files. A record is written after its episode.
+        condition: resources that the seats had access to, for the ledger.
+        salt: secret salt of the private split. None: a new one for every episode, which the ledger states afterwards.
+        seed: seed of the episode; None: a new one for every episode.
+        split: split of hidden parameters; None: the private split of the salt.
+        watch: called after every turn with the tick of its beginning and the turn.
 
     Raises:
-        DataError: the scenario is wrong or unknown.
-        ValueError: an unknown seat, policy or kind of names, or a number out of range.
+        DataError: the scenario is invalid or unknown.
+        ValueError: a seat, a policy or ``names`` is unknown, or a number is out of range.
     """
 
     laboratories: Laboratories
-    """The laboratory of the episode, which holds what seats must not see."""
+    """The laboratory of the episode, with its hidden state."""
 
     def __init__(
         self,
@@ -123,8 +122,7 @@ class Room:
         self._changed = threading.Condition(threading.RLock())
         self._episode = 0
         self._over = True
-        self._known: dict[str, str] = {}
-        """Code names of materials, if they are opaque."""
+        self._code_names: dict[str, str] = {}
         self._recorder: Recorder | None = None
         self._stem: Path | None = None
         self.begin()
@@ -132,10 +130,10 @@ class Room:
     # -- episodes -----------------------------------------------------------------------------------------------------
 
     def begin(self, goal: str | None = None) -> None:
-        """Begin an episode; one that is still running is given up, which the ledger shows.
+        """Begin an episode with a goal, or a drawn one; a running episode ends with the status "given up".
 
         Raises:
-            ValueError: unknown goal.
+            ValueError: the goal is unknown.
         """
         with self._changed:
             if goal is not None:
@@ -145,42 +143,39 @@ class Room:
             self._salt = secrets.token_hex(16) if salt is None else salt
             self._seed = secrets.randbits(63) if seed is None else seed
             self.laboratories = labs = Laboratories(self.scenario, 1, split=self._split or f"private:{self._salt}")
-            self._players = Players(
-                labs,
-                [
-                    None if a in self.seats else agent_policy(self._background, labs, i)
-                    for i, a in enumerate(labs.agents)
-                ],
-            )
+            background = [
+                None if agent in self.seats else agent_policy(self._background, labs, index)
+                for index, agent in enumerate(labs.agents)
+            ]
+            self._players = Players(labs, background)
             labs.seed(0, self._seed)
             labs.reset(labs.members, goal)
             self._players.seed(0, self._seed)
-            if self._names == "opaque" and not self._known:
-                self._known = opaque_names(self.scenario, self._salt)
-            self._name: Callable[[str], str] = functools.partial(_renamed, self._known) if self._known else str
-            renaming = self._name if self._known else None
-            self._views = {seat: RoleText(labs, labs.agents.index(seat), renaming) for seat in self.seats}
+            if self._names == "opaque" and not self._code_names:
+                self._code_names = opaque_names(self.scenario, self._salt)
+            known = self._code_names
+            self._name: Callable[[str], str] = (lambda name: known.get(name, name)) if known else str
+            naming = self._name if known else None
+            self._views = {seat: RoleText(labs, labs.agents.index(seat), naming) for seat in self.seats}
             self._verbs = {seat: {verb.name: verb for verb in self._make_verbs(seat)} for seat in self.seats}
             self._shown: dict[str, set[tuple[str, str]]] = {seat: set() for seat in self.seats}
-            self._noted: dict[str, Any] = {}
-            self._fresh = dict.fromkeys(self.seats, True)
+            self._last_seen: dict[str, Any] = {}
+            self._fresh = dict.fromkeys(self.seats, True)  # True until the seat is shown its turn
             self._turns = dict.fromkeys(self.seats, 1)
             self._last: dict[str, tuple[int, str, Mapping[str, Any], Reply]] = {}
             self._notices: dict[str, list[str]] = {seat: [] for seat in self.seats}
             self._said = dict.fromkeys(self.seats, 0)
-            self._calls, self._wrong = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
-            self._characters, self._tokens = dict.fromkeys(self.seats, 0), dict.fromkeys(self.seats, 0)
+            self._counts = {seat: dict.fromkeys(("calls", "wrong", "characters", "tokens"), 0) for seat in self.seats}
             self._transcript: list[dict[str, Any]] = []
             self._played = 0
-            self._open_books({} if goal is None else {"goal": goal})
+            self._open_files({} if goal is None else {"goal": goal})
             self._status, self._over, self._began = "running", False, time.monotonic()
             self._episode += 1
             self._advance()
-            if self._over:
-                self._close_books()
+            self._close_files()
 
-    def _open_books(self, options: Mapping[str, Any]) -> None:
-        """The ledger's entry and the record, which stays in memory while the episode runs."""
+    def _open_files(self, options: Mapping[str, Any]) -> None:
+        """Write the ledger's entry, and begin the record, which is kept in memory during the episode."""
         self._recorder, self._stem = None, None
         if self._folder is None:
             return
@@ -202,10 +197,11 @@ class Room:
         )
         self._number = entry["number"]
         self._stem = self._folder / f"episode-{self._number:04d}"
-        players = {a: self._background for a in self.laboratories.agents if a not in self.seats}  # seats: as they act
+        # The players of seats are recorded with their turns.
+        players = {agent: self._background for agent in self.laboratories.agents if agent not in self.seats}
         self._recorder = Recorder(f"{self._stem}.jsonl", self.laboratories, policies=players, held=True)
         self._recorder.begin(self._seed, options)
-        atexit.register(self.close)  # a script that fails, or does not close the room, keeps its episode
+        atexit.register(self.close)  # the episode of a script that fails, or does not close the room, is written
 
     def _make_verbs(self, seat: str) -> list[Verb]:
         labs = self.laboratories
@@ -214,10 +210,10 @@ class Room:
         if seat == MANAGER_AGENT:
             priced = ("orders",) if labs.scenario.demand.order else ()
             parts = ("all", *priced, *map(str, range(labs.actions.slots)))
-            at = Argument("at", "a slot, for all about it; or one of the other words", parts, default="all")
-            verbs = [*acting, Verb("look", "Show what you observe, all of it or a part in detail. Free.", (at,))]
+            at = Argument("at", "all, or the part to show in detail", parts, default="all")
+            verbs = [*acting, Verb("look", "Show your observation, all of it or a part in detail. Free.", (at,))]
         else:
-            look = Verb("look", "Show everything that you observe. Free.")
+            look = Verb("look", "Show your complete observation. Free.")
             verbs = [*acting, look, Verb("wait", "Wait for your turn.")]
         others = tuple(other for other in self.seats if other != seat)
         if self._say and others:
@@ -226,32 +222,32 @@ class Room:
         return verbs
 
     def verbs(self, seat: str) -> list[Verb]:
-        """The verbs of a seat."""
+        """Return the verbs of a seat."""
         return list(self._verbs[seat].values())
 
     def tools(self, seat: str) -> list[dict[str, Any]]:
-        """The verbs of a seat as tools: ``name``, ``description`` and ``input_schema``, which is a JSON schema."""
+        """Return the verbs of a seat as tools: ``name``, ``description`` and ``input_schema`` (a JSON schema)."""
         return [
             {"name": verb.name, "description": verb.meaning, "input_schema": input_schema(verb)}
             for verb in self.verbs(seat)
         ]
 
     def number(self, seat: str) -> int:
-        """Return the number of the seat's present turn, from 1; a call may give it as ``turn``."""
+        """Return the number of the seat's current turn, from 1; a call may give it as ``turn``."""
         return self._turns[seat]
 
     @property
     def over(self) -> bool:
-        """True once the episode is over."""
+        """True if the episode is over."""
         return self._over
 
     @property
     def score(self) -> float:
-        """The laboratory's score if the episode ended now: an order that is not met has its penalty."""
+        """Raw score of the laboratory if the episode ended now, with the penalties of unfilled orders."""
         return float(self.laboratories.result(self.laboratories.members)[0])
 
     def published(self) -> dict[str, Any]:
-        """Salt and seed of the episode.
+        """Return the split (with its salt) and the seed of the episode.
 
         Raises:
             ValueError: the episode is not over.
@@ -262,33 +258,32 @@ class Room:
 
     @property
     def record(self) -> Path:
-        """The record of an episode that has ended by itself; written only where there is a folder."""
+        """Path of the record of a complete episode; there is no record without a folder."""
         return Path(f"{self._stem}.jsonl")
 
     def report(self) -> dict[str, Any]:
-        """Score, and beside it calls, refused calls, characters of replies, and tokens as far as they were told."""
-        counts = {"calls": self._calls, "wrong": self._wrong, "characters": self._characters, "tokens": self._tokens}
-        seats = {seat: {name: count[seat] for name, count in counts.items()} for seat in self.seats}
+        """Return status and score, and by seat the numbers of calls, refused calls, characters and tokens."""
+        seats = {seat: dict(counts) for seat, counts in self._counts.items()}
         return {"status": self._status, "score": self.score, "seats": seats, "condition": self._condition}
 
     def spent(self, seat: str, tokens: int) -> None:
         """Count tokens that the model at a seat has used."""
-        self._tokens[seat] += tokens
+        self._counts[seat]["tokens"] += tokens
 
     def close(self) -> None:
-        """End an episode that is still running."""
+        """End the episode, if it is running, and write its files."""
         with self._changed:
             if not self._over:
                 self._finish("given up")
-            self._close_books()
+            self._close_files()
 
     def _finish(self, status: str) -> None:
         self._over, self._status = True, status
         self._changed.notify_all()
 
-    def _close_books(self) -> None:
-        """Write the record, the transcript and the ledger's entry of an episode that is over."""
-        if self._recorder is None or self._folder is None:
+    def _close_files(self) -> None:
+        """Write the record, the transcript and the ledger's entry of an episode that is over, unless written."""
+        if self._recorder is None or self._folder is None or not self._over:
             return
         self._recorder.close()
         lines = [{"canary": CANARY}, *self._transcript]
@@ -298,7 +293,7 @@ class Room:
         digests = {"record": written.read_bytes(), "transcript": text.encode()}
         ended = {"event": "ended", "begun": self._number, **self.published(), **self.report()}
         if self._given[0] is not None:
-            ended["split"] = "private"  # other episodes may have the same salt
+            ended["split"] = "private"  # the caller's salt may be that of other episodes
         ended |= {name: hashlib.sha256(content).hexdigest() for name, content in digests.items()}
         ended["seconds"] = round(time.monotonic() - self._began, 3)
         append_entry(self._folder / LEDGER, ended)
@@ -308,38 +303,39 @@ class Room:
     # -- turns --------------------------------------------------------------------------------------------------------
 
     def turn(self) -> tuple[str, str]:
-        """(agent that has the turn, what has changed for it); an empty name when the episode is over.
+        """Return the agent that has the turn and the changes of its observation; ("", the outcome) after the episode.
 
-        Everything it observes has changed at the beginning of an episode, and of a bench's experiment.
+        At the beginning of an episode, and of a bench's experiment, the text shows the complete observation.
         """
         with self._changed:
             agent = self._current()
             return (agent, self._situation(agent)) if agent else ("", self._end_words())
 
     def _current(self) -> str:
+        """Return the agent that has the turn; "" after the episode."""
         return "" if self._over else self.laboratories.agents[self.laboratories.turn()]
 
     def _advance(self) -> None:
-        """Let policies play until a seat has the turn."""
+        """Play the turns of agents without a seat until a seat has the turn or the episode is over."""
         labs = self.laboratories
         while labs.state.status[0] == RUNNING and self._current() not in self.seats:
-            number = labs.turn()
-            self._play(number, self._players.decide(number, labs.members)[0])
+            index = labs.turn()
+            self._play(index, self._players.decide(index, labs.members)[0])
         if labs.state.status[0] != RUNNING:
             self._finish(STATUS_WORDS[int(labs.state.status[0])])
         else:
             self._fresh[self._current()] = True
-        self._changed.notify_all()
+            self._changed.notify_all()
 
-    def _play(self, number: int, action: Any) -> None:
-        """One turn of an agent, with its line in the record, and notices for seats whose experiment it ended."""
+    def _play(self, index: int, action: Any) -> None:
+        """Play and record a turn of an agent, and add notices of ended experiments and safety events."""
         labs = self.laboratories
         tick = int(labs.state.ticks[0])
-        checked = labs.checked(number, action)
-        seen, mask = labs.observe(number, labs.members)[0], labs.mask(number, labs.members)
-        labs.act(number, labs.members, checked)
+        checked = labs.checked(index, action)
+        seen, mask = labs.observe(index, labs.members)[0], labs.mask(index, labs.members)
+        labs.act(index, labs.members, checked)
         self._played += 1
-        played = Play(number, seen, None if mask is None else mask[0], checked[0])
+        played = Play(index, seen, None if mask is None else mask[0], checked[0])
         if self._recorder is not None:
             self._recorder.turn([played])
         if self._watch is not None:
@@ -347,14 +343,14 @@ class Room:
         for agent, score in zip(labs.agents, labs.scores[0].tolist(), strict=True):
             if score == score and agent in self.seats and agent != MANAGER_AGENT:
                 self._notices[agent].append(f"Experiment over: score {score:+.3f}.")
-        for agent in self.seats:
-            events = labs.events(labs.agents.index(agent)) if labs.agents.index(agent) == number else {}
-            self._notices[agent] += [f"Safety event: {kind} {amount:.3g}." for kind, amount in events.items()]
+        if labs.agents[index] in self.seats:
+            events = labs.events(index).items()
+            self._notices[labs.agents[index]] += [f"Safety event: {kind} {amount:.3g}." for kind, amount in events]
 
     def play(self, agent: str, action: Any) -> None:
-        """Play a turn of a seat that has the turn by the policy of agents without a seat, which stands in for it.
+        """Play the current turn of a seat with an action of the background policy.
 
-        An action that is not possible has no effect, as in the environments.
+        An invalid action has no effect, as in the environments.
         """
         with self._changed:
             labs = self.laboratories
@@ -362,11 +358,10 @@ class Room:
             self._take_turn(agent, action, mask, self._background)
             self._notices[agent] = []
             self._advance()
-            if self._over:
-                self._close_books()
+            self._close_files()
 
     def _take_turn(self, agent: str, action: Any, mask: Any, player: str = "seat") -> None:
-        """Play and count a turn of a seat, in which ``mask`` says what is possible."""
+        """Play and count a turn of a seat; ``mask`` [1, actions] has the legal actions, None for continuous ones."""
         if self._recorder is not None:
             self._recorder.played_by(agent, player)
         self._play(self.laboratories.agents.index(agent), action)
@@ -376,7 +371,7 @@ class Room:
         self._fresh[agent] = False
 
     def display(self, agent: str) -> str:
-        """Everything that a seat observes, as ``look`` shows it; no call is counted."""
+        """Return a seat's complete observation in words, without counting a call."""
         with self._changed:
             return self._end_words() if self._over else self._display(agent, True, "")
 
@@ -385,45 +380,46 @@ class Room:
     def call(
         self, agent: str, verb: str, arguments: Mapping[str, Any] | None = None, count: int | None = None
     ) -> Reply:
-        """One call of a seat. It never raises because of what was given.
+        """Carry out a call of a seat, and return the reply; invalid input of any kind is refused in the reply.
 
         Args:
             agent: the seat.
             verb: name of the verb.
-            arguments: by name; ``turn``, the number of the turn that the call is meant for, makes a repeated call act
-                once; ``reason``, a text of at most 200 characters, stands in the transcript and nowhere else.
-            count: number of arguments, where more were given than the verb takes.
+            arguments: arguments by name. With ``turn``, the number of the turn, a repeated call has no further effect.
+                ``reason``, a text of at most 200 characters, is only written to the transcript.
+            count: number of given arguments, if it exceeds that of the verb.
         """
         with self._changed:
             if not isinstance(agent, str) or agent not in self.seats:
                 return Reply(f"no seat {plain(agent)}; seats: {', '.join(self.seats)}", self._over, True)
             if self._over:
                 return Reply(self._end_words(), True)
-            self._calls[agent] += 1
-            if self._budget is not None and self._calls[agent] > self._budget:
+            counts = self._counts[agent]
+            counts["calls"] += 1
+            if self._budget is not None and counts["calls"] > self._budget:
                 self._finish("out of calls")
-                self._close_books()
+                self._close_files()
                 return Reply(self._end_words(), True)
-            began, played = self._episode, self._played
+            episode, played = self._episode, self._played
             arguments = {} if arguments is None else arguments
             try:
                 if count is not None:
                     raise ToolError(f"{verb}: {self._verbs[agent][verb].takes}, given {count}")
                 reply = self._answer(agent, verb, arguments)
             except ToolError as error:
-                self._wrong[agent] += 1
+                counts["wrong"] += 1
                 reply = Reply(f"Error: {error}", self._over, True)
-            if began == self._episode:
-                self._characters[agent] += len(reply.text)
+            if episode == self._episode:
+                counts["characters"] += len(reply.text)
                 shown = {plain(k): plain(v, 1000) for k, v in arguments.items()} if _is_small(arguments) else {}
-                at = min(self._played, played + 1)  # the turn of the record that shows it
+                at = min(self._played, played + 1)  # number of the call's turn in the record
                 entry = {"at": at, "agent": agent, "verb": plain(verb), "arguments": shown, **asdict(reply)}
                 self._transcript.append(entry)
-                if self._over:
-                    self._close_books()
+                self._close_files()
             return reply
 
     def _answer(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
+        """Carry out a call, and return the reply; ToolError if it is refused."""
         if not _is_small(arguments):
             raise ToolError(f"{plain(verb)}: arguments must be at most {_MOST_ARGUMENTS}, given by name")
         verbs = self._verbs[agent]
@@ -435,39 +431,38 @@ class Room:
             raise ToolError(
                 f"{verb}: reason must be a text of at most {_LONGEST_REASON} characters, given {amount_of(reason)}"
             )
-        known = verbs[verb].checked(given)
+        values = verbs[verb].checked(given)
         if verb == "look":
-            return Reply(self._display(agent, True, known.get("at", "all")))
+            return Reply(self._display(agent, True, values.get("at", "all")))
         if verb == "say":
-            return self._deliver(agent, known["to"], known["text"])
-        before = self._repeated(agent, verb, known, turn)
-        if before is not None:
-            return before
+            return self._deliver(agent, values["to"], values["text"])
+        repeated = None if turn is None else self._repeated(agent, verb, values, turn)
+        if repeated is not None:
+            return repeated
         if self._current() != agent:
             if verb != "wait":
                 return Reply(f"Not your turn: {self._current()} has it; nothing was done. Call wait.")
             self._changed.wait_for(lambda: self._over or self._current() == agent, self._patience)
             return Reply(self._situation(agent), self._over)
         action = verbs[verb].action
-        if action is None or (verb == "wait" and self._fresh[agent]):  # it has the turn and has not been shown it yet
+        if action is None or (verb == "wait" and self._fresh[agent]):  # the seat has not yet been shown its turn
             return Reply(self._situation(agent))
-        reply = self._act(agent, verb, action(known))
-        self._last[agent] = (self._turns[agent] - 1, verb, known, reply)
+        reply = self._act(agent, verb, action(values))
+        self._last[agent] = (self._turns[agent] - 1, verb, values, reply)
         return reply
 
-    def _repeated(self, agent: str, verb: str, known: Mapping[str, Any], turn: Any) -> Reply | None:
-        """The reply that was given to the same call of the turn before."""
-        if turn is None:
-            return None
+    def _repeated(self, agent: str, verb: str, values: Mapping[str, Any], turn: Any) -> Reply | None:
+        """Return the earlier reply to a call of the previous turn, or None for the current turn; else ToolError."""
         number, now = number_of(turn), self._turns[agent]
         if number == now:
             return None
         last = self._last.get(agent)
-        if last is not None and number == last[0] and (verb, known) == last[1:3]:
+        if last is not None and number == last[0] and (verb, values) == last[1:3]:
             return last[3]
-        raise ToolError(f"{verb}: turn must be {now}, the present turn, or left out; given {plain(turn)}")
+        raise ToolError(f"{verb}: turn must be {now}, the current turn, or left out; given {plain(turn)}")
 
     def _act(self, agent: str, verb: str, action: Any) -> Reply:
+        """Play a seat's action and the following turns of policies; ToolError if the action is illegal."""
         labs = self.laboratories
         mask = labs.mask(labs.agents.index(agent), labs.members)
         if mask is not None and not mask[0, int(action)]:
@@ -475,17 +470,15 @@ class Room:
         before = sum(labs.costs().values())
         self._take_turn(agent, action, mask)
         price = sum(labs.costs().values()) - before
-        words = "Done."
-        if agent == MANAGER_AGENT and price > 5e-7:
-            words = f"Done; cost {price:.4g}."
+        done = f"Done; cost {price:.4g}. " if agent == MANAGER_AGENT and price > 5e-7 else "Done. "
         self._advance()
         situation = self._situation(agent)
-        return Reply(
-            f"{words} {situation}" if agent == MANAGER_AGENT or self._current() != agent else situation, self._over
-        )
+        if agent != MANAGER_AGENT and self._current() == agent:  # an experiment continues
+            done = ""
+        return Reply(f"{done}{situation}", self._over)
 
     def _situation(self, agent: str) -> str:
-        """Notices, whose turn it is, and what has changed."""
+        """Return a seat's new notices, and the changes of its observation or the agent that has the turn."""
         notices = " ".join(self._notices[agent])
         self._notices[agent] = []
         if self._over:
@@ -495,76 +488,71 @@ class Room:
         return f"{notices} {self._display(agent, False)}".strip()
 
     def _display(self, agent: str, whole: bool, at: str = "all") -> str:
-        """The seat's observation, or the lines that have changed since the last reply.
+        """Return the seat's observation in words, or the lines that have changed since the last reply.
 
         Args:
             agent: the seat.
-            whole: whether all lines are shown.
-            at: the only slot that is shown, or ``orders``, in detail; ``all``: all but details that the seat has been
-                shown; empty: all with details.
+            whole: True to show all lines.
+            at: a slot, or ``orders``, to show only this part, in detail; ``all``: without details that the seat was
+                already shown; "": with all details.
         """
         labs = self.laboratories
-        number = labs.agents.index(agent)
-        seen, view = labs.observe(number, labs.members)[0], self._views[agent]
+        index = labs.agents.index(agent)
+        seen, view = labs.observe(index, labs.members)[0], self._views[agent]
         if at not in ("", "all"):
             return "\n".join(folded_lines(view.lines(seen, only="goal" if at == "orders" else f"slot_{at}")))
-        lines = view.lines(self._noticed(agent, seen, whole), whole)
-        head, had = f"Turn {self._turns[agent]}", int(labs.turns_had(number)[0])
-        if number:
-            bench = labs.benches[number - 1]
-            busy = bool(labs.state.busy[number - 1, 0])
+        lines = view.lines(seen if whole else self._without_small_changes(agent, seen), whole)
+        self._last_seen[agent] = seen
+        head, had = f"Turn {self._turns[agent]}", int(labs.turns_had(index)[0])
+        if index:
             whole = whole or had == 0
-            step = f": step {had + 1} of {bench.spec.step_limit}" if whole else ""
-            head += step if busy else ": no experiment here"
-            if not busy:
-                lines = []
-        known, self._shown[agent] = self._shown[agent], set(lines)
-        shown = lines if whole else [line for line in lines if line not in known]
-        if at:  # what was known of vessels at benches is a detail, too
+            if not labs.state.busy[index - 1, 0]:
+                head, lines = f"{head}: no experiment here", []
+            elif whole:
+                head += f": step {had + 1} of {labs.benches[index - 1].spec.step_limit}"
+        before, self._shown[agent] = self._shown[agent], set(lines)
+        shown = lines if whole else [line for line in lines if line not in before]
+        if at:  # earlier readings of vessels at benches are details, too
             shown = [(subject, words.partition(" (before: ")[0]) for subject, words in shown]
         if self._current() == agent:
             self._fresh[agent] = False
         else:
             head += f"; {self._current()} has the turn"
-        return "\n".join([head, *folded_lines(shown, known if whole and at else ())])
+        return "\n".join([head, *folded_lines(shown, before if whole and at else ())])
 
-    def _noticed(self, agent: str, observation: Any, whole: bool) -> Any:
-        """The observation, with curves as they were last shown where they have changed by next to nothing."""
-        labs = self.laboratories
-        last = self._noted.get(agent)
-        if last is not None and not whole:
-            at = 0
-            for channel in labs.roles[labs.agents.index(agent)].channels:
-                own = slice(at, at + channel.size)
-                at += channel.size
-                if channel.unit == "absorption" and np.abs(observation[own] - last[own]).max() <= _UNNOTICED:
-                    observation[own] = last[own]
-        self._noted[agent] = observation
+    def _without_small_changes(self, agent: str, observation: Any) -> Any:
+        """Return the observation, in which spectra that have hardly changed are replaced by those last shown."""
+        last = self._last_seen.get(agent)
+        if last is None:
+            return observation
+        channels = self.laboratories.roles[self.laboratories.agents.index(agent)].channels
+        columns = channel_slices(channels)
+        for part in [columns[channel.name] for channel in channels if channel.unit == "absorption"]:
+            if np.abs(observation[part] - last[part]).max() <= _UNNOTICED:
+                observation[part] = last[part]
         return observation
 
     def _impossible(self, agent: str, verb: str, mask: Any) -> str:
-        """Why an action is refused: what of the verb is possible, and which verbs are."""
-        labs = self.laboratories
-        if agent == MANAGER_AGENT:
-            legal = [labs.actions.decode(action) for action in np.flatnonzero(mask).tolist()]
-            own = [arguments for kind, *arguments in legal if kind == verb]
-            kinds = list(dict.fromkeys(str(kind) for kind, *_ in legal))
-        else:
-            own, kinds = [], []
+        """Return the error text for an illegal action, with the legal arguments of its verb or the legal verbs."""
+        labs, actions = self.laboratories, np.flatnonzero(mask).tolist()
+        if agent != MANAGER_AGENT:
             bench = labs.benches[labs.agents.index(agent) - 1]
-            for action in np.flatnonzero(mask).tolist():
-                kinds.append(bench.action_meanings[action].partition(",")[0])
-            kinds = [plain(kind) for kind in dict.fromkeys(kinds)]
-            possible = "; ".join(renamed(kind, self._name) for kind in kinds)
+            kinds = dict.fromkeys(bench.action_meanings[action].partition(",")[0] for action in actions)
+            possible = "; ".join(renamed(plain(kind), self._name) for kind in kinds)
             return f"{verb}: not possible now (empty vessel or bottle); possible: {possible}"
-        columns = [", ".join(dict.fromkeys(self._name(str(v)) for v in column)) for column in zip(*own, strict=True)]
+        legal = [labs.actions.decode(action) for action in actions]
+        alternatives = [arguments for kind, *arguments in legal if kind == verb]
+        columns = [
+            ", ".join(dict.fromkeys(self._name(str(v)) for v in column)) for column in zip(*alternatives, strict=True)
+        ]
         names = [argument.name for argument in self._verbs[agent][verb].arguments]
-        if own and len(names) == len(columns):
+        if alternatives and len(names) == len(columns):
             ways = "; ".join(f"{name} {values}" for name, values in zip(names, columns, strict=True))
             return f"{verb}: not possible with these arguments now; possible: {ways}"
-        return f"{verb}: not possible now; possible verbs: {', '.join(kinds)}"
+        return f"{verb}: not possible now; possible verbs: {', '.join(dict.fromkeys(str(kind) for kind, *_ in legal))}"
 
     def _deliver(self, agent: str, to: str, text: str) -> Reply:
+        """Add a message to another seat's notices; ToolError if it has more characters than are left."""
         left = self._say - self._said[agent]
         if len(text) > left:
             raise ToolError(f"say: {len(text)} characters, but only {left} are left of {self._say}")
@@ -573,40 +561,38 @@ class Room:
         return Reply(f"Sent; {self._say - self._said[agent]} characters left.")
 
     def _end_words(self) -> str:
+        """Return the outcome of the episode in words."""
         labs = self.laboratories
         outcome, costs = labs.outcome(), sum(labs.costs().values())
         delivered = f"delivered {outcome['submitted_mol']:.3f} mol at purity {outcome['purity']:.3f}"
         return f"The episode is over ({self._status}): {delivered}, costs {costs:.4f}, score {self.score:.3f}."
 
     def brief(self, seat: str) -> str:
-        """Introduction for a seat: task, score, prices, hidden parameters."""
+        """Return the introduction for a seat: task, score, prices, hidden parameters."""
         return brief(self.laboratories, seat, self.seats, self._name)
 
 
-def _renamed(known: Mapping[str, str], name: str) -> str:
-    return known.get(name, name)
-
-
 def call_of(text: str) -> tuple[str, dict[str, Any]]:
-    """(verb, arguments) of the last ``{"verb": ..., "arguments": {...}}`` in a text; an empty verb if there is none.
+    """Return verb and arguments of the last ``{"verb": ..., "arguments": {...}}`` in a text; ("", {}) without a call.
 
     Only the last 10,000 characters are searched.
     """
-    decoder, found = json.JSONDecoder(), ("", dict[str, Any]())
+    decoder, call = json.JSONDecoder(), ("", dict[str, Any]())
     text = text[-_LONGEST_ANSWER:]
     at = text.find("{")
     while at >= 0:
         try:
-            given, end = decoder.raw_decode(text, at)
+            value, end = decoder.raw_decode(text, at)
         except (ValueError, RecursionError):
-            given, end = None, at + 1
-        if isinstance(given, dict) and isinstance(given.get("verb"), str):
-            found = given["verb"], given.get("arguments", {})
+            value, end = None, at + 1
+        if isinstance(value, dict) and isinstance(value.get("verb"), str):
+            call = value["verb"], value.get("arguments", {})
         at = text.find("{", end)
-    return found
+    return call
 
 
 def _is_small(arguments: Any) -> bool:
+    """Return True for a mapping of at most ``_MOST_ARGUMENTS`` names."""
     return (
         isinstance(arguments, Mapping)
         and len(arguments) <= _MOST_ARGUMENTS
@@ -614,23 +600,23 @@ def _is_small(arguments: Any) -> bool:
     )
 
 
-# -- the facade for frameworks ----------------------------------------------------------------------------------------
+# -- interface for frameworks -----------------------------------------------------------------------------------------
 
-_TURN = "number of the turn that the call is for, so that a repeated call acts once"
+_TURN = "number of the turn that the call is for; if the call is repeated, it has no further effect"
 
 
 def input_schema(verb: Verb) -> dict[str, Any]:
-    """JSON schema of a verb's arguments."""
+    """Return the JSON schema of a verb's arguments."""
     properties: dict[str, Any] = {}
     for argument in verb.arguments:
-        own: dict[str, Any] = {"description": argument.meaning}
+        schema: dict[str, Any] = {"description": argument.meaning}
         if argument.options:
-            own["enum"] = list(argument.options)
+            schema["enum"] = list(argument.options)
         elif argument.longest:
-            own |= {"type": "string", "maxLength": argument.longest}
+            schema |= {"type": "string", "maxLength": argument.longest}
         else:
-            own |= {"type": "number", "minimum": argument.low, "maximum": argument.high}
-        properties[argument.name] = own | ({} if argument.default is None else {"default": argument.default})
+            schema |= {"type": "number", "minimum": argument.low, "maximum": argument.high}
+        properties[argument.name] = schema | ({} if argument.default is None else {"default": argument.default})
     if verb.action is not None:
         properties["turn"] = {"type": "integer", "description": _TURN}
     required = [argument.name for argument in verb.arguments if argument.default is None]
@@ -638,22 +624,25 @@ def input_schema(verb: Verb) -> dict[str, Any]:
 
 
 class LabTools:
-    """One seat as an object whose public methods are its verbs (typed, with docstrings), ``reset`` and ``get_reward``.
+    """A seat with its verbs as public methods (typed, with docstrings), beside ``reset`` and ``get_reward``.
 
     Args:
         room: the room.
         agent: the seat.
+
+    Raises:
+        ValueError: the agent has no seat.
     """
 
     def __new__(cls, room: Room, agent: str) -> "LabTools":
-        """An instance of a subclass that has the seat's verbs as methods; the same verbs are the same subclass."""
+        """Return an instance of a subclass with the seat's verbs as methods; equal verbs have the same subclass."""
         if agent not in room.seats:
             raise ValueError(f"seat: must be one of {', '.join(room.seats)}, given {agent!r}")
         verbs = room.verbs(agent)
         key = cls, agent, json.dumps(room.tools(agent))
-        if key not in _FACADES:
-            _FACADES[key] = type(f"LabTools_{agent}", (cls,), {verb.name: _method(verb) for verb in verbs})
-        return object.__new__(_FACADES[key])
+        if key not in _SUBCLASSES:
+            _SUBCLASSES[key] = type(f"LabTools_{agent}", (cls,), {verb.name: _method(verb) for verb in verbs})
+        return object.__new__(_SUBCLASSES[key])
 
     def __init__(self, room: Room, agent: str) -> None:
         self._room, self._agent = room, agent
@@ -662,25 +651,25 @@ class LabTools:
         """Begin an episode.
 
         Args:
-            row: ``goal`` asks for a goal; other keys of a data set's row are ignored.
+            row: a row of a data set; ``goal`` is the goal of the episode, other keys are ignored.
 
         Returns:
-            The introduction, and everything the seat observes.
+            The introduction, and the seat's complete observation.
         """
         goal = row.get("goal")
         self._room.begin(goal if isinstance(goal, str) else None)
         return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
 
     def get_reward(self) -> float:
-        """The laboratory's score if the episode ended now: an order that is not met has its penalty."""
+        """Return the raw score of the laboratory if the episode ended now, with the penalties of unfilled orders."""
         return self._room.score
 
 
-_FACADES: dict[tuple[type[LabTools], str, str], type[LabTools]] = {}
+_SUBCLASSES: dict[tuple[type[LabTools], str, str], type[LabTools]] = {}
 
 
 def _method(verb: Verb) -> Callable[..., str]:
-    """A verb as a method with a signature and a Google docstring."""
+    """Return a verb as a method of :class:`LabTools` with a signature and a docstring in Google style."""
     kind = inspect.Parameter
     parameters = [kind("self", kind.POSITIONAL_OR_KEYWORD)]
     for argument in verb.arguments:
@@ -689,7 +678,7 @@ def _method(verb: Verb) -> Callable[..., str]:
         parameters.append(kind(argument.name, kind.POSITIONAL_OR_KEYWORD, annotation=annotation, default=default))
     lines = [f"    {argument.name}: {argument.meaning}" for argument in verb.arguments]
     if verb.action is not None:
-        turn = Optional[int]  # noqa: UP045 - a form that every reader of annotations knows
+        turn = Optional[int]  # noqa: UP045 - frameworks may not support int | None
         parameters.append(kind("turn", kind.POSITIONAL_OR_KEYWORD, annotation=turn, default=None))
         lines.append(f"    turn: {_TURN}")
     names = [parameter.name for parameter in parameters[1:]]
@@ -705,7 +694,7 @@ def _method(verb: Verb) -> Callable[..., str]:
 
     method.__name__ = method.__qualname__ = verb.name
     arguments = "\n\nArgs:\n" + "\n".join(lines) if lines else ""
-    method.__doc__ = f"{verb.meaning}{arguments}\n\nReturns:\n    what happened, and what has changed"
+    method.__doc__ = f"{verb.meaning}{arguments}\n\nReturns:\n    the result, and the changes of your observation"
     method.__signature__ = inspect.Signature(parameters, return_annotation=str)  # type: ignore[attr-defined]
     method.__annotations__ = {p.name: p.annotation for p in parameters[1:]} | {"return": str}
     return method

@@ -1,7 +1,7 @@
-"""Belief of a scripted manager: what it knows of vessels, benches and orders, and simulations of the public scenario.
+"""Beliefs of scripted managers about vessels, benches and orders, and simulations of the public scenario.
 
-:class:`BeliefManager` keeps a belief up to date with readings, ended experiments and actions. Each kind of scenario has
-an adaptor, a subclass that states what a reading means and decides.
+:class:`BeliefManager` updates a belief with readings, ended experiments and actions. Each kind of scenario has a
+subclass, which interprets readings and decides.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from chemlab.envs.players import Players, Policy
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.engine import Laboratories
 
-from .script import ScriptedManager, Setting, cheapest
+from .script import ScriptedManager, Setting, cheapest, midpoints
 
 _SAMPLES = 32
 """Readings sampled to estimate the value of one measurement."""
@@ -46,12 +46,12 @@ B = TypeVar("B", bound=Belief)
 
 
 class BeliefManager(ScriptedManager[B]):
-    """Keeps a belief up to date; subclasses add what they infer, and decide.
+    """Base class of managers that decide from a belief, which is updated with observations and actions.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.
-        kinds: kinds of instruments, of which the cheapest is used.
-        model_error: standard deviation of readings besides their noise.
+        kinds: kinds of instruments; the cheapest instrument of these kinds is used.
+        model_error: standard deviation of readings in addition to the instrument's noise.
     """
 
     def __init__(self, setting: Setting, kinds: Collection[str], model_error: float = 0.0) -> None:
@@ -60,23 +60,25 @@ class BeliefManager(ScriptedManager[B]):
         spec = setting.scenario.instruments.get(str(self._instrument))
         self._price = spec.price if spec is not None else 0.0
         self._noise = float(np.hypot(spec.noise, model_error)) if spec is not None else 1.0
-        # Fixed random numbers for every decision: worlds, spread over all likely ones, and noise.
-        self._shares = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
 
     def _errors_of(self, size: int) -> FloatArray:
-        """Return [_SAMPLES, size] errors of readings, which are the same for every decision."""
+        """Return [_SAMPLES, size] sampled errors of readings, which are the same for every decision."""
         return np.random.default_rng(0).normal(0.0, self._noise, (_SAMPLES, size))
 
     def _sampled(self, weights: FloatArray) -> Any:
-        """Return [_SAMPLES] indices of worlds with probabilities ``weights`` [K]."""
-        return np.searchsorted(np.cumsum(weights), self._shares).clip(0, len(weights) - 1)
+        """Return [_SAMPLES] indices of worlds, evenly sampled from probabilities ``weights`` [K]."""
+        return np.searchsorted(np.cumsum(weights), midpoints(_SAMPLES)).clip(0, len(weights) - 1)
+
+    def _measure(self, slot: int) -> int:
+        """Return the action that measures a slot's vessel with the manager's instrument."""
+        return self._actions.encode("measure", slot, str(self._instrument))
 
     def _begin(self, observation: ObservationArray) -> B:
         """Return the belief at the start of an episode."""
         raise NotImplementedError
 
     def _pass_time(self, belief: B, observation: ObservationArray) -> None:
-        """Update the belief with what an observation shows, before readings and ended experiments."""
+        """Update the belief with time and orders of an observation, before readings and ended experiments."""
 
     def _learn(self, belief: B, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
         """Update the belief with the reading [R] of a vessel."""
@@ -98,7 +100,7 @@ class BeliefManager(ScriptedManager[B]):
         """Update the belief after a vessel has been submitted for an order."""
         belief.orders = [other for other in belief.orders if other != order]
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
+    def _observe(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
             self._kept[member] = self._begin(observation)
         belief = self._kept[member]
@@ -112,12 +114,12 @@ class BeliefManager(ScriptedManager[B]):
                 del belief.running[agent]
                 self._ended(belief, agent, slot, observation)
 
-    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+    def _replace_decision(self, observation: ObservationArray, action: int, member: int) -> None:
         self._update(self._kept[member], action)
 
     def _update(self, belief: B, action: int) -> int:
         """Update the belief with an action; return the action."""
-        kind, slot, more = self._taken_apart(action)
+        kind, slot, more = self._decode(action)
         if kind == "start":
             agent, *terms = more
             belief.running[agent] = slot
@@ -176,8 +178,8 @@ def noiseless(scenario: Scenario) -> Scenario:
 def first_worth(labs: Laboratories, goal: int) -> FloatArray:
     """Return [N] the raw score that the first slot's vessel would add if submitted for one of the orders."""
     rules, amounts = labs.rules.arrays, labs.shelf.amounts[:, 0]
-    made, all_there = amounts[:, rules.parts[goal, 0]], amounts @ rules.counts[goal]
-    purity = made / np.maximum(all_there, 1e-12)
+    made = amounts[:, rules.parts[goal, 0]]
+    purity = made / np.maximum(amounts @ rules.counts[goal], 1e-12)
     met = (purity >= rules.least_purity[goal]) & (made >= rules.least_amount[goal])
     return np.asarray(met * made * purity / rules.maximum[goal] / labs.scenario.orders)
 

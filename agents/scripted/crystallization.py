@@ -18,6 +18,7 @@ from chemlab.roles.separation_benches import CrystallizationBench
 from .script import choices
 
 _PATIENCE = 30
+"""Maximum number of steps until complete dissolution."""
 _FULLEST = 0.85
 """Maximum fill level as a share of the vessel."""
 _SPARE = 1.1
@@ -31,21 +32,20 @@ _SEED_AT = 0.8
 nucleation.
 """
 _STILL = 0.01
-"""Relative change of the solids' volume per step below which dissolution and growth count as finished."""
+"""Relative change of the solids' volume per step below which dissolution and growth are considered finished."""
 _LEAST_SOLIDS = 5e-4
 """Share of the vessel's volume above which solids are worth filtering."""
 _MOSTLY_SOLID = 0.8
-"""Solids' share of the contents below which crystals count as suspended in liquor and are collected, not
-redissolved.
-"""
+"""Solids' share of the contents from which the product is redissolved; below it, crystals are collected from liquor."""
 _THINNED = 2.0
 """Litres of antisolvent per litre of solution."""
 _DRY = 0.9999
-"""Solids' share of the contents above which they count as dry."""
+"""Solids' share of the contents above which they are dry."""
 _WASHES = 2
 _WASH_L = 0.05
 _SEED_G = 0.05
 _KJ_PER_L_K = 4.2
+"""Heat capacity of the contents in kJ/(L K)."""
 
 ADD, DISSOLVE, STRAIN, ASIDE, BACK, COOL, COLLECT, WASH, DRAIN, DRY = range(10)
 _CLEARING = {ASIDE: ("filter", "CV", "F"), BACK: ("pour", "CV", "W"), COOL: ("pour", "F", "CV")}
@@ -93,15 +93,15 @@ class _Batch:
     solvent: str = "water"
     hot_k: float = math.inf
     patience: int = _PATIENCE
-    """remaining steps to wait for complete dissolution"""
+    """remaining steps until complete dissolution"""
 
 
 class ScriptedCrystallization(Remembering):
     """Collects, washes and dries crystals; recrystallizes a crude product first.
 
     Crystals in liquor are collected, washed and dried. A crude product is dissolved in as much hot solvent as the
-    goal's solubility requires, the rest is filtered off, and the solution is cooled, seeded just past saturation and
-    left until precipitation stops. Then it is filtered, washed twice with little solvent, and dried.
+    goal's solubility requires, and the rest is filtered off. The solution is cooled, seeded just past saturation and
+    left until precipitation stops. The crystals are filtered off, washed twice with little solvent, and dried.
 
     Args:
         bench: the bench.
@@ -118,23 +118,22 @@ class ScriptedCrystallization(Remembering):
         self._memory: dict[int, _Batch] = {}
 
     def _solvent_for(self, goal: str, mol: float, room_l: float) -> tuple[str, float, float]:
-        """Choose the bench's solvent with the highest yield on cooling, with its hot temperature (K) and volume
-        (litres).
+        """Return the solvent with the highest yield on cooling, its hot temperature in K, and its volume in L.
 
-        Solvents that dissolve everything within the vessel's free volume are preferred.
+        Solvents that dissolve ``mol`` of the goal within the free volume ``room_l`` are preferred.
         """
         scenario = self._bench.scenario
-        found: list[tuple[bool, float, str, float, float]] = []
+        solvents: list[tuple[bool, float, str, float, float]] = []
         for process in self._bench.options.process:
             if process.kind != "add" or process.material is None or process.material == goal:
                 continue
             hot_k = min(self._hot_k, scenario.materials[process.material].boiling_point_k - _HOT_K)
             hot, cold = (solubility(scenario, goal, process.material, t) for t in (hot_k, self._cold_k))
             litres = _SPARE * mol / hot
-            found.append((litres <= room_l, 1.0 - cold / hot, process.material, hot_k, litres))
-        if not found:
+            solvents.append((litres <= room_l, 1.0 - cold / hot, process.material, hot_k, litres))
+        if not solvents:
             raise ValueError(f"benches.{self._bench.key}: its scripted policy needs a process that adds a solvent")
-        _, _, liquid, hot_k, litres = max(found)
+        _, _, liquid, hot_k, litres = max(solvents)
         return liquid, hot_k, min(litres, max(room_l, 0.0))
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
@@ -142,20 +141,19 @@ class ScriptedCrystallization(Remembering):
         assert mask is not None, "the crystallization bench has discrete actions"
         chosen = []
         for o, m, s, i in zip(observation, mask, step.tolist(), members.tolist(), strict=True):
-            read = {name: self._read(o, name) for name in ("temperature", "volume", "solids")}
-            if s == 0 or i not in self._memory:  # others may have played its first turns
-                goal = int(o[self._slices["goal"]].argmax())
-                self._memory[i] = self._wet(read["volume"], read["solids"], goal)
-            action = self._decide(self._memory[i], read["temperature"], read["volume"], read["solids"], m)
-            chosen.append(action if mask is not None and m[action] else self._bench.end_action)
+            kelvin, litres, solids = (self._read(o, name) for name in ("temperature", "volume", "solids"))
+            if s == 0 or i not in self._memory:  # another policy may have played the first turns
+                self._memory[i] = self._procedure(litres, solids, int(o[self._slices["goal"]].argmax()))
+            action = self._decide(self._memory[i], kelvin, litres, solids, m)
+            chosen.append(action if m[action] else self._bench.end_action)
         return np.array(chosen, dtype=np.int64)
 
     def _read(self, observation: ObservationArray, name: str) -> float:
-        gauge = self._gauges[name]
-        return float(gauge.unscaled(float(observation[self._slices[name]][0])))
+        """Return a gauge's value in its unit."""
+        return float(self._gauges[name].unscaled(float(observation[self._slices[name]][0])))
 
-    def _wet(self, litres: float, solids: float, goal: int) -> _Batch:
-        """Choose the procedure for the vessel's contents.
+    def _procedure(self, litres: float, solids: float, goal: int) -> _Batch:
+        """Return the initial state for the vessel's contents.
 
         Mostly solid contents are redissolved; crystals of a slurry are collected; a solution is precipitated with the
         bench's poorest solvent.
@@ -172,7 +170,7 @@ class ScriptedCrystallization(Remembering):
         return _Batch(solvent_l=min(_THINNED * litres, room), solvent=worst, hot_k=0.0, seed_k=math.inf)
 
     def _begin(self, crude_l: float, goal: int) -> _Batch:
-        """Return the solvent volume and the seeding point for a volume of crude product."""
+        """Return the initial state for a recrystallization, with solvent and seeding point for a volume of product."""
         scenario, name = self._bench.scenario, self._bench.goals.names[goal]
         material = scenario.materials[name]
         mol = max(crude_l, 1e-6) * 1000.0 * material.density_kg_l / material.molar_mass_g_mol
@@ -187,14 +185,14 @@ class ScriptedCrystallization(Remembering):
 
     def _most(self, wanted: float, kind: str, **which: str) -> int:
         """Return the largest magnitude of at most ``wanted``, or else the smallest."""
-        found = choices(self._bench, kind, **which)
-        return found[max((size for size in found if size <= wanted), default=min(found))]
+        sizes = choices(self._bench, kind, **which)
+        return sizes[max((size for size in sizes if size <= wanted), default=min(sizes))]
 
     def _warm(self, kelvin: float, litres: float, wanted_k: float) -> int:
-        """Heat or cool towards a temperature; wait if it is close."""
-        joules = _KJ_PER_L_K * litres * (wanted_k - kelvin)
+        """Return the action that heats or cools towards a temperature, or waits close to it."""
+        kilojoules = _KJ_PER_L_K * litres * (wanted_k - kelvin)
         heats = choices(self._bench, "heat")
-        fitting = [(abs(q), a) for q, a in heats.items() if q * joules > 0.0 and abs(q) <= abs(joules)]
+        fitting = [(abs(q), a) for q, a in heats.items() if q * kilojoules > 0.0 and abs(q) <= abs(kilojoules)]
         return max(fitting)[1] if fitting else self._wait
 
     def _still(self, batch: _Batch, solids_l: float) -> bool:
@@ -214,7 +212,7 @@ class ScriptedCrystallization(Remembering):
             still = self._still(batch, solids * litres)
             action = self._warm(kelvin, litres, batch.hot_k)
             batch.patience -= 1
-            # If the smallest heating step is too large, or the solvent boils first, this is the highest temperature.
+            # The highest temperature is lower if the smallest heating step is too large, or the solvent boils first.
             if batch.patience and (not still or (kelvin < batch.hot_k - _HOT_K and action != self._wait)):
                 return action
             batch.phase = STRAIN if self._careful and solids > _LEAST_SOLIDS else COOL

@@ -20,19 +20,20 @@ from chemlab.roles.separation_benches import DistillationBench
 
 from .script import SAME_SHADE, choices, shows
 
-_KJ_PER_L_K = 1.7
-"""Rough heat capacity of an organic liquid in kJ/(L K); with the heat of vaporization below it selects heating
-steps.
-"""
-_KJ_PER_L = 200.0
+_KJ_PER_L_K, _KJ_PER_L = 1.7, 200.0
+"""Rough heat capacity (kJ/(L K)) and heat of vaporization (kJ/L) of an organic liquid, for choosing heating steps."""
 _CAUTION = 0.7
+"""Share of the estimated heat that is used."""
 _MARGIN_K = 4.0
+"""Temperature difference in K to a boiling point at which a material is gone."""
 _HEEL_PIXELS = 1
 """Pixels of the goal left in a vessel that must not boil to dryness."""
 
 STRIP, SWAP, COLLECT, DONE = range(4)
 _PHASE, _LAST_K, _TRUST, _KEPT = range(4)
-"""Columns of the memory: phase, temperature at the last step of stripping, and factor of its least heat."""
+"""Columns of the memory: phase, temperature (K) and factor of the minimum heat at the last step of stripping; and
+their number.
+"""
 _SAME = np.float32(SAME_SHADE)
 
 
@@ -50,7 +51,7 @@ class _Plan(NamedTuple):
     liquids: Annotated[ObservationArray, Field("L")]
     """[L] grey values of liquids"""
     others: Annotated[BoolArray, Field("G L")]
-    """[G, L] whether a liquid's grey value differs from the goal's"""
+    """[G, L] True if a liquid's grey value differs from the goal's"""
     air: Annotated[ObservationArray, Field("1")]
     """[1] grey value of air"""
     kilojoules: Annotated[FloatArray, Field("H")]
@@ -64,13 +65,14 @@ class _Plan(NamedTuple):
     goal_at: Annotated[int, Field("")]
     """column of the goal's one-hot"""
     gauge_at: Annotated[IntArray, Field("2")]
-    """columns of temperature and volume; their ranges [2, 2] in K and L below"""
+    """columns of temperature and volume"""
     gauge: Annotated[FloatArray, Field("2 2")]
+    """their lowest and highest values in K and L"""
     capacity_l: Annotated[float, Field("")]
     careful: Annotated[int, Field("")]
-    """whether it heats in small steps; otherwise with full power"""
+    """1: heats in small steps; 0: with full power"""
     heel: Annotated[int, Field("")]
-    """whether it stops before the vessel boils to dryness"""
+    """1: stops before the vessel boils to dryness"""
 
 
 @inner
@@ -85,11 +87,11 @@ def _shows_others(picture: ObservationArray, goal: int, plan: _Plan) -> int:
 
 @inner
 def _shows_contents(picture: ObservationArray, goal: int, plan: _Plan) -> bool:
-    """Return whether a pixel is neither air nor the goal."""
-    found = False
+    """Return True if a pixel shows neither air nor the goal."""
+    others = False
     for x in range(CAMERA_PIXELS):
-        found = found or (abs(picture[x] - plan.shade[goal]) > _SAME and abs(picture[x] - plan.air[0]) > _SAME)
-    return found
+        others = others or (abs(picture[x] - plan.shade[goal]) > _SAME and abs(picture[x] - plan.air[0]) > _SAME)
+    return others
 
 
 @inner
@@ -135,7 +137,7 @@ def _collect_step(picture: ObservationArray, goal: int, kelvin: float, litres: f
 
 @inner
 def _gauge(observation: ObservationArray, which: int, plan: _Plan) -> float:
-    """Return what the thermometer (0) or the fill level (1) shows, in K or L."""
+    """Return the temperature in K (0) or the fill level in L (1)."""
     low, high = plan.gauge[which, 0], plan.gauge[which, 1]
     return float(low + np.float64(observation[plan.gauge_at[which]]) * (high - low))
 
@@ -180,8 +182,9 @@ def _decide(
 
 
 class ScriptedDistillation(Remembering):
-    """Heats in steps that cannot overshoot, guided by thermometer and fill level; uses the layers once lighter
-    materials left.
+    """Boils off lighter materials in heating steps that do not overshoot, then distils the goal over if needed.
+
+    Heating steps are chosen from thermometer and fill level, and after stripping also from the camera picture.
 
     Args:
         bench: the bench.
@@ -198,7 +201,7 @@ class ScriptedDistillation(Remembering):
         strip_to, boils_at = [], []
         for goal in bench.goals.names:
             point = liquids.get(goal)
-            if point is None:  # the goal does not boil: drive everything else off
+            if point is None:  # the goal does not boil: all liquids are boiled off
                 strip_to.append(highest + _MARGIN_K)
                 boils_at.append(math.inf)
             else:

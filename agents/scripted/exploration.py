@@ -17,22 +17,21 @@ from chemlab.roles.reaction_bench import ReactionBench
 
 from .belief import Belief, BeliefManager, first_reading, first_worth, noiseless, run_experiment
 from .reaction import ScriptedReaction
-from .script import Setting, likelihood
+from .script import Setting, likelihood, midpoints
 
 _GRID = 48
 """Number of rate candidates: midpoints of equally likely parts of the prior."""
 _MOST_RUNS = 40
 _MODEL_ERROR = 0.004
-"""Standard deviation of readings besides their noise: true rates lie between the grid's."""
+"""Standard deviation of readings in addition to their noise, because true rates lie between the candidates."""
 _SURPRISE = 1e-12
+"""Lower bound of a likelihood relative to the best one."""
 _LEAST_GAIN = 1e-3
-"""Expected gain below which a free measurement is not taken either."""
+"""Minimum expected gain of a measurement, even of a free one."""
 
 
 def has_unknown_rate(scenario: Scenario) -> str | None:
-    """Return the name of the drawn rate constant if it is the only hidden parameter and only reactions exist; else
-    None.
-    """
+    """Return the name of a rate constant that is the only hidden parameter, with reaction benches only; else None."""
     draws = scenario.world.draws
     rates = [name for name, draw in draws.items() if draw.what == "pre_exponential" and draw.variables == 1]
     reacting = {bench.kind for bench in scenario.benches.values()} == {"reaction"}
@@ -58,7 +57,7 @@ class CampaignManager(BeliefManager[_Rates]):
     The outcome of a batch at every candidate rate is simulated on the public scenario beforehand. The probability of
     every rate is updated with each reading (Bayes) and carried over to the next batch. The manager measures when the
     expected gain of the information, for this and the later batches, exceeds the price. It measures a vessel once after
-    each experiment, because a later reading tells more than a repeated one; free readings may be repeated.
+    each experiment, because a later reading is more informative than a repeated one; free readings may be repeated.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.
@@ -73,20 +72,19 @@ class CampaignManager(BeliefManager[_Rates]):
         self._rxn = f"{kinds['reaction']}_0" if "reaction" in kinds else None
         drawn = has_unknown_rate(scenario)
         assert drawn is not None, "has_unknown_rate(scenario) holds"
-        self._numbers = quantiles(scenario.world.draws[drawn], (np.arange(_GRID) + 0.5) / _GRID)
-        self._expected, self._worth = _foreseen(
-            scenario, drawn, tuple(self._numbers.tolist()), self._instrument, self._rxn
-        )
+        self._rates = quantiles(scenario.world.draws[drawn], midpoints(_GRID))
+        rates = tuple(self._rates.tolist())
+        self._expected, self._worth = _foreseen(scenario, drawn, rates, self._instrument, self._rxn)
         self._errors = self._errors_of(self._expected.shape[2])
 
     def _begin(self, observation: ObservationArray) -> _Rates:
         return _Rates(self._occupied(observation) or [0], list(range(len(self._orders))))
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        super()._see(observation, step, member)
+    def _observe(self, observation: ObservationArray, step: int, member: int) -> None:
+        super()._observe(observation, step, member)
         belief = self._kept[member]
         if not belief.slots or not belief.orders:
-            # The episode continues although the manager submitted: another policy has acted in its place.
+            # The episode continues after the last submission only if another policy has acted for the manager.
             self._kept[member] = self._begin(observation)
             self._kept[member].weights = belief.weights
 
@@ -94,14 +92,15 @@ class CampaignManager(BeliefManager[_Rates]):
         belief.weights = self._updated(belief.weights, reading, self._runs(belief))
 
     def _runs(self, belief: _Rates) -> int:
+        """Return the number of experiments of the present vessel."""
         return min(belief.runs.get(belief.slots[0], 0), _MOST_RUNS)
 
-    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+    def _replace_decision(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        kind, slot, _ = self._taken_apart(action)
+        kind, slot, _ = self._decode(action)
         if slot in belief.slots:
             if kind in ("start", "measure"):
-                # Work on the vessel that another policy turned to.
+                # Continue with the vessel that another policy has chosen.
                 belief.slots.remove(slot)
                 belief.slots.insert(0, slot)
             self._update(belief, action)
@@ -123,7 +122,7 @@ class CampaignManager(BeliefManager[_Rates]):
             return wait
         slot, order, runs = belief.slots[0], belief.orders[0], self._runs(belief)
         if self._measures(belief, mask, slot):
-            return self._update(belief, self._actions.encode("measure", slot, str(self._instrument)))
+            return self._update(belief, self._measure(slot))
         if (belief.weights @ self._worth[:, runs:]).argmax() > 0 and self._rxn is not None:
             start = self._actions.encode("start", self._rxn, slot, self._goal(observation, order))
             if mask[start]:
@@ -131,9 +130,9 @@ class CampaignManager(BeliefManager[_Rates]):
         return self._submit_for(mask, belief, slot, order)
 
     def _updated(self, weights: FloatArray, readings: FloatArray, runs: int) -> FloatArray:
-        """Return [..., T] probabilities after readings [..., size] of a vessel with a number of runs."""
-        found = weights * likelihood(readings, self._expected[:, runs], self._noise, _SURPRISE)
-        return np.asarray(found / found.sum(axis=-1, keepdims=True))
+        """Return [..., T] probabilities after readings [..., size] of a vessel with a number of experiments."""
+        updated = weights * likelihood(readings, self._expected[:, runs], self._noise, _SURPRISE)
+        return np.asarray(updated / updated.sum(axis=-1, keepdims=True))
 
     def _prospect(self, weights: FloatArray, runs: int, left: int) -> FloatArray:
         """Return the expected value [...] of this batch and ``left`` later ones, without another measurement."""
@@ -141,11 +140,11 @@ class CampaignManager(BeliefManager[_Rates]):
         return np.asarray(here + left * (weights @ self._worth).max(axis=-1))
 
     def _measures(self, belief: _Rates, mask: MaskArray, slot: int) -> bool:
-        """Return True if another measurement is worth its price."""
+        """Return True if the value of another measurement exceeds its price."""
         runs = self._runs(belief)
         if self._instrument is None or runs == 0 or (self._price and slot in belief.read):
             return False
-        if not mask[self._actions.encode("measure", slot, self._instrument)]:
+        if not mask[self._measure(slot)]:
             return False
         left = len(belief.orders) - 1 if self._remember else 0
         readings = self._expected[self._sampled(belief.weights), runs] + self._errors
@@ -155,16 +154,17 @@ class CampaignManager(BeliefManager[_Rates]):
 
 @functools.lru_cache(maxsize=16)
 def _foreseen(
-    scenario: Scenario, drawn: str, numbers: tuple[float, ...], instrument: str | None, agent: str | None
+    scenario: Scenario, drawn: str, rates: tuple[float, ...], instrument: str | None, agent: str | None
 ) -> tuple[FloatArray, FloatArray]:
     """Simulate a batch at each candidate rate in the public scenario.
 
     Returns:
-        Readings [T, runs, size] without noise, and the batch's value [T, runs] in raw score less the cost of time.
+        Readings [T, runs + 1, size] without noise, and the batch's value [T, runs + 1] in raw score less the cost of
+        time.
     """
     draw = scenario.world.draws[drawn]
-    own = draw.shared == "episode" or not draw.of
-    worlds = [{drawn: number if own else {draw.of[0]: number}} for number in numbers]
+    is_single = draw.shared == "episode" or not draw.of
+    worlds = [{drawn: rate if is_single else {draw.of[0]: rate}} for rate in rates]
     readings, worth, ticks = foreseen(scenario, worlds, instrument, agent, _MOST_RUNS)
     return readings, worth - scenario.costs.tick * ticks
 
@@ -180,7 +180,7 @@ def foreseen(
 
     Args:
         scenario: the public scenario.
-        worlds: hidden parameters of each world; None: nothing is drawn.
+        worlds: hidden parameters of each world; None: the scenario has none.
         instrument: instrument that measures the vessel; None: no readings.
         agent: bench that processes the vessel; None: no experiments.
         runs: number of experiments.

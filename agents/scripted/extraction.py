@@ -1,4 +1,4 @@
-"""Scripted policy of the extraction bench: decant off metal, or wash, settle and drain repeatedly."""
+"""Scripted policy of the extraction bench: decants from metal, or washes, settles and drains repeatedly."""
 
 from __future__ import annotations
 
@@ -8,35 +8,35 @@ from chemlab.config.materials import litres_of
 from chemlab.envs.players import Actions, Remembering
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
-from chemlab.roles.bench import CAMERA_PIXELS, channel_slices
+from chemlab.roles.bench import CAMERA_PIXELS
 from chemlab.roles.separation_benches import ExtractionBench
 
-from .script import choices, count_pixels
+from .script import choices, count_pixels, revealed_column
 
 _WASHES = 4
 _TAKEN = 0.6
-"""Share of an impurity that one wash is to take, where its polarity is revealed to the bench."""
+"""Share of an impurity that one wash should remove if the impurity's polarity is revealed to the bench."""
 _MARGIN_K = 8.0
-"""Margin at which that share's odds are half as large."""
+"""Margin in K at which the odds of that share are half as large."""
 
 DECANT, ADD, MIX, SETTLE, DRAIN, DONE = range(6)
 
 
 class ScriptedExtraction(Remembering):
-    """Drains solids off if metal lies at the bottom; otherwise washes.
+    """Drains solids if there is metal at the bottom; otherwise washes.
 
     Metal must not meet water, so after draining the experiment ends with the product in B1. Washing adds the first
     solvent, mixes, settles and drains the lower layer into B1 several times. Several small washes extract more than a
     large one.
 
-    A bench to which the polarity of impurities is revealed chooses the volume of a wash by it, and washes as long as it
-    may.
+    If the polarity of impurities is revealed to the bench, it determines the volume of a wash, and the bench washes
+    until the step limit.
 
     Args:
         bench: the bench.
         careful: False washes in any case.
-        margin_k: habit of the team, see :class:`.reaction.ScriptedReaction`: washes are the smaller, the larger it is.
-            None: the same volume, whatever is revealed.
+        margin_k: margin of the team in K (see :class:`.reaction.ScriptedReaction`); a larger margin means smaller
+            washes. None: a constant volume, regardless of the revealed polarity.
     """
 
     _MEMORY: tuple[str, ...] = ("_phase", "_washes")
@@ -54,14 +54,14 @@ class ScriptedExtraction(Remembering):
         wash = next(str(process.material) for process in bench.options.process if process.kind == "add")
         self._wash_shade = materials[wash].shade
         self._wash = _greys(self._wash_shade)
-        # (magnitude, action), largest first; the first that fits is used
+        # (magnitude, action), the largest first
         self._drains = sorted(choices(bench, "drain", vessel="EV", target="B1").items(), reverse=True)
         self._add = add[min(add, key=lambda litre: abs(litre - self.wash_l))]
-        taken = _TAKEN / (1.0 - _TAKEN) * 0.5 ** ((margin_k or 0.0) / _MARGIN_K)
-        self._told, volumes = _wash_volumes(bench, wash)
+        odds = _TAKEN / (1.0 - _TAKEN) * 0.5 ** ((margin_k or 0.0) / _MARGIN_K)
+        self._column, volumes = _wash_volumes(bench, wash)
         if margin_k is None:
             volumes = volumes[len(volumes) // 2 :][:1]
-        self._adds = [add[min(add, key=lambda litre: abs(litre - taken * volume))] for volume in volumes]
+        self._adds = [add[min(add, key=lambda litre: abs(litre - odds * volume))] for volume in volumes]
         self._most = bench.spec.step_limit if self._adds else _WASHES
         self._mix, self._settle = mix[max(mix)], settle[max(settle)]
         self._end = bench.end_action
@@ -74,16 +74,17 @@ class ScriptedExtraction(Remembering):
         rows = zip(observation[:, :CAMERA_PIXELS], mask, step.tolist(), members.tolist(), strict=True)
         actions = np.array([self._decide(*row) for row in rows], dtype=np.int64)
         if self._adds:
-            told = np.rint(observation[:, self._told] * (len(self._adds) - 1)).astype(np.int64)
-            actions = np.where(actions == self._add, np.array(self._adds)[told], actions)
+            percentiles = np.rint(observation[:, self._column] * (len(self._adds) - 1)).astype(np.int64)
+            actions = np.where(actions == self._add, np.array(self._adds)[percentiles], actions)
         return actions
 
     def _drain(self, pixels: int) -> int:
+        """Return the largest drain of at most a number of pixels, or else the smallest."""
         percent = 100.0 * pixels / CAMERA_PIXELS
         return next((action for magnitude, action in self._drains if magnitude <= percent + 1e-9), self._drains[-1][1])
 
     def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        if step == 0 or member not in self._phase:  # others may have played its first turns
+        if step == 0 or member not in self._phase:  # another policy may have played the first turns
             self._phase[member] = DECANT if count_pixels(picture, self._metals) else ADD
             self._washes[member] = 0
         if self._phase[member] == DECANT:
@@ -116,16 +117,18 @@ def _greys(*shades: float) -> ObservationArray:
 
 
 def _wash_volumes(bench: ExtractionBench, wash: str) -> tuple[int, FloatArray]:
-    """Return the index in an observation of a polarity that is revealed, and the litres of a wash that take half of the
-    impurity at 101 quantiles of it; no volumes if none is revealed.
+    """Return the washes for a revealed polarity of an impurity.
+
+    Returns:
+        Column of the polarity in the bench's observation, and [101] litres of a wash that removes half of the impurity,
+        by percentile of the polarity; no volumes if no polarity is revealed.
     """
-    world, materials = bench.scenario.world, bench.scenario.materials
-    name = next((name for name in bench.told if world.draws[name].what == "polarity"), None)
-    if name is None:
+    draws, materials = bench.scenario.world.draws, bench.scenario.materials
+    draw = next((name for name in bench.told if draws[name].what == "polarity"), None)
+    if draw is None:
         return 0, np.zeros(0)
-    column = channel_slices(bench.channels)["told"].start + world.numbers(bench.told[: bench.told.index(name)])
-    draw = world.draws[name]
-    own = next(name for name in bench.spec.start.contents if materials[name].role == "solvent")
-    polarity = quantiles(draw, np.linspace(0.0, 1.0, 101))
-    there, here = (np.abs(polarity - float(materials[name].polarity or 0.0)) for name in (wash, own))
-    return column, litres_of({own: bench.spec.start.contents[own]}, materials) * there / here
+    solvent = next(name for name in bench.spec.start.contents if materials[name].role == "solvent")
+    polarity = quantiles(draws[draw], np.linspace(0.0, 1.0, 101))
+    to_wash, to_solvent = (np.abs(polarity - float(materials[name].polarity or 0.0)) for name in (wash, solvent))
+    litres = litres_of({solvent: bench.spec.start.contents[solvent]}, materials)
+    return revealed_column(bench, draw), litres * to_wash / to_solvent

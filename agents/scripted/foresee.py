@@ -1,4 +1,4 @@
-"""Scripted manager that plans by simulation: plays recipes on worlds drawn from the prior, weighted by its readings.
+"""Scripted manager that plans by simulating recipes in worlds drawn from the prior, weighted by its readings.
 
 A *recipe* is a sequence of experiments of the scripted benches on one vessel. Before an episode, every candidate recipe
 is simulated in laboratories of the public scenario with worlds drawn from the prior. For each experiment, the expected
@@ -28,21 +28,17 @@ from chemlab.roles.bench import Bench, channel_slices
 from .belief import Belief, BeliefManager, Step, first_reading, first_worth, noiseless, run_experiment
 from .script import Setting, cheapest, likelihood
 
-_COMMON, _OWN = 12, 512
-"""Number of simulated worlds: draws of shared parameters, and draws of parameters of single vessels.
-
-If a scenario has both kinds, fewer draws of the second kind are used.
-"""
-_OWN_OF_COMMON = 32
+_COMMON, _OWN, _OWN_OF_COMMON = 12, 512, 32
+"""Numbers of simulated draws: of shared parameters; of a vessel's own parameters; the same for each shared draw."""
 _MOST_RUNS = 12
 """Maximum number of experiments of a reaction bench on one vessel."""
 _INSTRUMENTS = ("gas_chromatograph", "hplc", "uv_vis")
 _MODEL_ERROR = 0.006
-"""Standard deviation of readings besides their noise: true worlds lie between the simulated ones."""
+"""Standard deviation of readings in addition to their noise, because true worlds differ from the simulated ones."""
 _SURPRISE = 1e-9
 """Lower bound of a likelihood relative to the best one."""
 _UNWORKED = -1.0
-"""Value of a vessel that was at no bench, which cannot be submitted: below that of any experiment."""
+"""Value of a vessel that cannot be submitted because it was at no bench: below that of any experiment."""
 _SEED = 7_000_000
 """Seed of the simulated worlds."""
 
@@ -50,7 +46,7 @@ _SEED = 7_000_000
 def foresees(scenario: Scenario) -> bool:
     """Return True if :class:`ForeseeingManager` can play a scenario.
 
-    Its hidden parameters have to be numbers, and vessels that are identical in the file may differ only by these.
+    The shelf's vessels must be declared alike, and hidden parameters of vessels must apply to all of them.
     """
     draws = scenario.world.draws.values()
     slots = [f"slot_{i}" for i in range(len(scenario.shelf.vessel))]
@@ -68,11 +64,11 @@ class _Foresight:
     """Simulated outcomes of a vessel: S draws of shared parameters, O draws of a vessel's own, K stages of recipes.
 
     Attributes:
-        stages: steps applied to a vessel at each stage; stage 0 is empty.
+        stages: experiments of a vessel at each stage; stage 0 has none.
         after: by stage, the stages reachable from it, itself first.
-        readings: [S * O, K, R] noise-free reading of the instrument.
-        fills: [S * O] initial fill level.
-        worth: [S * O, K] value of a submission in raw score.
+        readings: [S * O, K, R] noise-free readings of the instrument.
+        fills: [S * O] initial fill levels.
+        worth: [S * O, K] values of a submission in raw score.
         costs: [S * O, K] cumulative costs.
     """
 
@@ -84,8 +80,8 @@ class _Foresight:
     costs: FloatArray
 
     @functools.cached_property
-    def still(self) -> list[FloatArray]:
-        """Return, by stage, [S * O, reachable stages] the value of a submission less the costs until then."""
+    def remaining(self) -> list[FloatArray]:
+        """By stage, [S * O, reachable stages] the value of a submission at a reachable stage less the costs to it."""
         gains = self.worth - self.costs
         return [gains[:, to] + self.costs[:, stage, None] for stage, to in enumerate(self.after)]
 
@@ -98,7 +94,7 @@ class _Vessels(Belief):
         likelihood: [V, S, O] likelihood of all readings of each vessel.
         filled: [V, S, O] likelihood of the initial fill levels.
         stage: [V] stage of each vessel.
-        gone: submitted vessels.
+        gone: indices of vessels that are submitted, or at a stage that was not simulated.
     """
 
     likelihood: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -108,9 +104,9 @@ class _Vessels(Belief):
 
 
 class ForeseeingManager(BeliefManager[_Vessels]):
-    """Measures vessels, processes the most promising one, and measures again where the information is worth the price.
+    """Processes the vessel with the highest expected value, and measures if the value of information exceeds the price.
 
-    It measures a vessel once after each experiment, because a later reading tells more than a repeated one.
+    It measures a vessel once after each experiment, because a later reading is more informative than a repeated one.
 
     Args:
         setting: the manager's laboratory; if not careful, it never measures.
@@ -135,17 +131,16 @@ class ForeseeingManager(BeliefManager[_Vessels]):
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        super()._see(observation, step, member)
+    def _observe(self, observation: ObservationArray, step: int, member: int) -> None:
+        super()._observe(observation, step, member)
         belief = self._kept[member]
         if not belief.running and belief.gone and len(belief.gone) == len(belief.slots):
-            # The episode continues although the manager submitted: another policy has acted in its place. Read the
-            # shelf again.
+            # The episode continues after the last submission only if another policy has acted for the manager.
             self._kept[member] = self._begin(observation)
 
-    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+    def _replace_decision(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        slot = self._taken_apart(action)[1]
+        slot = self._decode(action)[1]
         if slot in belief.slots and belief.slots.index(slot) not in belief.gone:
             self._update(belief, action)
 
@@ -173,9 +168,9 @@ class ForeseeingManager(BeliefManager[_Vessels]):
             return wait
         goal = self._next_goal(observation, belief)
         promises = self._promises(belief, goal)
-        look = self._next_look(belief, goal, promises, mask)
-        if look is not None:
-            return self._update(belief, self._actions.encode("measure", belief.slots[look], str(self._instrument)))
+        measured = self._next_look(belief, goal, promises, mask)
+        if measured is not None:
+            return self._update(belief, self._measure(belief.slots[measured]))
         v = int(np.argmax(promises.max(axis=1)))
         stage = int(promises[v].argmax())
         if stage != belief.stage[v]:
@@ -184,13 +179,13 @@ class ForeseeingManager(BeliefManager[_Vessels]):
 
     def _begin(self, observation: ObservationArray) -> _Vessels:
         slots = self._occupied(observation)
-        foresight = next(iter(self._foresight.values()))
-        found = np.ones((len(slots), *self._shape))
+        fills = next(iter(self._foresight.values())).fills[:, None]
+        likely = np.ones((len(slots), *self._shape))
         for v, slot in enumerate(slots):
             fill = np.array([self._value(observation, f"slot_{slot}_fill")])
-            found[v] = likelihood(fill, foresight.fills[:, None], self._fill_noise, _SURPRISE).reshape(self._shape)
+            likely[v] = likelihood(fill, fills, self._fill_noise, _SURPRISE).reshape(self._shape)
         orders = list(range(len(self._orders)))
-        return _Vessels(slots, orders, likelihood=found, filled=found.copy(), stage=[0] * len(slots))
+        return _Vessels(slots, orders, likelihood=likely, filled=likely.copy(), stage=[0] * len(slots))
 
     def _next_order(self, belief: _Vessels) -> int:
         return belief.orders[0] if belief.orders else len(self._orders) - 1
@@ -201,7 +196,7 @@ class ForeseeingManager(BeliefManager[_Vessels]):
     def _go_on(
         self, observation: ObservationArray, mask: MaskArray, belief: _Vessels, v: int, goal: str, stage: int
     ) -> int:
-        """Return the next experiment on the way to a stage; free a slot for the returned vessels first."""
+        """Return the next experiment on the way to a stage, or an action that frees a slot for the returned vessels."""
         done, wanted = (self._foresight[goal].stages[k] for k in (belief.stage[v], stage))
         step = wanted[len(done)]
         start = self._actions.encode("start", step[0], belief.slots[v], step[1])
@@ -257,7 +252,7 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         foresight = self._foresight[goal]
         to = foresight.after[stage]
         out = np.full((*known.shape[:-1], len(foresight.stages)), -np.inf)
-        out[..., to] = known @ foresight.still[stage]
+        out[..., to] = known @ foresight.remaining[stage]
         return out
 
     def _total(self, bests: FloatArray, orders: int) -> FloatArray:
@@ -266,29 +261,25 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         return np.asarray(best[..., -orders:].sum(axis=-1))
 
     def _next_look(self, belief: _Vessels, goal: str, promises: FloatArray, mask: MaskArray) -> int | None:
-        """Return the vessel with the highest value of a measurement net of its price, or None if no value is
-        positive.
-        """
+        """Return the vessel whose measurement has the highest value net of its price; None if no value is positive."""
         if self._instrument is None:
             return None
         orders = max(len(belief.orders), 1)
         bests, posterior = promises.max(axis=-1), self._posterior(belief.likelihood)
         now = float(self._total(bests, orders))
-        best, most = None, self._price
-        fresh = set[tuple[int, ...]]()
+        best, highest = None, self._price
+        evaluated = set[tuple[int, ...]]()
         for v, slot in enumerate(belief.slots):
-            if v in belief.gone or slot in belief.read:
+            if v in belief.gone or slot in belief.read or not mask[self._measure(slot)]:
                 continue
-            if not mask[self._actions.encode("measure", slot, self._instrument)]:
+            # Of vessels with the same stage and posterior, one is evaluated.
+            key = belief.stage[v], *(posterior[v] * 1e6).astype(np.int64).tolist()
+            if key in evaluated:
                 continue
-            # Vessels without readings are exchangeable, so one of them is evaluated.
-            alike = belief.stage[v], *(posterior[v] * 1e6).astype(np.int64).tolist()
-            if alike in fresh:
-                continue
-            fresh.add(alike)
+            evaluated.add(key)
             gain = float(self._total(self._after_look(belief, goal, v, posterior[v], bests), orders).mean()) - now
-            if gain > most:
-                best, most = v, gain
+            if gain > highest:
+                best, highest = v, gain
         return best
 
     def _after_look(self, belief: _Vessels, goal: str, v: int, known: FloatArray, bests: FloatArray) -> FloatArray:
@@ -298,17 +289,17 @@ class ForeseeingManager(BeliefManager[_Vessels]):
         after = np.repeat(bests[None], len(readings), axis=0)
         if self._shape[0] > 1:
             shared = (likely * belief.likelihood[v].ravel()).reshape(-1, *self._shape).mean(axis=-1)
-            self._tell_others(belief, goal, v, shared, after)
+            self._reweight_others(belief, goal, v, shared, after)
         posterior = known * likely
         posterior /= posterior.sum(axis=1, keepdims=True)
         after[:, v] = self._promise(posterior, goal, belief.stage[v]).max(axis=-1)
         return after
 
-    def _tell_others(self, belief: _Vessels, goal: str, v: int, shared: FloatArray, after: FloatArray) -> None:
-        """Fill in the other vessels' expected values [B, V] after a reading of one vessel.
+    def _reweight_others(self, belief: _Vessels, goal: str, v: int, shared: FloatArray, after: FloatArray) -> None:
+        """Write the other vessels' expected values into ``after`` [B, V] after B readings of vessel ``v``.
 
-        The reading changes the probabilities ``shared`` [B, S] of the shared parameters; the other vessels' values
-        given these parameters stay the same and are only reweighted.
+        ``shared`` [B, S] has the likelihoods of the shared parameters. The other vessels' values given these parameters
+        stay the same and are only reweighted.
         """
         logs = np.log(belief.likelihood.mean(axis=-1))
         foresight = self._foresight[goal]
@@ -317,7 +308,7 @@ class ForeseeingManager(BeliefManager[_Vessels]):
                 continue
             weights = shared * np.exp(logs.sum(axis=0) - logs[v] - logs[w])
             here = belief.likelihood[w]
-            worth = (here[:, None] @ foresight.still[stage].reshape(*self._shape, -1))[:, 0]
+            worth = (here[:, None] @ foresight.remaining[stage].reshape(*self._shape, -1))[:, 0]
             after[:, w] = ((weights @ worth) / (weights @ here.sum(axis=-1))[:, None]).max(axis=-1)
 
 
@@ -345,19 +336,18 @@ def _public(scenario: Scenario) -> Scenario:
 
 def _stages(steps: Sequence[tuple[Step, int]]) -> Iterator[tuple[Step, ...]]:
     """Yield every sequence of steps in their order, each up to its maximum number of times; shorter sequences first."""
-    found: list[tuple[tuple[Step, ...], int, int]] = [((), 0, 0)]
-    while found:
+    sequences: list[tuple[tuple[Step, ...], int, int]] = [((), 0, 0)]
+    while sequences:
         longer = []
-        for stage, at, times in found:
+        for stage, last, times in sequences:
             yield stage
-            for other in range(at, len(steps)):
-                step, most = steps[other]
-                if other > at and stage and steps[other][0][0] == stage[-1][0] and most == 1:
+            for i, (step, most) in enumerate(steps[last:], last):
+                if i > last and stage and step[0] == stage[-1][0] and most == 1:
                     continue  # a bench that is used once is used for one goal only
-                if other == at and times == most:
+                if i == last and times == most:
                     continue
-                longer.append(((*stage, step), other, times + 1 if other == at else 1))
-        found = longer
+                longer.append(((*stage, step), i, times + 1 if i == last else 1))
+        sequences = longer
 
 
 def _steps(labs: Laboratories, goal: str, skip: Collection[str]) -> list[tuple[Step, int]]:
@@ -386,30 +376,29 @@ def _foreseen(
     labs = Laboratories(scenario, common * own)
     members = labs.members
     _draw(labs, goal, own)
-    steps = _steps(labs, goal, skip)
     policies: list[Policy | None] = [None, *(script(bench) for bench in labs.benches)]
     slices = channel_slices(labs.channels)
     fills = labs.observe(labs.manager.index, members)[:, slices["slot_0_fill"]][:, 0].astype(np.float64)
     for slot in range(1, len(scenario.shelf.vessel)):
         labs.act(labs.manager.index, members, np.full(len(members), labs.actions.encode("discard", slot)))
-    begun = labs.charges(members).sum(axis=1)
-    kept: dict[tuple[Step, ...], list[npt.NDArray[Any]]] = {(): labs.snapshot()}
-    stages = list(_stages(steps))
-    readings, worth, costs, ordered = [], [], [], scenario.goals.index(goal)
-    for stage in stages:
-        if stage:
-            labs.restore(kept[stage[:-1]])
-            _make_room(labs, stage[-1], members)
-            run_experiment(labs, policies, stage[-1], members)
-            if any(other[: len(stage)] == stage and other != stage for other in stages):
-                kept[stage] = labs.snapshot()
-        worth.append(first_worth(labs, ordered) if stage or not scenario.hides else np.full(len(members), _UNWORKED))
-        costs.append(labs.charges(members).sum(axis=1) - begun)
-        readings.append(first_reading(labs, instrument))
+    initial_costs = labs.charges(members).sum(axis=1)
+    snapshots: dict[tuple[Step, ...], list[npt.NDArray[Any]]] = {(): labs.snapshot()}
+    stages = list(_stages(_steps(labs, goal, skip)))
     after = [
         np.array([k for k, other in enumerate(stages) if other[: len(stage)] == stage], dtype=np.int64)
         for stage in stages
     ]
+    readings, worth, costs, goal_index = [], [], [], scenario.goals.index(goal)
+    for stage, reachable in zip(stages, after, strict=True):
+        if stage:
+            labs.restore(snapshots[stage[:-1]])
+            _make_room(labs, stage[-1], members)
+            run_experiment(labs, policies, stage[-1], members)
+            if len(reachable) > 1:
+                snapshots[stage] = labs.snapshot()
+        worth.append(first_worth(labs, goal_index) if stage or not scenario.hides else np.full(len(members), _UNWORKED))
+        costs.append(labs.charges(members).sum(axis=1) - initial_costs)
+        readings.append(first_reading(labs, instrument))
     return _Foresight(stages, after, np.stack(readings, 1), fills, np.stack(worth, 1), np.stack(costs, 1))
 
 
@@ -431,7 +420,7 @@ def _draw(labs: Laboratories, goal: str, own: int) -> None:
 
 
 def _make_room(labs: Laboratories, step: Step, members: IntArray) -> None:
-    """Discard returned vessels other than the first slot's where they block the next experiment."""
+    """Discard returned vessels other than the first slot's if they block the next experiment."""
     start = labs.actions.encode("start", step[0], 0, step[1])
     for slot in reversed(range(1, labs.actions.slots)):
         mask, discard = labs.mask(labs.manager.index, members), labs.actions.encode("discard", slot)

@@ -1,4 +1,4 @@
-"""Scripted policy of a distillation bench with a column: takes forerun, goal fraction, and stops."""
+"""Scripted policy of a distillation bench with a column: collects a forerun and the goal fraction, then stops."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from chemlab.roles.separation_benches import DistillationBench
 from .real import ScriptedRealDistillation
 
 _HEAVIER_K = 5.0
-"""Materials that boil this many K above the goal are to stay in the pot."""
+"""Difference in K to the goal's boiling point above which a material should stay in the pot."""
 _HEEL_L = 0.01
 """Pot volume in litres below which heating stops."""
 _SMALL_KJ = 10.0
-
+"""Largest heating step in kJ during the goal fraction."""
 _SOME = 0.02
-"""Share of the pot that must have distilled over."""
+"""Share of the pot that has distilled over before the end of the fraction is judged by the temperature."""
 _LEFT_K = 3.0
-"""K below a solvent's boiling point at which hardly any goal is left in it."""
+"""Difference in K to a solvent's boiling point at which hardly any goal is left in it."""
 _MORE = 1.2
-"""Distilled volume relative to the largest possible volume of the goal."""
+"""Maximum volume of a dilute fraction relative to the largest possible volume of the goal."""
 
 STRIP, COLLECT, DILUTE = range(3)
 
 
 class ScriptedFraction(ScriptedRealDistillation):
-    """Boils off the lighter materials; takes the goal over where a column can separate it from heavier ones.
+    """Boils off the lighter materials; distils the goal over if a column can separate it from heavier ones.
 
     Before the goal fraction, the receiver is changed. The fraction ends halfway to the next boiling point. If the goal
     is so dilute in a solvent that the pot boils above this temperature from the start, the fraction ends when the pot
-    boils nearly as the solvent does, or when the largest possible volume of the goal has distilled over. The same
-    applies to solids that no wash removes. The candidates and their boiling points are public.
+    nearly boils at the solvent's boiling point, or when the largest possible volume of the goal has distilled over. The
+    same applies to solids that no wash removes. The candidates and their boiling points are public.
 
     Args:
         bench: the bench.
@@ -55,8 +55,8 @@ class ScriptedFraction(ScriptedRealDistillation):
             heavier = min((t for t in liquids if t > boils + _HEAVIER_K), default=None)
             if heavier is None and solids:
                 heavier = boils + 2.0 * _HEAVIER_K
-            over = bench.options.stages > 1 and heavier is not None and boils < bench.options.hottest_k
-            self._until_k.append(0.5 * (boils + heavier) if over and heavier is not None else None)
+            separable = bench.options.stages > 1 and boils < bench.options.hottest_k
+            self._until_k.append(0.5 * (boils + heavier) if separable and heavier is not None else None)
             others = [materials[name].boiling_point_k for name in bench.spec.start.contents if name != goal]
             self._solvent_k.append(others[0] - _LEFT_K if len(others) == 1 else 0.0)
             kilograms = (
@@ -75,7 +75,7 @@ class ScriptedFraction(ScriptedRealDistillation):
         out = []
         for i, (seen, legal, action) in enumerate(zip(observation, mask, stripping.tolist(), strict=True)):
             member, goal = int(members[i]), int(seen[self._slices["goal"]].argmax())
-            if step[i] == 0 or member not in self._phase:  # others may have played its first turns
+            if step[i] == 0 or member not in self._phase:  # another policy may have played the first turns
                 self._phase[member] = STRIP
             until = self._until_k[goal]
             litres = self._volume.unscaled(float(seen[self._slices["volume"]][0]))

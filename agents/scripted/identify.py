@@ -1,6 +1,4 @@
-"""Scripted manager of unlabelled vessels: measures while the information is worth the price, then processes the
-best.
-"""
+"""Scripted manager of unlabelled vessels: measures while information exceeds its price, then processes the best one."""
 
 from __future__ import annotations
 
@@ -20,12 +18,12 @@ from chemlab.roles.instrument_table import InstrumentTable
 
 from .belief import Belief, BeliefManager, noiseless
 from .router import SynthesisManager
-from .script import Setting
+from .script import Setting, midpoints
 
 _GRID = 24
 """Number of titre candidates."""
 _MODEL_ERROR = 0.005
-"""Standard deviation of readings besides their noise: true titres lie between the grid's."""
+"""Standard deviation of readings in addition to their noise, because true titres lie between the candidates."""
 _SURPRISE = 1e-12
 """Lower bound of a likelihood relative to the best one."""
 _YIELD = 0.9
@@ -39,19 +37,20 @@ def has_unlabelled_vessels(scenario: Scenario) -> bool:
 
 
 def _identities(scenario: Scenario) -> list[Draw]:
+    """Return the draws of the identities of shelf vessels."""
     draws = scenario.world.draws.values()
     return [draw for draw in draws if draw.what == "identity" and any(name.startswith("slot_") for name in draw.of)]
 
 
 def _arranged(options: Sequence[int], count: int) -> Iterator[tuple[int, ...]]:
-    """Yield every distinct arrangement of ``count`` options, some of which may be equal."""
+    """Yield every distinct arrangement of ``count`` of the options, which may include equal ones."""
     if count == 0:
         yield ()
         return
     for option in dict.fromkeys(options):
-        left = list(options)
-        left.remove(option)
-        yield from ((option, *rest) for rest in _arranged(left, count - 1))
+        others = list(options)
+        others.remove(option)
+        yield from ((option, *rest) for rest in _arranged(others, count - 1))
 
 
 @dataclass
@@ -92,24 +91,21 @@ class IdentifyingManager(BeliefManager[Contents]):
             if draw.what == "titre" and draw.material == identity.material and set(identity.of) <= set(draw.of)
         ]
         self._titre = titres[0] if titres else None
-        # Midpoints of equally likely parts of the prior.
-        shares = (np.arange(_GRID) + 0.5) / _GRID
-        self._titres = quantiles(self._titre, shares) if self._titre is not None else np.ones(1)
+        self._titres = quantiles(self._titre, midpoints(_GRID)) if self._titre is not None else np.ones(1)
         self._arrangements, self._prior = self._possible(identity)
         self._expected = self._readings(identity) if self._instrument else np.zeros(0)
 
     def _possible(self, identity: Draw) -> tuple[IntArray, FloatArray]:
         """Return [P, V] all arrangements of the options in the vessels, and the probability of each."""
-        drawn, count = identity.distribution, len(self._vessels)
-        options = [self._options.index(str(option)) for option in getattr(drawn, "options", ())]
-        if isinstance(drawn, Permutation):
-            found = _arranged(options, count)
-        else:
-            found = itertools.product(range(len(self._options)), repeat=count)
-        arrangements = np.array(list(itertools.islice(found, _MOST_ORDERS)), dtype=np.int64)
-        if isinstance(drawn, Permutation):
+        distribution, count = identity.distribution, len(self._vessels)
+        options = [self._options.index(str(option)) for option in getattr(distribution, "options", ())]
+        is_permutation = isinstance(distribution, Permutation)
+        choices = itertools.product(range(len(self._options)), repeat=count)
+        every = _arranged(options, count) if is_permutation else choices
+        arrangements = np.array(list(itertools.islice(every, _MOST_ORDERS)), dtype=np.int64)
+        if is_permutation:
             return arrangements, np.ones(len(arrangements))
-        weights = np.bincount(options, getattr(drawn, "weights", ()) or None)
+        weights = np.bincount(options, getattr(distribution, "weights", ()) or None)
         return arrangements, np.asarray(weights[arrangements].prod(axis=1), dtype=np.float64)
 
     def _readings(self, identity: Draw) -> FloatArray:
@@ -146,9 +142,9 @@ class IdentifyingManager(BeliefManager[Contents]):
         likelihood = np.ones((len(self._vessels), len(self._options), len(self._titres)))
         return Contents(self._vessels, list(range(len(self._orders))), likelihood=likelihood)
 
-    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+    def _replace_decision(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        kind, slot, _ = self._taken_apart(action)
+        kind, slot, _ = self._decode(action)
         if not belief.chosen:
             if kind == "measure" and slot in self._vessels:
                 self._update(belief, action)
@@ -156,26 +152,25 @@ class IdentifyingManager(BeliefManager[Contents]):
                 return
             belief.chosen.append(slot)
             self._choose(belief, observation, member)
-        self._router._take_note(observation, action, member)
+        self._router._replace_decision(observation, action, member)
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
         belief = self._kept[member]
         if not belief.chosen:
-            look = self._next_look(belief, self._ordered(observation)[0], mask)
-            if look is not None:
-                measure = self._actions.encode("measure", self._vessels[look], str(self._instrument))
-                return self._update(belief, measure)
+            measured = self._next_look(belief, self._ordered(observation)[0], mask)
+            if measured is not None:
+                return self._update(belief, self._measure(self._vessels[measured]))
             self._choose(belief, observation, member)
         return self._router._decide(observation, mask, step, member)
 
     def _ordered(self, observation: ObservationArray) -> FloatArray:
-        """Return [orders, O, T] score of a vessel for each order, by content."""
+        """Return [orders, O, T] the raw score of a vessel for each order, by content."""
         return np.array([self._worth(self._goal(observation, order)) for order in range(len(self._orders))])
 
     def _choose(self, belief: Contents, observation: ObservationArray, member: int) -> None:
-        """Choose a vessel for every order without one, and start these lines."""
-        for own in self._ordered(observation)[len(belief.chosen) :]:
-            expected = (self._posterior(belief) * own).sum(axis=(1, 2))
+        """Choose a vessel for every order without one, and begin the router's lines with them."""
+        for scores in self._ordered(observation)[len(belief.chosen) :]:
+            expected = (self._posterior(belief) * scores).sum(axis=(1, 2))
             free = [v for v, slot in enumerate(self._vessels) if slot not in belief.chosen]
             best = max(free or range(len(self._vessels)), key=lambda v: expected[v])
             belief.chosen.append(self._vessels[best])
@@ -184,7 +179,7 @@ class IdentifyingManager(BeliefManager[Contents]):
             line.slot = slot
 
     def _worth(self, goal: str) -> FloatArray:
-        """Return [O, T] score of a vessel for a goal, by content."""
+        """Return [O, T] the raw score of a vessel for a goal, by content."""
         most = self._scenario.theoretical_maximum_mol[goal]
         stocked = set(self._scenario.stock)
         made = np.zeros(len(self._options))
@@ -197,9 +192,9 @@ class IdentifyingManager(BeliefManager[Contents]):
 
     def _learn(self, belief: Contents, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
         v = self._vessels.index(slot)
-        # Not `base.likelihood`, which sums in another order: among identical bottles the last digit decides.
-        apart = ((reading - self._expected[v]) ** 2).sum(axis=-1) / self._noise**2
-        belief.likelihood[v] = np.exp(-0.5 * (apart - apart.min())) + _SURPRISE
+        # script.likelihood sums in another order, and the last digit decides between identical vessels.
+        distance = ((reading - self._expected[v]) ** 2).sum(axis=-1) / self._noise**2
+        belief.likelihood[v] = np.exp(-0.5 * (distance - distance.min())) + _SURPRISE
 
     def _posterior(self, belief: Contents) -> FloatArray:
         """Return [V, O, T] posterior probability of each vessel's content."""
@@ -214,19 +209,16 @@ class IdentifyingManager(BeliefManager[Contents]):
         return np.asarray(held[:, :, None] * titre)
 
     def _next_look(self, belief: Contents, worth: FloatArray, mask: MaskArray) -> int | None:
-        """Return the vessel with the highest value of a measurement net of its price, or None if no value is
-        positive.
-        """
+        """Return the vessel whose measurement has the highest value net of its price; None if no value is positive."""
         if self._instrument is None:
             return None
         posterior = self._posterior(belief)
         now = float((posterior * worth).sum(axis=(1, 2)).max())
         best, gain = None, 0.0
         for v, slot in enumerate(self._vessels):
-            legal = mask[self._actions.encode("measure", slot, self._instrument)]
-            if slot in belief.read or not legal:
+            if slot in belief.read or not mask[self._measure(slot)]:
                 continue
-            own = float((posterior[v] * np.maximum(worth, now)).sum()) - now - self._price
-            if own > gain:
-                best, gain = v, own
+            net = float((posterior[v] * np.maximum(worth, now)).sum()) - now - self._price
+            if net > gain:
+                best, gain = v, net
         return best

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from chemlab.config.reactions import equation
-from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.lab.sampling import quantiles
@@ -13,42 +12,41 @@ from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.roles.bench import channel_slices
 from chemlab.roles.reaction_bench import ReactionBench
 
+from .script import revealed_column
+
 _SAFE_PRESSURE = 0.68
 """Reading of the pressure gauge above which the piston moves out; the valve opens at 0.8."""
 _SAFEST_PRESSURE = 0.45
-"""The same bound if accidents are priced: one more heating step must not open the valve."""
+"""The same bound if accidents are priced; another heating step must not open the valve."""
 _HOLD_BACK = 0.4
 """Share of the experiment during which one reagent of an unwanted side reaction is withheld."""
-
 _LOSS = 0.1
 """Accepted loss of a product per run by thermal decomposition, as a share."""
 
 
-def told_rate(scenario: Scenario, key: str) -> str | None:
-    """Return the name of the drawn rate that is revealed only to a bench, or None."""
-    draws = scenario.world.draws.items()
-    return next((name for name, d in draws if d.what == "pre_exponential" and key in d.told), None)
-
-
 def _hottest(bench: ReactionBench) -> tuple[int, FloatArray, FloatArray] | None:
-    """Return the maximum temperature (K) of the bench at quantiles of the prior, or None if no rate is revealed to it.
+    """Return the maximum temperature of a bench to which the rate constant of a decomposition is revealed.
 
-    The first number is the rate's index among all that is revealed. At the maximum, a reaction whose pre-exponential
-    factor is revealed to the bench proceeds for ``_LOSS`` time constants in one run.
+    At this temperature, the share ``_LOSS`` of the product decomposes in one run.
+
+    Returns:
+        Column of the rate constant in the bench's observation, shares of the prior, and the temperature in K at these
+        quantiles; None if no single rate constant is revealed to the bench.
     """
-    world, name = bench.scenario.world, told_rate(bench.scenario, bench.key)
-    if name is None or world.draws[name].variables > 1:
+    draws = bench.scenario.world.draws
+    name = next((n for n, d in draws.items() if d.what == "pre_exponential" and bench.key in d.told), None)
+    if name is None or draws[name].variables > 1:
         return None
-    rate, column = world.draws[name], world.numbers(bench.told[: bench.told.index(name)])
-    step = next(one for one in bench.scenario.family.reaction if equation(one) in rate.of)
+    step = next(one for one in bench.scenario.family.reaction if equation(one) in draws[name].of)
     shares = np.linspace(0.001, 0.999, 999)
-    factors = step.pre_exponential * quantiles(rate, shares)
+    factors = step.pre_exponential * quantiles(draws[name], shares)
     time = bench.step_limit * bench.options.tick
-    return column, shares, step.activation_energy_j_mol / (GAS_CONSTANT * np.log(factors * time / _LOSS))
+    kelvin = step.activation_energy_j_mol / (GAS_CONSTANT * np.log(factors * time / _LOSS))
+    return revealed_column(bench, name), shares, kelvin
 
 
 class ScriptedReaction:
-    """Adds all reagents on the way to the goal at once, hot; a reagent with excess (sodium) is added in excess.
+    """Heats, and adds all of the reagents from which the goal is made.
 
     If the goal's reagents would also form a penalized by-product, one of them is withheld until the others have become
     intermediates (goal I of the fictitious reactions: C is withheld). A bench to which the rate of decomposition is
@@ -57,8 +55,8 @@ class ScriptedReaction:
     Args:
         bench: the bench.
         careful: False heats regardless of the pressure gauge.
-        margin_k: kelvin below the highest temperature that a revealed rate allows; a negative number is above it. None:
-            the temperature that is right at the median of the prior, whatever is revealed.
+        margin_k: margin in K below the highest temperature that a revealed rate allows; negative: above it. None: the
+            highest temperature at the median of the prior, regardless of the revealed rate.
     """
 
     def __init__(self, bench: ReactionBench, careful: bool = True, margin_k: float | None = 0.0) -> None:
@@ -93,8 +91,8 @@ class ScriptedReaction:
         if self._hottest is not None:
             now = self._temperature.unscaled(observation[:, self._slices["temperature"]][:, 0].astype(np.float64))
             column, shares, kelvin = self._hottest
-            told = 0.5 if self._margin_k is None else observation[:, self._slices["told"]][:, column]
-            wanted = np.interp(told, shares, kelvin) - (self._margin_k or 0.0)
+            quantile = 0.5 if self._margin_k is None else observation[:, column]
+            wanted = np.interp(quantile, shares, kelvin) - (self._margin_k or 0.0)
             warm = np.minimum(warm, np.clip(0.5 + (wanted - now) / (2.0 * self._step_k), 0.0, 1.0))
         piston = np.where(close, 1.0, 0.5)
         return np.column_stack((warm, piston, adding))

@@ -16,18 +16,17 @@ from .extraction import ScriptedExtraction
 from .script import choices
 
 _FEED, _QUENCH = 0.6, 0.88
-"""Shares of a reaction: liquid reagents are fed until the first; the quench begins at the second."""
+"""Shares of a reaction's duration: end of the feeding of liquid reagents, and beginning of the quench."""
 _QUENCH_SHARE = 0.3
 """Share of the remaining quenching reagent that is added per step."""
 _BELOW_BOILING_K = 8.0
 """Margin in K between the contents and the lowest boiling point."""
 _GAIN = 2.0
-"""Largest controller gain: K of jacket setpoint below the target per K that the contents are above it."""
+"""Largest controller gain: K by which the jacket's setpoint is lowered per K of the contents' excess temperature."""
 
 
 class ScriptedRealReaction:
-    """Charges the solids first, feeds the liquids while the jacket removes heat, waits, and quenches water-sensitive
-    reagents.
+    """Adds the solids first, feeds the liquids while the jacket cools, waits, and quenches water-sensitive reagents.
 
     Args:
         bench: the bench.
@@ -56,7 +55,8 @@ class ScriptedRealReaction:
         boiling = min((materials[n].boiling_point_k for n in present if materials[n].role == "solvent"), default=400.0)
         self._wanted_k = min(boiling - _BELOW_BOILING_K, self._temperature.high - _BELOW_BOILING_K)
         warmed = sum(mol * materials[n].heat_capacity_j_mol_k for n, mol in bench.spec.start.contents.items())
-        share = 1.0  # of the way to the set temperature in a step; from a gain of 2 / share - 1 on, it oscillates
+        # Share of the difference to the setpoint that a step makes up; gains above 2 / share - 1 oscillate.
+        share = 1.0
         if bench.options.jacket_w_k and warmed:
             share = 1.0 - math.exp(-bench.options.jacket_w_k * bench.options.tick / warmed)
         self._gain = min(_GAIN, 0.6 * (2.0 / share - 1.0))
@@ -64,7 +64,7 @@ class ScriptedRealReaction:
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
         goal = observation[:, self._slices["goal"]].argmax(axis=1)
-        t = self._temperature  # the jacket's is on the same scale
+        t = self._temperature  # the jacket has the same scale
         kelvin = t.unscaled(observation[:, self._slices["temperature"]][:, 0])
         jacket = t.unscaled(observation[:, self._slices["jacket"]][:, 0]) if "jacket" in self._slices else kelvin
         needed = self._needed[goal]
@@ -73,7 +73,7 @@ class ScriptedRealReaction:
         excess = kelvin - self._wanted_k
         target = np.clip(self._wanted_k - self._gain * (excess + _BELOW_BOILING_K), t.low, t.high)
         turn = np.clip(0.5 + (target - jacket) / (2.0 * self._step_k), 0.0, 1.0)
-        # The share of the remainder that empties the bottle at the end of feeding.
+        # A constant rate, which empties the bottle at the end of feeding.
         share = 1.0 / np.maximum(self._feed_until - step, 1)
         calm = np.clip(1.0 - excess / _BELOW_BOILING_K, 0.0, 1.0)
         adding = np.where(self._solid, 1.0, (calm * share)[:, None]) * needed
@@ -84,7 +84,7 @@ class ScriptedRealReaction:
 
 _WASHES = 3
 _LOWER = 0.12
-"""Grey values within this distance of water's belong to the aqueous layer."""
+"""Maximum difference from the grey value of water at which a pixel belongs to the aqueous layer."""
 
 
 class ScriptedRealExtraction(ScriptedExtraction):
@@ -103,8 +103,8 @@ class ScriptedRealExtraction(ScriptedExtraction):
 
     def _boundary(self, picture: ObservationArray) -> int:
         """Return the number of pixels from the bottom up to the last aqueous one."""
-        wet = np.flatnonzero(np.abs(picture - self._wash_shade) < _LOWER)
-        return int(wet[-1]) + 1 if len(wet) else 0
+        aqueous = np.flatnonzero(np.abs(picture - self._wash_shade) < _LOWER)
+        return int(aqueous[-1]) + 1 if len(aqueous) else 0
 
     def _drain_lower(self, picture: ObservationArray, mask: MaskArray) -> int | None:
         percent = 100.0 * self._boundary(picture) / CAMERA_PIXELS
@@ -112,15 +112,16 @@ class ScriptedRealExtraction(ScriptedExtraction):
         return chosen if chosen is not None and mask[chosen] else None
 
 
-_KJ_PER_L_K = 1.8
-_KJ_PER_L = 250.0
-"""Rough heat of vaporization of an organic liquid in kJ/L, with the heat capacity below."""
+_KJ_PER_L_K, _KJ_PER_L = 1.8, 250.0
+"""Rough heat capacity (kJ/(L K)) and heat of vaporization (kJ/L) of an organic liquid."""
 _SHORT_OF_K = 6.0
+"""Difference in K to the goal's boiling point at which stripping ends."""
 _LEAST_KJ = 2.0
+"""Minimum heating step in kJ."""
 
 
 class ScriptedRealDistillation:
-    """Boils off materials with boiling points below the goal's, judged by the boiling temperature of the pot.
+    """Boils off materials with boiling points below the goal's, and stops by the boiling temperature of the pot.
 
     Args:
         bench: the bench.
@@ -153,9 +154,9 @@ class ScriptedRealDistillation:
         gap = self._stop_k[goal] - kelvin
         if gap <= 0.0:
             return self._end
-        # Far below the end point most of the pot remains to be evaporated; close to it, only sensible heat is needed.
-        wanted = _KJ_PER_L_K * litres * gap + 0.1 * _KJ_PER_L * litres * min(gap / 100.0, 1.0)
         if not self._careful:
             return self._heats[-1][1]
-        # Less than the smallest step would only replace heat losses.
+        # Far below the end point, most of the pot has to evaporate; close to it, the pot only has to warm up.
+        wanted = _KJ_PER_L_K * litres * gap + 0.1 * _KJ_PER_L * litres * min(gap / 100.0, 1.0)
+        # Smaller steps would only compensate heat losses.
         return next((action for q, action in reversed(self._heats) if q <= max(wanted, _LEAST_KJ)), self._heats[-1][1])

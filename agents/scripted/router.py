@@ -14,7 +14,9 @@ from .script import ScriptedManager, Setting, cheapest
 from .workup import keeps_apart
 
 _PURE_ENOUGH = 0.97
+"""Purity of a product that is submitted without further processing."""
 _MOST_OF_IT = 0.5
+"""Minimum amount of such a product with the physics backend `real`, as a share of the theoretical maximum."""
 _MOST_DISTILLATIONS = 2
 
 
@@ -32,6 +34,7 @@ class _Line:
     """Slots reserved for the vessels at the bench."""
     stage: int = 0
     running: str = ""
+    """Bench agent of the present experiment."""
     distillations: int = 0
     measured: set[tuple[int, str]] = field(default_factory=set)
     submitted: bool = False
@@ -42,8 +45,8 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
 
     The sequence is: react; decant leftover metal and discard it; wash; distil; crystallize. Products are analysed until
     one is pure enough. Only benches of the scenario are used, one of each kind per order, and as many orders are
-    processed at once as there are benches. The manager uses the recipe, the public scenario and its observation of the
-    vessels: their last bench, fill levels, and readings that it has paid for.
+    processed at once as there are benches. The manager uses the public scenario and its observation of the vessels:
+    their last bench, fill levels and readings.
 
     Args:
         setting: the manager's laboratory; if not careful, steps for safety and measurement only are skipped: metal is
@@ -60,7 +63,6 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
         self._rxn, self._ext, self._dit, self._cry = (
             kinds.get(kind) for kind in ("reaction", "extraction", "distillation", "crystallization")
         )
-        # Sorted, because the order of a set of names differs between processes.
         self._salts = tuple(salt.solid for salt in scenario.family.salt)
         self._balance = cheapest(scenario, ("balance",))
         self._gc = cheapest(scenario, ("gas_chromatograph",))
@@ -68,6 +70,7 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
         self._molar_mass = np.array([scenario.materials[name].molar_mass_g_mol for name in self._analytes])
 
     def _agent(self, bench: str, line: _Line) -> str:
+        """Return the bench agent that works for an order."""
         return f"{bench}_{line.order % self._scenario.benches[bench].count}"
 
     def _plan(self, goal: str) -> list[str]:
@@ -94,28 +97,28 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
     def _history(self, observation: ObservationArray, slot: int) -> tuple[str | None, int]:
         """Return the last bench of a vessel and the vessel's position there."""
         last = int(observation[self._slices[f"slot_{slot}_last_bench"]].argmax())
-        role = int(observation[self._slices[f"slot_{slot}_last_position"]].argmax())
-        return (self._keys[last - 1] if last > 0 else None), role
+        position = int(observation[self._slices[f"slot_{slot}_last_position"]].argmax())
+        return (self._keys[last - 1] if last > 0 else None), position
 
     def _begin(self, observation: ObservationArray) -> list[_Line]:
         """Return one line for every order, with the shelf's vessels assigned to the lines."""
-        fresh = self._occupied(observation)
+        occupied = self._occupied(observation)
         lines = []
         for order, channel in enumerate(self._orders):
             goal = self._scenario.goals[int(observation[self._slices[channel]].argmax())]
-            slot = fresh[order % len(fresh)] if fresh else 0
-            # With one order, all vessels belong to it; with several, each line has the vessel it began with.
-            mine = set(fresh) if len(self._orders) == 1 else {slot}
+            slot = occupied[order % len(occupied)] if occupied else 0
+            # With one order, all vessels belong to it; with several, one vessel belongs to each.
+            mine = set(occupied) if len(self._orders) == 1 else {slot}
             lines.append(_Line(order, goal, self._plan(goal), slot, mine))
         return lines
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
+    def _observe(self, observation: ObservationArray, step: int, member: int) -> None:
         if step == 0:
             self._kept[member] = self._begin(observation)
 
-    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+    def _replace_decision(self, observation: ObservationArray, action: int, member: int) -> None:
         lines = self._kept[member]
-        kind, slot, more = self._taken_apart(action)
+        kind, slot, more = self._decode(action)
         if kind == "start":
             agent = more[0]
             line = next((line for line in lines if slot in line.mine), lines[0])
@@ -156,8 +159,8 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
                 elif beakers and mask[self._actions.encode("discard", beakers[0])]:
                     return self._actions.encode("discard", beakers[0])
             elif ended == self._dit and self._ext in line.plan[line.stage :]:
-                taken_over = [s for s in line.mine if self._history(observation, s) == (self._dit, 1)]
-                line.slot = min(set(taken_over) & set(self._occupied(observation)), default=line.slot)
+                distillates = {s for s in line.mine if self._history(observation, s) == (self._dit, 1)}
+                line.slot = min(distillates & set(self._occupied(observation)), default=line.slot)
         if line.stage < len(line.plan):
             return self._start(observation, mask, line, lines, line.plan[line.stage])
         return self._finish(observation, mask, line, lines)
@@ -165,6 +168,7 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
     def _start(
         self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line], bench: str
     ) -> int | None:
+        """Return the action that starts an experiment, or one that frees a slot for it; None if the bench is busy."""
         agent = self._agent(bench, line)
         if self._value(observation, f"{agent}_busy") > 0.5:
             return None
@@ -180,7 +184,7 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
         # The laboratory reserves the first free slots for returning vessels.
         taken = set(self._occupied(observation))
         for other in lines:
-            # A line whose experiment ended without being processed yet has no reservations any more.
+            # Reservations end with the experiment, also if the line has not been processed since.
             if other.running and self._value(observation, f"{other.running}_busy") > 0.5:
                 taken |= other.kept
         free = [s for s in range(self._actions.slots) if s not in taken]
@@ -191,14 +195,14 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
         line.kept = kept | {line.slot}
         line.running = agent
         line.distillations += role_of(agent) == self._dit
-        # The processed vessel's reading becomes invalid; readings of the other vessels stay valid.
+        # Only the readings of the processed vessel become invalid.
         line.measured = {(slot, instrument) for slot, instrument in line.measured if slot != line.slot}
 
     def _fallback(self, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
-        """Free a slot by discarding an unused vessel; if there is none, submit an available vessel."""
-        wanted = {other.slot for other in lines if not other.submitted}
+        """Discard a vessel that no line needs; else submit the line's vessel, unless an experiment is running."""
+        needed = {other.slot for other in lines if not other.submitted}
         for slot in reversed(range(self._actions.slots)):
-            if slot not in wanted and mask[self._actions.encode("discard", slot)]:
+            if slot not in needed and mask[self._actions.encode("discard", slot)]:
                 return self._actions.encode("discard", slot)
         if any(other.running for other in lines):
             return None
@@ -210,6 +214,7 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
         return self._encode_submit(slot, line.order)
 
     def _finish(self, observation: ObservationArray, mask: MaskArray, line: _Line, lines: list[_Line]) -> int | None:
+        """Return the next action after the last bench: a measurement, another distillation, or the submission."""
         last = self._cry or self._dit or self._ext or self._rxn
         candidates = [
             s
@@ -220,9 +225,9 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
         ]
         if not candidates:
             return self._fallback(mask, line, lines)
-        # A distillate is in B1; a stripped residue is in its original vessel.
-        over = line.distillations > 1
-        candidates.sort(key=lambda s: self._history(observation, s)[1] != 1 if over else s != line.slot)
+        # After a second distillation the product is in B1, otherwise in the original vessel.
+        in_receiver = line.distillations > 1
+        candidates.sort(key=lambda s: self._history(observation, s)[1] != 1 if in_receiver else s != line.slot)
         if not self._careful:
             return self._submit(line, candidates[0])
         for slot in candidates:
@@ -233,28 +238,21 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
                 if (slot, instrument) not in line.measured and mask[action]:
                     line.measured.add((slot, instrument))
                     return action
-            if self._gc is not None and self._good(*self._estimate(observation, slot, line.goal), line.goal):
+            if self._gc is not None and self._is_product(*self._estimate(observation, slot, line.goal), line.goal):
                 return self._submit(line, slot)
         estimates = [self._estimate(observation, slot, line.goal) for slot in candidates]
         best = int(np.argmax([amount * purity for amount, purity in estimates]))
-        slot = candidates[best]
+        slot, impure = candidates[best], estimates[best][1] < _PURE_ENOUGH
         # A crystallized product is not distilled again.
-        if (
-            self._dit
-            and last == self._dit
-            and estimates[best][1] < _PURE_ENOUGH
-            and line.distillations < _MOST_DISTILLATIONS
-        ):
+        if self._dit and last == self._dit and impure and line.distillations < _MOST_DISTILLATIONS:
             line.slot = slot
             again = self._start(observation, mask, line, lines, self._dit)
             if again is None or again == self._actions.encode("start", self._agent(self._dit, line), slot, line.goal):
                 return again
         return self._submit(line, slot)
 
-    def _good(self, amount: float, purity: float, goal: str) -> bool:
-        """Return True if no further vessel needs to be analysed. With fractions, a pure residue does not count as
-        the product.
-        """
+    def _is_product(self, amount: float, purity: float, goal: str) -> bool:
+        """Return True if no other vessel needs to be analysed; in `real` physics, a small residue is not enough."""
         most = self._scenario.theoretical_maximum_mol[goal] / len(self._orders)
         return purity >= _PURE_ENOUGH and (self._scenario.physics == "paper" or amount >= _MOST_OF_IT * most)
 
@@ -263,9 +261,8 @@ class SynthesisManager(ScriptedManager[list[_Line]]):
         if self._gc is None:
             return self._value(observation, f"slot_{slot}_fill"), 1.0
         fractions = observation[self._slices[f"slot_{slot}_{self._gc}"]].astype(np.float64)
-        residue = self._scenario.materials[
-            goal if goal in self._salts else next(iter(self._salts), goal)
-        ].molar_mass_g_mol
+        unseen = goal if goal in self._salts else next(iter(self._salts), goal)
+        residue = self._scenario.materials[unseen].molar_mass_g_mol
         gram_per_mol = float(fractions[:-1] @ self._molar_mass + fractions[-1] * residue)
         if self._balance is None:
             grams = 1000.0 * self._value(observation, f"slot_{slot}_fill")

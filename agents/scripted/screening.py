@@ -1,4 +1,4 @@
-"""Scripted agents of a campaign: try every catalyst in turn, measure every batch, submit the best batches."""
+"""Scripted agents of a screening: try all catalysts in turn, measure every batch, and submit the best batches."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from .belief import Belief, BeliefManager
 from .script import Setting
 
 _EQUIVALENTS, _CATALYST, _HEAT = 1.3, 0.5, 0.6
-"""Rules of thumb: equivalents of every reagent, share of the catalyst's supply, share of the temperature range."""
+"""Constant conditions: equivalents of every reagent, share of the catalyst's supply, share of the temperature range."""
 
 
 def catalysts(scenario: Scenario) -> list[str]:
-    """Return the alternative catalysts of a scenario: bottles that stand on both sides of reactions."""
-    kept = {name for step in scenario.family.reaction for name in step.products if name in step.reactants}
-    return [name for name in scenario.stock if name in kept]
+    """Return the alternative catalysts of a scenario: materials of the stock that are on both sides of a reaction."""
+    unchanged = {name for step in scenario.family.reaction for name in step.products if name in step.reactants}
+    return [name for name in scenario.stock if name in unchanged]
 
 
 class ScriptedScreening(Remembering):
-    """Runs every experiment by rules of thumb, with the next catalyst.
+    """Runs every experiment under constant conditions, each with the next catalyst.
 
     Args:
         bench: the bench, whose scenario has :func:`catalysts`.
@@ -70,7 +70,7 @@ class _Batches(Belief):
 
     Attributes:
         done: slots with an ended experiment.
-        worth: estimated worth by slot.
+        worth: by slot, the measured value: amount times purity.
     """
 
     done: list[int] = field(default_factory=list)
@@ -100,7 +100,7 @@ class ScreeningManager(BeliefManager[_Batches]):
 
     def _learn(self, belief: _Batches, slot: int, reading: FloatArray, observation: ObservationArray) -> None:
         shares = reading[: len(self._counted)]
-        # In vessels that are alike, a share of all molecules is an amount.
+        # The vessels are alike, so that a mole fraction is proportional to an amount.
         made = shares[self._goal_column]
         belief.worth[slot] = float(made * made / max(shares @ self._counted, 1e-9))
 
@@ -129,9 +129,8 @@ class ScreeningManager(BeliefManager[_Batches]):
         for slot in batches.done:
             if self._instrument is None or slot in batches.worth:
                 continue
-            measure = self._actions.encode("measure", slot, self._instrument)
-            if mask[measure]:
-                return self._update(batches, measure)
+            if mask[self._measure(slot)]:
+                return self._update(batches, self._measure(slot))
         if batches.running and mask[wait]:
             return wait
         for slot in sorted(batches.done, key=lambda slot: -batches.worth.get(slot, 0.0)):

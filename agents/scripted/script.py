@@ -1,4 +1,4 @@
-"""Common parts of scripted policies."""
+"""Common functions and base classes of scripted policies."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Actions
 from chemlab.kernels.arrays import FloatArray, IntArray, MaskArray, ObservationArray
 from chemlab.kernels.jit import inner, kernel
-from chemlab.roles.bench import CAMERA_PIXELS, Channel, channel_slices
+from chemlab.roles.bench import CAMERA_PIXELS, Bench, Channel, channel_slices
 from chemlab.roles.instrument_table import InstrumentTable
 from chemlab.roles.manager_actions import ManagerActions
 from chemlab.roles.manager_view import order_channels
@@ -39,45 +39,53 @@ def choices(bench: OperationBench, kind: str, **which: str) -> dict[float, int]:
     raise ValueError(f"benches.{bench.key}: its scripted policy needs a process {kind!r}{words}")
 
 
+def revealed_column(bench: Bench, draw: str) -> int:
+    """Return the column of the first number of a revealed draw in a bench's observation."""
+    before = bench.scenario.world.numbers(bench.told[: bench.told.index(draw)])
+    return int(channel_slices(bench.channels)["told"].start) + before
+
+
 def cheapest(scenario: Scenario, kinds: Collection[str]) -> str | None:
     """Return the cheapest instrument of some kinds whose readings the manager observes, or None."""
     specs = scenario.seen_instruments
     return min((n for n in specs if specs[n].kind in kinds), key=lambda n: specs[n].price, default=None)
 
 
-def apart(readings: FloatArray, expected: FloatArray, variance: FloatArray | None = None) -> FloatArray:
-    """Return the squared distance of readings from expected values.
+def midpoints(count: int) -> FloatArray:
+    """Return the midpoints of ``count`` equal parts of [0, 1]."""
+    return np.asarray((np.arange(count) + 0.5) / count)
+
+
+def squared_distance(readings: FloatArray, expected: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return [..., K] squared distances of readings from expected values, in units of the variance.
 
     Args:
         readings: [..., size] readings.
         expected: [K, size] expected values.
-        variance: [size] variance of each number; default: 1.
-
-    Returns:
-        [..., K] sums of squares.
+        variance: [size] variance of each number.
     """
-    found = np.zeros((*readings.shape[:-1], len(expected)))
-    for number in range(readings.shape[-1]):  # a sum over such a short last axis takes several times as long
+    distance = np.zeros((*readings.shape[:-1], len(expected)))
+    for number in range(readings.shape[-1]):  # several times as fast as a sum over the short last axis
         square = readings[..., number, None] - expected[:, number]
         square *= square
-        if variance is not None:
-            square /= variance[number]
-        found += square
-    return found
+        square /= variance[number]
+        distance += square
+    return distance
 
 
 def likelihood(readings: FloatArray, expected: FloatArray, noise: float, least: float) -> FloatArray:
-    """Return [..., K] likelihoods of readings relative to the best expected value (see :func:`apart`).
+    """Return [..., K] likelihoods of readings, relative to that of the nearest expected value.
 
     Args:
-        readings, expected: as for :func:`apart`.
+        readings: [..., size] readings.
+        expected: [K, size] expected values.
         noise: standard deviation of each number.
         least: lower bound of a relative likelihood.
     """
     rows = np.ascontiguousarray(readings.reshape(-1, readings.shape[-1]), dtype=np.float64)
-    found = np.zeros((len(rows), len(expected)))
-    _likelihood(rows, np.ascontiguousarray(expected.T), noise**2, least, found)
-    return found.reshape(*readings.shape[:-1], len(expected))
+    out = np.zeros((len(rows), len(expected)))
+    _likelihood(rows, np.ascontiguousarray(expected.T), noise**2, least, out)
+    return out.reshape(*readings.shape[:-1], len(expected))
 
 
 _VANISHES = 38.0
@@ -132,7 +140,7 @@ class Setting(NamedTuple):
         positions: number of vessel positions of each bench.
         careful: False omits steps that serve only safety and measurement.
         skip: benches that are not used.
-        margin_k: habit of the benches that it counts on, see :class:`.reaction.ScriptedReaction`.
+        margin_k: temperature margin of the benches, see :class:`.reaction.ScriptedReaction`.
     """
 
     scenario: Scenario
@@ -143,21 +151,6 @@ class Setting(NamedTuple):
     careful: bool = True
     skip: Collection[str] = ()
     margin_k: float | None = 0.0
-
-
-class _Advice(NamedTuple):
-    """A decision that has been advised but not yet confirmed.
-
-    Attributes:
-        decided: the action.
-        before: pickled memory before the decision. Pickling takes a fraction of the time of a copy, and few are
-            restored.
-        seen: the observation.
-    """
-
-    decided: int
-    before: bytes
-    seen: ObservationArray
 
 
 class ScriptedManager(Generic[M]):
@@ -173,7 +166,10 @@ class ScriptedManager(Generic[M]):
         self._orders = [name for name, _ in order_channels(setting.scenario)]
         self._kept: dict[int, M] = {}
         self._memories: list[dict[int, Any]] = [self._kept]
-        self._advised: dict[int, _Advice] = {}
+        self._advised: dict[int, tuple[int, bytes, ObservationArray]] = {}
+        """By environment index, advice to be confirmed: action, memory before it (pickled, as few are restored), and
+        observation.
+        """
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""
@@ -203,10 +199,10 @@ class ScriptedManager(Generic[M]):
                     memory.pop(i, None)
             elif all(memory.get(i) is None for memory in self._memories):
                 s = 0  # the first decision was not played
-            self._see(o, s, i)
+            self._observe(o, s, i)
             before = pickle.dumps([memory.get(i) for memory in self._memories], -1) if copied else b""
             decided[n] = self._decide(o, m, s, i)
-            self._advised[i] = _Advice(int(decided[n]), before, o)
+            self._advised[i] = int(decided[n]), before, o
         return decided
 
     def played(self, actions: IntArray, members: IntArray) -> None:
@@ -216,11 +212,11 @@ class ScriptedManager(Generic[M]):
             actions, members: [B] actions and environment indices.
         """
         for action, i in zip(actions.tolist(), members.tolist(), strict=True):
-            advice = self._advised.pop(i)
-            if action != advice.decided:
-                for memory, own in zip(self._memories, pickle.loads(advice.before), strict=True):
-                    memory[i] = own
-                self._take_note(advice.seen, action, i)
+            decided, pickled, seen = self._advised.pop(i)
+            if action != decided:
+                for memory, before in zip(self._memories, pickle.loads(pickled), strict=True):
+                    memory[i] = before
+                self._replace_decision(seen, action, i)
 
     def get_memory(self) -> Any:
         """See :class:`chemlab.envs.players.Policy`; advice that waits for :meth:`played` is part of the memory."""
@@ -228,26 +224,25 @@ class ScriptedManager(Generic[M]):
 
     def set_memory(self, memory: Any) -> None:
         """See :class:`chemlab.envs.players.Policy`."""
-        for own, kept in zip([*self._memories, self._advised], copy.deepcopy(memory), strict=True):
-            own.clear()
-            own.update(kept)
+        for current, restored in zip([*self._memories, self._advised], copy.deepcopy(memory), strict=True):
+            current.clear()
+            current.update(restored)
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
+    def _observe(self, observation: ObservationArray, step: int, member: int) -> None:
         """Update the memory with an observation before the decision."""
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
+        """Return the action to play, and update the memory with it."""
         raise NotImplementedError
 
-    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+    def _replace_decision(self, observation: ObservationArray, action: int, member: int) -> None:
         """Update the memory with an action that was played instead of the manager's decision."""
 
-    def _taken_apart(self, action: int) -> tuple[str, int, list[Any]]:
-        """Return (kind, slot of the vessel concerned or -1, other arguments) of an action; a submission's argument
-        is its order.
-        """
+    def _decode(self, action: int) -> tuple[str, int, list[Any]]:
+        """Return (kind, slot of its vessel or -1, other arguments) of an action; a submission has its order."""
         kind, *arguments = self._actions.decode(action)
-        place = {"start": 1, "measure": 0, "submit": 0, "discard": 0}.get(str(kind))
-        slot = -1 if place is None else int(arguments.pop(place))
+        position = {"start": 1, "measure": 0, "submit": 0, "discard": 0}.get(str(kind))
+        slot = -1 if position is None else int(arguments.pop(position))
         return str(kind), slot, [0] if kind == "submit" and not arguments else list(arguments)
 
     def _encode_submit(self, slot: int, order: int) -> int:

@@ -1,4 +1,4 @@
-"""Scripted manager of production lines that degrade and break down, and of an instrument that drifts."""
+"""Scripted manager of production lines that degrade and break down, with an instrument that drifts."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from chemlab.lab.sampling import quantiles
 
 from .belief import Belief, BeliefManager
 from .exploration import foreseen
-from .script import Setting, apart
+from .script import Setting, midpoints, squared_distance
 
 _PARTICLES = 128
 """Particles per line: hypotheses about the line and the vessel on it."""
 _SAMPLES = 16
 """Readings sampled to estimate the value of one measurement."""
 _SLOW = 0.2
-"""Gain of the simulated batch, which resolves its course in fifths of a run."""
+"""Gain of the simulated batch; its course is resolved in fifths of a run."""
 _COURSE = 60
-"""Simulated runs at that gain."""
+"""Number of simulated runs at that gain."""
 _MOST_RUNS = 24
+"""Maximum number of further runs that are predicted."""
 _WAITS = (0, 1, 2)
-"""Delays in runs at which a measurement is considered."""
+"""Numbers of runs before a measurement that are compared."""
 _NEAR = 0.02
-"""Share of a perfect batch's value that a batch has to reach before a measurement is considered."""
+"""Minimum value of a batch before a measurement is considered, as a share of the best batch's value."""
 _MOST_LOOKS = 3
 """Maximum number of measurements of an unchanged vessel."""
 _LOST_SHARE = 0.3
 """Expected loss per line, as a share of a batch, by batches that are not finished."""
 _MODEL_ERROR = 0.004
-"""Standard deviation of readings besides their noise, because the simulated course is interpolated."""
+"""Standard deviation of readings in addition to their noise, because the simulated course is interpolated."""
 
 
 def has_wearing_lines(scenario: Scenario) -> bool:
@@ -57,7 +58,7 @@ class _Line:
         slot: slot of its vessel, or None.
         age: [K] particles: progress of the batch, in runs at a gain of 1.
         begun: tick at which its experiment began, or None.
-        looked: number of measurements of the unchanged vessel.
+        looked: number of measurements since its last experiment.
     """
 
     agent: str
@@ -76,9 +77,9 @@ class _Lines(Belief):
     Attributes:
         lines: belief of each line, in the order of the benches.
         left: (slot, age [K]) of vessels removed from a broken line.
-        rng: generator of the sampled readings; the same in every episode.
+        rng: generator of the particles and sampled readings, with the same seed in every episode.
         bias, doubt: [size] mean and variance of the instrument's bias.
-        known: tick at which these were valid.
+        known: tick of the last observation, at which these are valid.
     """
 
     lines: list[_Line] = field(default_factory=list)
@@ -112,15 +113,11 @@ class UpkeepManager(BeliefManager[_Lines]):
         spec = scenario.instruments.get(str(self._instrument))
         self._drift = (spec.drift if spec else None) or DriftSpec()
         self._steps = next(iter(scenario.benches.values())).step_limit
-        self._foresee()
-
-    def _foresee(self) -> None:
-        """Simulate the readings and the value of an undisturbed batch as functions of its age."""
-        readings, worth = _undisturbed(self._scenario, self._instrument, self._actions.bench_agents[0])
+        # Readings and value of an undisturbed batch as functions of its age; columns that hardly change are left out.
+        readings, self._value_at = _undisturbed(scenario, self._instrument, actions.bench_agents[0])
         self._ages = _SLOW * np.arange(_COURSE + 1)
-        # If no age has a signal, readings carry no information.
         self._shown = np.flatnonzero(np.ptp(readings, axis=0) > _MODEL_ERROR)
-        self._course, self._value_at = readings[:, self._shown], worth
+        self._course = readings[:, self._shown]
 
     # -- deciding ---------------------------------------------------------------------------------------------
 
@@ -129,14 +126,15 @@ class UpkeepManager(BeliefManager[_Lines]):
         return round(self._value(observation, "ticks") * self._scenario.limits.ticks)
 
     def _new_speed(self, wear: WearSpec, rng: np.random.Generator) -> FloatArray:
+        """Sample [K] speeds of a new or repaired line."""
         return np.asarray(np.log(wear.gain) + wear.spread * rng.standard_normal(_PARTICLES))
 
     def _first_speed(self, agent: str, wear: WearSpec, rng: np.random.Generator) -> FloatArray:
-        """Sample [K] initial speeds, including the world's hidden offset."""
+        """Sample [K] initial speeds of a line, with the hidden parameters of the world."""
         speed = self._new_speed(wear, rng)
         for draw in self._scenario.world.draws.values():
             if agent in draw.of:
-                drawn = np.log(quantiles(draw, rng.permutation((np.arange(_PARTICLES) + 0.5) / _PARTICLES)))
+                drawn = np.log(quantiles(draw, rng.permutation(midpoints(_PARTICLES))))
                 speed = drawn if draw.change == "value" else speed + drawn
         return speed
 
@@ -149,8 +147,8 @@ class UpkeepManager(BeliefManager[_Lines]):
         belief.bias, belief.doubt = np.zeros(size), np.full(size, self._drift.first**2)
         return belief
 
-    def _see(self, observation: ObservationArray, step: int, member: int) -> None:
-        super()._see(observation, step, member)
+    def _observe(self, observation: ObservationArray, step: int, member: int) -> None:
+        super()._observe(observation, step, member)
         belief = self._kept[member]
         for line in belief.lines:
             if line.begun is not None and self._value(observation, f"{line.agent}_busy") < 0.5:
@@ -168,9 +166,9 @@ class UpkeepManager(BeliefManager[_Lines]):
             if line.slot == slot:
                 self._resample(belief, line, reading[self._shown])
 
-    def _take_note(self, observation: ObservationArray, action: int, member: int) -> None:
+    def _replace_decision(self, observation: ObservationArray, action: int, member: int) -> None:
         belief = self._kept[member]
-        kind, _, more = self._taken_apart(action)
+        kind, _, more = self._decode(action)
         self._update(belief, action)
         if kind == "calibrate" and more[0] == self._instrument:
             self._calibrated(belief)
@@ -181,8 +179,14 @@ class UpkeepManager(BeliefManager[_Lines]):
 
     def _started(self, belief: _Lines, agent: str, slot: int, more: list[Any]) -> None:
         line = next(line for line in belief.lines if line.agent == agent)
-        self._put_on(belief, line, slot)
         line.begun = belief.known
+        if line.slot == slot:
+            return
+        # Another policy has put a vessel on the line.
+        age = self._take_away(belief, slot)
+        if line.slot is not None:
+            belief.left.append((line.slot, line.age))
+        line.slot, line.age, line.looked = slot, age, 0
 
     def _measured(self, belief: _Lines, slot: int) -> None:
         for line in belief.lines:
@@ -191,28 +195,19 @@ class UpkeepManager(BeliefManager[_Lines]):
     def _removed(self, belief: _Lines, slot: int) -> None:
         self._take_away(belief, slot)
 
-    def _put_on(self, belief: _Lines, line: _Line, slot: int) -> None:
-        """Update the belief after another policy has put a vessel on a line."""
-        if line.slot == slot:
-            return
-        age = self._take_away(belief, slot)
-        if line.slot is not None:
-            belief.left.append((line.slot, line.age))
-        line.slot, line.age, line.looked = slot, age, 0
-
     def _take_away(self, belief: _Lines, slot: int) -> FloatArray:
-        """Remove a vessel from the belief; return its age [K]."""
+        """Remove a vessel from the belief, and return its age [K]."""
         age = np.zeros(_PARTICLES)
         for line in belief.lines:
             if line.slot == slot:
                 age, line.slot = line.age, None
-        for other, own in belief.left:
-            age = own if other == slot else age
-        belief.left = [(other, own) for other, own in belief.left if other != slot]
+        age = dict(belief.left).get(slot, age)
+        belief.left = [(other, old) for other, old in belief.left if other != slot]
         belief.slots = [other for other in belief.slots if other != slot]
         return age
 
     def _calibrated(self, belief: _Lines) -> None:
+        """Reset the belief about the instrument's bias after a calibration."""
         belief.bias[:], belief.doubt[:] = 0.0, self._drift.error**2
 
     def _decide(self, observation: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
@@ -226,9 +221,9 @@ class UpkeepManager(BeliefManager[_Lines]):
         wait = self._actions.encode("wait")
         if mask[wait]:
             return wait
-        # No line can continue: submit the vessels as they are.
-        standing = [line.slot for line in belief.lines if line.slot is not None] + [slot for slot, _ in belief.left]
-        for slot in [*standing, *belief.slots]:
+        # No line can continue: submit the vessels in their present state.
+        used = [line.slot for line in belief.lines if line.slot is not None] + [slot for slot, _ in belief.left]
+        for slot in [*used, *belief.slots]:
             submit = self._submit(belief, slot)
             if mask[submit]:
                 belief.orders = belief.orders[1:]
@@ -243,7 +238,7 @@ class UpkeepManager(BeliefManager[_Lines]):
     def _attend(
         self, belief: _Lines, line: _Line, observation: ObservationArray, mask: MaskArray, left: int
     ) -> int | None:
-        """Return the action for an idle line, or None."""
+        """Return the next action for an idle line, or None if there is nothing to do."""
         if self._value(observation, f"{line.agent}_repair") > 0.0:
             return None
         broken = self._value(observation, f"{line.agent}_broken") > 0.5
@@ -261,7 +256,7 @@ class UpkeepManager(BeliefManager[_Lines]):
         return self._work(belief, line, mask, left)
 
     def _next_batch(self, belief: _Lines, line: _Line) -> bool:
-        """Assign the next vessel to a line, used vessels before fresh ones."""
+        """Assign the next vessel to a line, used vessels before unused ones; return False if there is none."""
         if belief.left:
             line.slot, line.age = belief.left.pop(0)
             return True
@@ -279,13 +274,13 @@ class UpkeepManager(BeliefManager[_Lines]):
         open_here = len(belief.orders) / len(belief.lines)
         begun = float(line.age.mean()) / self._ages[best] if line.slot is not None else 0.0
 
-        def made(speed: FloatArray, time: float) -> float:
+        def value(speed: FloatArray, time: float) -> float:
             batches = np.minimum(np.exp(speed) * max(time, 0.0) / ticks + begun, open_here)
             return float(np.maximum(batches - _LOST_SHARE, 0.0).mean() * self._value_at[best])
 
-        now = 0.0 if broken else made(line.speed, left)
-        then = made(self._new_speed(line.wear, belief.rng), left - line.wear.repair_ticks)
-        return then - now > line.wear.repair_price
+        without = 0.0 if broken else value(line.speed, left)
+        repaired = value(self._new_speed(line.wear, belief.rng), left - line.wear.repair_ticks)
+        return repaired - without > line.wear.repair_price
 
     def _work(self, belief: _Lines, line: _Line, mask: MaskArray, left: int) -> int | None:
         """Continue, measure or submit the line's batch."""
@@ -294,20 +289,20 @@ class UpkeepManager(BeliefManager[_Lines]):
         ages = self._ahead(line, runs, belief.rng)
         worth = np.interp(ages, self._ages, self._value_at)
         expected = worth.mean(axis=0) - self._scenario.costs.tick * self._steps * np.arange(runs + 1)
-        asked = self._instrument
-        look = None if asked is None else self._actions.encode("measure", line.slot, asked)
-        near = worth[:, : len(_WAITS)].mean(axis=0).max() > _NEAR * self._value_at.max()
-        if look is not None and mask[look] and near:
-            gains = [self._look(belief, ages, worth, wait, belief.doubt) for wait in _WAITS if wait <= runs]
-            if gains[0] >= max(gains) and gains[0] - self._price > expected.max() and line.looked < _MOST_LOOKS:
-                calibrate = self._encode_calibrate()
-                if calibrate is not None and mask[calibrate]:
-                    better = self._look(belief, ages, worth, 0, np.full(len(self._shown), self._drift.error**2))
-                    if (better - gains[0]) * len(belief.orders) > self._drift.price:
-                        self._calibrated(belief)
-                        return calibrate
-                return self._update(belief, look)
-            if max(gains[1:], default=0.0) - self._price > expected.max():
+        is_near = worth[:, : len(_WAITS)].mean(axis=0).max() > _NEAR * self._value_at.max()
+        if self._instrument is not None and mask[self._measure(line.slot)] and is_near:
+            values = [self._informed_value(belief, ages, worth, wait, belief.doubt) for wait in _WAITS if wait <= runs]
+            if values[0] >= max(values) and values[0] - self._price > expected.max() and line.looked < _MOST_LOOKS:
+                if self._instrument in self._actions.drifting:
+                    calibrate = self._actions.encode("calibrate", self._instrument)
+                    doubt = np.full(len(self._shown), self._drift.error**2)
+                    if mask[calibrate]:
+                        calibrated = self._informed_value(belief, ages, worth, 0, doubt)
+                        if (calibrated - values[0]) * len(belief.orders) > self._drift.price:
+                            self._calibrated(belief)
+                            return calibrate
+                return self._update(belief, self._measure(line.slot))
+            if max(values[1:], default=0.0) - self._price > expected.max():
                 return self._start(belief, line, mask)
         if expected.argmax() > 0:
             return self._start(belief, line, mask)
@@ -315,6 +310,7 @@ class UpkeepManager(BeliefManager[_Lines]):
         return submit if mask[submit] else int(mask.argmax())
 
     def _start(self, belief: _Lines, line: _Line, mask: MaskArray) -> int | None:
+        """Return the action that starts the line's experiment; None if it is illegal."""
         start = self._actions.encode("start", line.agent, int(line.slot or 0), self._scenario.lab_goals[0])
         return self._update(belief, start) if mask[start] else None
 
@@ -324,59 +320,57 @@ class UpkeepManager(BeliefManager[_Lines]):
         """Return [K, runs + 1] ages after 0, 1, ... further runs."""
         changes = line.wear.drift * np.sqrt(self._steps) * rng.standard_normal((_PARTICLES, runs))
         speeds = line.speed[:, None] + np.cumsum(changes, axis=1) - 0.5 * changes
-        ages = line.age[:, None] + np.concatenate(
-            [np.zeros((_PARTICLES, 1)), np.cumsum(np.exp(speeds), axis=1)], axis=1
-        )
-        return np.asarray(ages)
+        added = np.pad(np.cumsum(np.exp(speeds), axis=1), ((0, 0), (1, 0)))
+        return np.asarray(line.age[:, None] + added)
 
-    def _shows(self, ages: FloatArray) -> FloatArray:
-        """Return [..., size] readings of an unbiased instrument."""
+    def _expected_readings(self, ages: FloatArray) -> FloatArray:
+        """Return [..., size] readings of an unbiased instrument without noise at ages [...]."""
         columns = [np.interp(ages, self._ages, column) for column in self._course.T]
         return np.stack(columns, axis=-1)
 
-    def _look(self, belief: _Lines, ages: FloatArray, worth: FloatArray, wait: int, doubt: FloatArray) -> float:
-        """Return the expected value of the batch with a measurement after ``wait`` runs, before the price."""
-        shown = self._shows(ages[:, wait])
+    def _informed_value(
+        self, belief: _Lines, ages: FloatArray, worth: FloatArray, wait: int, doubt: FloatArray
+    ) -> float:
+        """Return the expected value of a batch that is measured after ``wait`` runs, without the price.
+
+        ``ages`` and ``worth`` [K, runs + 1] are those after 0, 1, ... runs; ``doubt`` [size] is the bias's variance.
+        """
+        expected = self._expected_readings(ages[:, wait])
         variance = self._noise**2 + doubt
         which = belief.rng.integers(_PARTICLES, size=_SAMPLES)
-        readings = shown[which] + np.sqrt(variance) * belief.rng.standard_normal((_SAMPLES, len(variance)))
-        weights = _likelihood(readings, shown, variance)
+        readings = expected[which] + np.sqrt(variance) * belief.rng.standard_normal((_SAMPLES, len(variance)))
+        weights = _posterior(readings, expected, variance)
         costs = self._scenario.costs.tick * self._steps * np.arange(wait, worth.shape[1])
         return float((weights @ worth[:, wait:] - costs).max(axis=1).mean())
 
     def _resample(self, belief: _Lines, line: _Line, reading: FloatArray) -> None:
-        """Update with a reading: resample the particles, and update the instrument's bias."""
-        shown = self._shows(line.age)
+        """Resample a line's particles after a reading [size], and update the instrument's bias (Kalman filter)."""
+        expected = self._expected_readings(line.age)
         variance = self._noise**2 + belief.doubt
-        weights = _likelihood(reading, shown + belief.bias, variance)
+        weights = _posterior(reading, expected + belief.bias, variance)
         positions = (np.arange(_PARTICLES) + belief.rng.random()) / _PARTICLES
         kept = np.searchsorted(np.cumsum(weights), positions).clip(0, _PARTICLES - 1)
         line.age, line.speed = line.age[kept], line.speed[kept]
-        shown = shown[kept]
-        share = belief.doubt / (variance + shown.var(axis=0))
-        belief.bias = belief.bias + share * (reading - shown.mean(axis=0) - belief.bias)
-        belief.doubt = belief.doubt * (1.0 - share)
-
-    # -- actions ----------------------------------------------------------------------------------------------
+        expected = expected[kept]
+        gain = belief.doubt / (variance + expected.var(axis=0))
+        belief.bias = belief.bias + gain * (reading - expected.mean(axis=0) - belief.bias)
+        belief.doubt = belief.doubt * (1.0 - gain)
 
     def _submit(self, belief: _Lines, slot: int) -> int:
+        """Return the action that submits a slot's vessel for the first open order."""
         return self._encode_submit(slot, belief.orders[0] if belief.orders else 0)
 
-    def _encode_calibrate(self) -> int | None:
-        known = self._instrument in self._actions.drifting
-        return self._actions.encode("calibrate", str(self._instrument)) if known else None
 
-
-def _likelihood(readings: FloatArray, shown: FloatArray, variance: FloatArray) -> FloatArray:
+def _posterior(readings: FloatArray, expected: FloatArray, variance: FloatArray) -> FloatArray:
     """Return [..., K] probabilities of particles with expected readings [K, size], given readings [..., size]."""
-    found = apart(readings, shown, variance)
-    likely = np.exp(-0.5 * (found - found.min(axis=-1, keepdims=True)))
+    distance = squared_distance(readings, expected, variance)
+    likely = np.exp(-0.5 * (distance - distance.min(axis=-1, keepdims=True)))
     return np.asarray(likely / likely.sum(axis=-1, keepdims=True))
 
 
 @functools.lru_cache(maxsize=16)
 def _undisturbed(scenario: Scenario, instrument: str | None, agent: str) -> tuple[FloatArray, FloatArray]:
-    """Return the readings [_COURSE + 1, size] and the value [_COURSE + 1] of a batch that nothing disturbs."""
+    """Return readings [_COURSE + 1, size] and values [_COURSE + 1] of a batch on a line with a constant gain."""
     slow = {key: bench.model_copy(update={"wear": WearSpec(gain=_SLOW)}) for key, bench in scenario.benches.items()}
     exact = {name: one.model_copy(update={"drift": None}) for name, one in scenario.instruments.items()}
     steady = scenario.model_copy(

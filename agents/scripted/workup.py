@@ -1,4 +1,4 @@
-"""Scripted policy of an extraction bench with more than water: a second solvent, or a base and an acid."""
+"""Scripted policy of an extraction bench with a second solvent, or with a base and an acid, in addition to water."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ from .real import ScriptedRealExtraction
 from .script import choices
 
 _APART = 30.0
-"""Activity coefficient at infinite dilution in water above which a liquid counts as immiscible with water."""
+"""Activity coefficient at infinite dilution in water above which a liquid is considered immiscible with water."""
 _SOLVENT_L = 0.3
+"""Volume of a second solvent in L."""
 _AIR = 0.05
-"""Grey values within this distance of air's are not liquid."""
+"""Maximum difference from the grey value of air at which a pixel shows air."""
 _DISSOLVING = 5
-"""Steps allowed for dissolution of crystals before a base is added."""
+"""Number of steps for dissolving crystals before a base is added."""
 _EXCESS = 1.2
 """Excess of base over the largest possible amount of the goal, and of acid over that base."""
 
@@ -56,9 +57,9 @@ class ScriptedWorkup(ScriptedRealExtraction):
         scenario = bench.scenario
 
         def choose(wanted: float, kind: str, **which: str) -> int:
-            """Return the smallest sufficient magnitude of a process, or else the largest."""
-            found = choices(bench, kind, **which)
-            return found[min((m for m in found if m >= wanted), default=max(found))]
+            """Return the action of a process with the smallest sufficient magnitude, or else the largest one."""
+            sizes = choices(bench, kind, **which)
+            return sizes[min((size for size in sizes if size >= wanted), default=max(sizes))]
 
         added = [str(process.material) for process in bench.options.process if process.kind == "add"]
         self._organic_shade: float | None = None
@@ -79,7 +80,7 @@ class ScriptedWorkup(ScriptedRealExtraction):
         elif not any(keeps_apart(scenario, name) for name in present):
             if all(keeps_apart(scenario, goal) for goal in bench.goals.names):
                 self._organic_shade = scenario.materials[bench.goals.names[0]].shade
-                # The goal is itself a solvent, which every wash removes in part: use a small volume, and one wash less.
+                # Every wash removes a part of a goal that is itself a solvent: one wash less, with a small volume.
                 self._add, self._most = choose(0.0, "add", material=WATER), self._most - 1
             elif solvent is not None:
                 self._organic_shade = scenario.materials[solvent].shade
@@ -101,24 +102,24 @@ class ScriptedWorkup(ScriptedRealExtraction):
     def _boundary(self, picture: ObservationArray) -> int:
         """Return the number of pixels from the bottom to the layer above the water.
 
-        The water may contain as much alcohol as water, so that its grey value is unknown.
+        The grey value of the lower layer is unknown, because it may contain as much alcohol as water.
         """
         if self._organic_shade is None:
             return super()._boundary(picture)
         organic = np.abs(picture - self._organic_shade) < np.abs(picture - self._wash_shade)
         organic &= np.abs(picture - self._air_shade) > _AIR
-        # Without a second layer nothing is drained, because the layer is not water alone.
+        # A single layer is not drained, because it is not only water.
         return int(organic.argmax()) if organic.any() else 0
 
     def _decide(self, picture: ObservationArray, mask: MaskArray, step: int, member: int) -> int:
-        if step == 0 or member not in self._done:  # others may have played its first turns
+        if step == 0 or member not in self._done:  # another policy may have played the first turns
             self._done[member] = 0
         done = self._done[member]
         if done < len(self._before):
             self._done[member] = done + 1
             return self._before[done] if mask[self._before[done]] else self._decide(picture, mask, step + 1, member)
         if done == len(self._before):
-            # The first call for an environment index starts its washing.
+            # Step 0 begins the washing.
             self._done[member] = done + 1
             return super()._decide(picture, mask, 0, member)
         if done == len(self._before) + 1:

@@ -1,4 +1,4 @@
-"""Arguments of training: one model per algorithm, for the command line, TOML files and Python alike.
+"""Arguments of training: one model per algorithm, used by the command line, TOML files and Python.
 
 >>> from chemlab.agents.train.arguments import PPO, training_arguments
 >>> PPO(scenario="wurtz_dodecane", bench="rxn", steps=300_000).learning_rate
@@ -6,11 +6,13 @@
 >>> training_arguments({"scenario": "wurtz_dodecane", "roles": "all"}).algo
 'ippo'
 
-The order of precedence, lowest first, is default, preset, TOML file, flag. Defaults are the paper's protocol where the
-paper states a value, and Stable-Baselines3's otherwise. The paper's protocol: 10 environments; 256 steps in each
-between updates. PPO and A2C learn from those 2560 steps alone. DQN, SAC and TD3 keep 1M steps: 256 gradient steps of
-DQN after each 2560 steps, 128 of SAC and TD3, whose gradient steps are ten times as expensive (the paper does not
-state their number). DQN's exploration falls from 1.0 to 0.01 within the first 30k steps.
+The order of precedence, lowest first, is default, preset, TOML file, flag. Defaults are those of the paper's protocol;
+values that the paper does not state are Stable-Baselines3's.
+
+In the paper's protocol, 10 environments take 256 steps each between updates. PPO and A2C learn from these 2560 steps.
+DQN, SAC and TD3 keep 1M steps in the replay buffer. The paper does not state their gradient steps; here, DQN makes 256
+after each 2560 steps, SAC and TD3 make 128, each ten times as expensive. DQN's epsilon falls from 1.0 to 0.01 within
+the first 30k steps.
 """
 
 from __future__ import annotations
@@ -34,15 +36,14 @@ if TYPE_CHECKING:
 
 
 def _whole(value: Any) -> Any:
-    """1e6 is a common way to write a million."""
+    """Return a float without fraction, such as 1e6, as an integer; anything else unchanged."""
     return int(value) if type(value) is float and value.is_integer() else value
 
 
 def _several(value: Any) -> Any:
-    """A list as a tuple; a single value, or words separated by commas, as several."""
-    values = list(value) if isinstance(value, (list, tuple)) else [value]
-    split = [part for one in values for part in (one.split(",") if isinstance(one, str) else [one])]
-    return tuple(split)
+    """Return a value or a list as a tuple; texts are split at commas."""
+    values = value if isinstance(value, (list, tuple)) else [value]
+    return tuple(part for one in values for part in (one.split(",") if isinstance(one, str) else [one]))
 
 
 Count = Annotated[int, BeforeValidator(_whole), Field(ge=1, le=100_000)]
@@ -54,6 +55,7 @@ Weight = Annotated[float, Field(ge=0.0)]
 Turns = Annotated[int, BeforeValidator(_whole), Field(ge=1, le=10**7)]
 Layers = Annotated[tuple[Annotated[int, Field(ge=1, le=16_384)], ...], BeforeValidator(_several), Field(min_length=1)]
 Minibatch = Annotated[int, BeforeValidator(_whole), Field(ge=2, le=10**7)]
+Epochs = Annotated[int, Field(ge=1, le=10_000)]
 Play = Literal["greedy", "sampled", "better"]
 Spread = Annotated[float, Field(gt=0.0, le=1.0)]
 
@@ -71,7 +73,7 @@ ABOUT: dict[str, str] = {
     "rollout": "Steps in each environment before each update (ippo, mappo: half a manager's action limit, 32 to 128).",
     "learning_rate": "Learning rate.",
     "gamma": "Discount.",
-    "net_arch": "Sizes of hidden layers; repeat the option.",
+    "net_arch": "Sizes of the hidden layers; repeat the option for each.",
     "evaluations": "Evaluations during training, evenly spread.",
     "eval_episodes": "Episodes per goal of each evaluation.",
     "final_episodes": "Episodes per goal of the final evaluation.",
@@ -81,13 +83,13 @@ ABOUT: dict[str, str] = {
     "bc_rounds": "DAgger rounds; after the first, the learner acts and the cloned policy labels its turns.",
     "bc_std": "Lower bound of the initial standard deviation of a clone's continuous actions.",
     "bench": "Bench of the scenario to train on its own, outside the laboratory.",
-    "goals": "Goals to train for; repeat the option. Default: all.",
+    "goals": "Goals to train for; repeat the option for each. Default: all.",
     "actions": "Actions of benches: native, or discrete (representative ones). Default: the scenario's.",
     "starts": "Initial-state distribution of a bench on its own: paper, lab or both.",
     "curriculum": "Reverse curriculum in a laboratory: backward (from the last bench to the first), or stages 'STEP: "
     "BENCH=SHARE ...'; repeatable. Until that step, these shares of the episodes begin with a vessel ready for the "
-    "bench (or to submit), the rest with the scenario's shelf.",
-    "play": "How the learned policy is evaluated and later played: greedy, sampled, or better (of both).",
+    "bench (or to submit), the others with the scenario's shelf.",
+    "play": "Actions of the learned policy, in evaluations and later: greedy, sampled, or better (the better of both).",
     "gae_lambda": "GAE lambda.",
     "ent_coef": "Weight of the entropy bonus (sac: learned unless given).",
     "clip_range": "Clip range.",
@@ -104,12 +106,12 @@ ABOUT: dict[str, str] = {
     "action_noise": "Standard deviation of exploration noise, for actions in [-1, 1].",
     "rewards": "Reward mix. Default: the scenario's.",
     "regime": "Roles learn together, or in-turns (round-robin).",
-    "period": "With in-turns, updates of a role before the next role learns.",
+    "period": "Updates of a role before the next role learns (in-turns only).",
     "begin_from": "Initial policies: a policy of several roles, a folder of policies by role, or ROLE=POLICY,...",
     "manager_gamma": "Discount per decision of the manager.",
     "by_ticks": "Discount by elapsed ticks instead of turns.",
-    "practice": "Share of training in which the learning benches practise on their own; the manager learns after it.",
-    "refund": "Share of training over which an episode returns at least half of its payments; the refund fades.",
+    "practice": "Share of training in which the learning benches practise on their own; the manager learns afterwards.",
+    "refund": "Share of training over which costs are refunded until a return is half of the payments; this fades.",
     "processed": "Share of training over which only vessels that were at a bench may be submitted; the rule fades.",
     "own_goals": "Share of training over which half of the laboratories start experiments for goals of their orders "
     "only; the rule fades.",
@@ -166,31 +168,30 @@ class Arguments(BaseModel):
 
     @property
     def label(self) -> str:
-        """Name of the algorithm in figures and tables: the preset's unless that is the paper's, with the algorithm
-        where it is not the preset's."""
+        """Name in figures and tables: algorithm, preset, or ``PRESET-ALGO`` for another algorithm than the preset's."""
         if self.preset == "paper":
             return self.algo
-        own = PRESETS[self.preset].get("algo", self.algo)
-        return self.preset if self.algo == own else f"{self.preset}-{self.algo}"
+        is_usual = PRESETS[self.preset].get("algo", self.algo) == self.algo
+        return self.preset if is_usual else f"{self.preset}-{self.algo}"
 
     def folder(self, label: str | None = None) -> Path:
-        """Return a run's place in a folder of results: task, label, seed."""
+        """Return a run's path below a folder of results: ``TASK/LABEL/seed-N``."""
         return Path(self._task_name(), label or self.label, f"seed-{self.seed}")
 
     def _task_name(self) -> str:
         return "-".join([Path(self.scenario).stem, *(self.roles or ("all",))])
 
     def stated(self) -> dict[str, Any]:
-        """Return all arguments as JSON, since defaults may change; the seed stands apart."""
+        """Return all arguments except the seed for ``config.json``, also defaults, because defaults may change."""
         return self.model_dump(mode="json", exclude={"seed"})
 
     @staticmethod
     def implied(values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the defaults that differ because of other values."""
+        """Return the defaults that depend on other arguments."""
         return {}
 
     def flags(self) -> list[str]:
-        """Return the options of ``chemlab train`` that give these arguments, but for the scenario."""
+        """Return the options of ``chemlab train`` for these arguments, without the scenario."""
         defaults = {name: field.default for name, field in type(self).model_fields.items()}
         implied = defaults | self.implied(self.__dict__) | PRESETS[self.preset]
         words = []
@@ -217,12 +218,14 @@ class Cloning(BaseModel):
     bc_steps: Many = 20_000
     bc_rounds: Annotated[int, Field(ge=1, le=1000)] = 1
 
-    def _shown(self) -> str | None:
+    @property
+    def cloned(self) -> str | None:
+        """Name of the policy that is cloned before learning."""
         return self.bc
 
     @model_validator(mode="after")
     def _check_cloning(self) -> Self:
-        if self._shown() is None:
+        if self.cloned is None:
             for name in ("bc_steps", "bc_rounds", "bc_std"):
                 if getattr(self, name, None) not in (None, type(self).model_fields.get(name, Field()).default):
                     raise ValueError(f"{name}: no policy is cloned; give bc, or leave it out")
@@ -263,7 +266,7 @@ class Single(Arguments):
         if self.bench is None:
             return "chemlab/LabManager-v1" if self.agent == "manager_0" else "chemlab/LabAgent-v1"
         own = {"scenario": self.scenario, "bench": self.bench}
-        return next((name for name, kwargs in _benches().items() if kwargs == own), _ANY_BENCH)
+        return next((name for name, kwargs in _environments().items() if kwargs == own), _ANY_BENCH)
 
     def _task_name(self) -> str:
         name = self.env_id.removeprefix("chemlab/").rpartition("-v")[0]
@@ -289,26 +292,26 @@ class A2C(OnPolicy):
 
 
 class Clipped(BaseModel):
-    """Common arguments of every PPO."""
+    """Common arguments of all variants of PPO."""
 
     clip_range: Positive = 0.2
-    epochs: Annotated[int, Field(ge=1, le=10_000)] = 10
+    epochs: Epochs = 10
     batch_size: Minibatch = 64
 
 
 class SinglePPO(Clipped, OnPolicy):
-    """Every PPO of one agent."""
+    """Common arguments of the variants of PPO that train one agent."""
 
     @model_validator(mode="after")
     def _check_rollout(self) -> Self:
         steps = self.envs * self.rollout
         if steps < 2:
             raise ValueError("rollout: PPO needs at least 2 steps (envs x rollout) before each update, given 1")
-        # Stable-Baselines3's PPO leaves the advantage of a single step as it is; those of sb3-contrib do not.
+        # Stable-Baselines3 does not normalize the advantage of a minibatch of one step; sb3-contrib does, to NaN.
         if self.algo != "ppo" and steps % self.batch_size == 1:
             raise ValueError(
-                f"batch_size: of the {steps} steps of a rollout a single one would be left for the last minibatch, "
-                "where advantages are normalized; give another, or another rollout"
+                f"batch_size: a rollout of {steps} steps leaves a single step for the last minibatch of "
+                f"{self.batch_size}, whose advantage cannot be normalized; give another batch_size or rollout"
             )
         return self
 
@@ -325,7 +328,9 @@ class Masked(SinglePPO):
 
     hints: str | None = None
 
-    def _shown(self) -> str | None:
+    @property
+    def cloned(self) -> str | None:
+        """Name of the policy that is cloned before learning: ``bc``, or the policy of the hints."""
         return self.bc or self.hints
 
     @model_validator(mode="after")
@@ -382,7 +387,7 @@ class DQN(Replay):
 
 
 class QRDQN(DQN):
-    """DQN with quantiles of returns."""
+    """DQN with quantile regression (QR-DQN)."""
 
     algo: Literal["qr-dqn"] = "qr-dqn"  # type: ignore[assignment]
     learning_rate: Positive = 5e-5
@@ -412,26 +417,16 @@ class TD3(Replay):
     action_noise: Weight = 0.1
 
 
-_HELP = (
-    "practice",
-    "refund",
-    "processed",
-    "own_goals",
-    "shown_readings",
-    "partial",
-    "free_readings",
-    "self_imitation",
-)
-"""Options that help to learn from nothing."""
+_HELP = ("practice", "refund", "processed", "own_goals", "shown_readings", "partial", "free_readings", "self_imitation")
+"""Options against sparse reward, for learning from nothing; they apply to training, never to evaluations."""
 
 
 class IPPO(Clipped, Arguments, Cloning):
-    """Roles of a laboratory together, a PPO for each; critics observe what their agent observes.
+    """Roles of a laboratory that learn together, with a PPO for each; critics observe what their agent observes.
 
-    The options of ``_HELP`` help to learn from nothing, in training alone. A team that begins from policies or clones
-    has none of it unless it is asked for, no entropy bonus, a tenth of the learning rate, long rollouts and minibatches
-    four times as large; from policies, it shares no weights. Small minibatches make more of every turn from nothing,
-    but cost a policy that training begins from some of its score at first.
+    The defaults are for learning from nothing: options against sparse reward, and small minibatches, which use each
+    turn more often. Small minibatches would lower the score of a clone or of another initial policy, for which
+    :meth:`implied` has other defaults.
     """
 
     algo: Literal["ippo"] = "ippo"
@@ -449,7 +444,7 @@ class IPPO(Clipped, Arguments, Cloning):
     by_ticks: bool = False
     gae_lambda: Share = 0.98
     ent_coef: Weight = 0.03
-    epochs: Annotated[int, Field(ge=1, le=10_000)] = 3
+    epochs: Epochs = 3
     batch_size: Minibatch = 256
     eval_episodes: Count = 50
     play: Play = "better"
@@ -466,9 +461,10 @@ class IPPO(Clipped, Arguments, Cloning):
 
     @staticmethod
     def implied(values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the defaults of a clone, and of a run that begins from another: no help, fewer and smaller steps.
+        """Return the defaults that depend on ``bc``, ``begin_from`` and ``manager_gamma``.
 
-        Returns of self-imitation are not discounted, so that it is for a ``manager_gamma`` of 1.
+        Training from clones or policies has no options against sparse reward, no entropy bonus and small updates;
+        from policies, it shares no weights. Self-imitation learns from undiscounted returns.
         """
         if values.get("bc") is None and values.get("begin_from") is None:
             return {} if values.get("manager_gamma", 1.0) == 1.0 else {"self_imitation": 0.0}
@@ -529,7 +525,7 @@ PRESETS: dict[str, dict[str, Any]] = {
     "ppo-xl": {"algo": "ppo", "envs": 32, "steps": 2_000_000},
     "sac-cool": {"algo": "sac", "ent_coef_start": 0.01},
 }
-"""Presets: values that differ from the defaults, which are the paper's protocol."""
+"""Presets: the arguments that differ from the paper's protocol, by the preset's name."""
 
 OLD_NAMES: dict[str, str] = {
     "imitate": "bc",
@@ -544,7 +540,7 @@ OLD_NAMES: dict[str, str] = {
 
 
 def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> Arguments:
-    """Read arguments from a TOML file and the flags of ``chemlab train``, which win.
+    """Read arguments from a TOML file and the flags of ``chemlab train``; flags take precedence.
 
     Raises:
         DataError: the file is missing or not TOML, or an argument is unknown or invalid.
@@ -556,16 +552,16 @@ def load_arguments(path: Path | None, flags: Mapping[str, Any]) -> Arguments:
 
 
 def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> Arguments:
-    """Validate arguments, with the model of their algorithm.
+    """Validate arguments with the model of their algorithm.
 
     Args:
-        values: {name: value} as a TOML table has them; what is missing, or None, has its default.
+        values: {name: value} as in a TOML table; an argument that is missing or None has its default.
         where: file or command, for errors.
 
     Raises:
-        DataError: an unknown argument, or a value of the wrong type or out of bounds; the message names it.
+        DataError: an argument is unknown, or a value has the wrong type or is out of bounds; the message names it.
     """
-    given = _renamed(values, where)
+    given = _without_env_id(_with_current_names(values, where), where)
     preset = given.get("preset", "paper")
     if str(preset) not in PRESETS:
         raise DataError(f"{where}: preset: choose from {', '.join(PRESETS)}; given {shown(preset)}")
@@ -589,8 +585,8 @@ def training_arguments(values: Mapping[str, Any], where: str = "arguments") -> A
     return validated(kind, {**given, "algo": algo}, where)
 
 
-def _renamed(values: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Replace names of before 0.3, with a notice, and environment ids by what they stand for."""
+def _with_current_names(values: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return the given arguments, with former names replaced by the current ones; a notice on stderr names each."""
     given = {name: value for name, value in values.items() if value is not None}
     for old, new in OLD_NAMES.items():
         if old not in given or old == "env_id":
@@ -604,14 +600,14 @@ def _renamed(values: Mapping[str, Any], where: str) -> dict[str, Any]:
     for name in ("background", "bc", "hints"):
         if isinstance(given.get(name), str):
             given[name] = current_name(given[name])
-    return _placed(given, where)
+    return given
 
 
 _ANY_BENCH = "chemlab/Bench-v1"
 
 
-def _benches() -> dict[str, dict[str, str]]:
-    """Return the registered environments of one agent: what they are made with, by id."""
+def _environments() -> dict[str, dict[str, str]]:
+    """Return the keyword arguments of the registered environments of one agent, by id."""
     import gymnasium
 
     return {
@@ -621,8 +617,8 @@ def _benches() -> dict[str, dict[str, str]]:
     }
 
 
-def _placed(given: dict[str, Any], where: str) -> dict[str, Any]:
-    """Replace an environment id by scenario and bench or role."""
+def _without_env_id(given: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return arguments with the environment id, if there is one, replaced by its scenario and its bench or role."""
     env_id = given.pop("env_id", None)
     scenario = str(given.get("scenario", ""))
     if env_id is None and (scenario.startswith("chemlab/") or scenario == "manager"):
@@ -630,28 +626,26 @@ def _placed(given: dict[str, Any], where: str) -> dict[str, Any]:
     if env_id is None:
         return given
     env_id = "chemlab/LabManager-v1" if env_id == "manager" else env_id
-    known = _benches()
+    known = _environments()
     if str(env_id) not in known:
         raise DataError(f"{where}: scenario: environments are {', '.join(known)}; given {shown(env_id)}")
-    own = {} if env_id == _ANY_BENCH else known[env_id]  # of which any scenario has one
-    for name, value in own.items():
-        asked = given.get("bench" if name == "agent" else name, value)
-        if asked != value:
-            raise DataError(f"{where}: {name}: {env_id} has {value!r}, given {shown(asked)}; name the scenario instead")
-    bench = own.get("bench", own.get("agent", given.pop("bench", None)))
-    given = {**given, "scenario": own.get("scenario", given.get("scenario", "wurtz_dodecane"))}
-    given.pop("bench", None)
-    if "Lab" in env_id:
-        return {**given, "roles": given.get("roles", bench or "manager_0")}
-    return {**given, "bench": bench or "rxn"}
+    fixed = {} if env_id == _ANY_BENCH else known[env_id]  # that one exists for every scenario and bench
+    for name, value in fixed.items():
+        other = given.get("bench" if name == "agent" else name, value)
+        if other != value:
+            raise DataError(f"{where}: {name}: {env_id} has {value!r}, given {shown(other)}; name the scenario instead")
+    bench = given.pop("bench", None)
+    bench = fixed.get("bench", fixed.get("agent", bench))
+    given = {"scenario": fixed.get("scenario", "wurtz_dodecane"), **given}
+    return {"roles": bench or "manager_0", **given} if "Lab" in env_id else {**given, "bench": bench or "rxn"}
 
 
 class Stage(NamedTuple):
     """A stage of a curriculum.
 
     Attributes:
-        until: step at which it is over.
-        shares: share of the episodes by the destination of the vessel that they begin with.
+        until: training step at which the stage ends.
+        shares: share of the episodes by the bench for which their first vessel is ready, or ``submit``.
     """
 
     until: int
@@ -659,18 +653,20 @@ class Stage(NamedTuple):
 
 
 BACKWARD = "backward"
-_WHOLE = 0.6
-"""Share of a run after which every episode is a whole one, by ``backward``."""
+_BACKWARD_SHARE = 0.6
+"""Share of a run's steps that the stages of ``backward`` take."""
 
 
 def curriculum_of(arguments: Single, benches: Sequence[str]) -> list[Stage]:
-    """Return the stages of a run, in order; after the last all episodes begin with the scenario's own shelf.
+    """Return the stages of a run's curriculum in order.
 
-    ``backward`` has a stage for each bench, from the last to the first; known and new beginnings are equally frequent.
+    After the last stage, all episodes begin with the scenario's own shelf. ``backward`` has a stage for each bench,
+    from the last of the workflow to the first: each adds one kind of initial state, and all kinds so far are equally
+    frequent.
 
     Args:
-        arguments: the run.
-        benches: of the scenario, in the order of a workflow.
+        arguments: arguments of the run.
+        benches: benches of the scenario in the order of the workflow.
 
     Raises:
         ValueError: a stage that cannot be parsed, or stages out of order.
@@ -679,9 +675,9 @@ def curriculum_of(arguments: Single, benches: Sequence[str]) -> list[Stage]:
     for text in arguments.curriculum or ():
         if text == BACKWARD:
             for new in range(1, len(benches) + 1):
-                begun = ["submit", *reversed(benches)][: new + 1]
-                end = int(arguments.steps * _WHOLE * new / len(benches))
-                stages.append(Stage(end, dict.fromkeys(begun, 1.0 / (new + 1))))
+                ready = ["submit", *reversed(benches)][: new + 1]
+                end = int(arguments.steps * _BACKWARD_SHARE * new / len(benches))
+                stages.append(Stage(end, dict.fromkeys(ready, 1.0 / (new + 1))))
             continue
         until, colon, shares = text.partition(":")
         pairs = [pair.partition("=") for pair in shares.split()]
@@ -698,14 +694,14 @@ def curriculum_of(arguments: Single, benches: Sequence[str]) -> list[Stage]:
 
 
 def recorded_arguments(config: dict[str, Any], where: str) -> Arguments:
-    """Return the arguments of a run; what it does not state has its default.
+    """Return the arguments of a run; arguments that its configuration does not state have their defaults.
 
     Args:
-        config: its ``config.json``.
-        where: the file, for error messages.
+        config: content of its ``config.json``.
+        where: path of that file, for error messages.
 
     Raises:
-        DataError: they are not of this version.
+        DataError: the run is from a version before 0.3, or its arguments are invalid in this version.
     """
     if not isinstance(config.get("arguments"), dict):
         raise DataError(f"{where}: was made by a version before 0.3; train it again")
@@ -713,7 +709,7 @@ def recorded_arguments(config: dict[str, Any], where: str) -> Arguments:
 
 
 def filled(config: dict[str, Any]) -> dict[str, Any]:
-    """Return a run's ``config.json`` with arguments that are newer than the run, if it can be read."""
+    """Return a run's ``config.json`` with the defaults of newer arguments; unchanged if the arguments are invalid."""
     try:
         return {**config, "arguments": recorded_arguments(config, "").stated()}
     except DataError:

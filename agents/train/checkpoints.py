@@ -1,7 +1,7 @@
 """Crash-safe checkpoints with the complete state of a run.
 
-A checkpoint is written into a folder of another name, which is then renamed; the previous one is removed afterwards.
-Replay memory is written once: each checkpoint adds a file with the steps since the last one.
+A checkpoint is written into a draft folder, which is then renamed; the previous checkpoint is removed afterwards. Each
+row of the replay buffer is written once: a checkpoint adds a file with the rows since the previous one.
 """
 
 from __future__ import annotations
@@ -27,9 +27,10 @@ from ..runs import Run
 from ..sb3 import ChemlabVecEnv
 from ..seals import read_sealed, seal_file
 
-_OWN = re.compile(r"(new(-best|-first)?|last|best|first)-\d+")
+_CHECKPOINT = re.compile(r"(new(-best|-first)?|last|best|first)-\d+")
 """Names of checkpoints and of their drafts."""
 _ARRAYS = ("observations", "next_observations", "actions", "rewards", "dones", "timeouts")
+"""Arrays of a replay buffer."""
 
 
 def random_state() -> dict[str, Any]:
@@ -54,9 +55,9 @@ def commit_checkpoint(run: Run, step: int, write: Callable[[Path], None], best: 
     Args:
         run: the run.
         step: training step.
-        write: writes everything into a folder.
-        best: whether these are the best models so far.
-        best_step: step of the best models.
+        write: function that writes the checkpoint's files into a folder.
+        best: True if these policies are the best so far.
+        best_step: step of the best policies.
     """
     draft = run.checkpoints / f"new-{step}"
     shutil.rmtree(draft, ignore_errors=True)
@@ -78,14 +79,14 @@ def save_agent(run: Run, folder: Path, model: BaseAlgorithm, venv: ChemlabVecEnv
     """Write everything that :func:`load_agent` needs into the folder of a checkpoint.
 
     Args:
-        run: the run; replay memory is stored beside its checkpoints.
+        run: the run; its replay buffer is stored beside the checkpoints.
         folder: folder of the checkpoint.
-        model, venv: the learner between two rollouts and its environments.
+        model, venv: the learner between two rollouts, and its environments.
         progress: state of the training loop.
     """
     save_learner(folder, model)
     state = {
-        "replay_rows": _save_replay(run, model) if _replay(model) is not None else 0,
+        "replay_rows": _save_replay(run, model) if hasattr(model, "replay_buffer") else 0,
         "environments": venv.get_state(),
         "memory": getattr(model, "_last_lstm_states", None),
         "action_space": model.action_space.np_random.bit_generator.state,
@@ -111,8 +112,7 @@ def load_state(folder: Path) -> dict[str, Any]:
 
 
 def _renamed(draft: Path, final: Path) -> None:
-    """Rename a draft; an existing folder of that name is from before a crash at the same step."""
-    # Flush the content to disk before renaming.
+    """Rename a draft after flushing it to disk; replace a folder of that name, which is from a crash at this step."""
     for file in draft.iterdir():
         sync_file(file)
     sync_folder(draft)
@@ -122,19 +122,15 @@ def _renamed(draft: Path, final: Path) -> None:
 
 
 def tidy(run: Run, last: int, best: int | None) -> None:
-    """Remove drafts, and every checkpoint except these two and that of before training."""
+    """Remove drafts and all checkpoints except ``first`` and those of the steps ``last`` and ``best``."""
     keep = {f"last-{last}", f"best-{best}", "first-0"}
     for folder in run.checkpoints.iterdir():
-        if _OWN.fullmatch(folder.name) and folder.name not in keep:
+        if _CHECKPOINT.fullmatch(folder.name) and folder.name not in keep:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _replay(model: BaseAlgorithm) -> ReplayBuffer | None:
-    return getattr(model, "replay_buffer", None)
-
-
 def _save_replay(run: Run, model: Any) -> int:
-    """Write the rows that no file has yet; return the total number of rows so far."""
+    """Write the new rows of the replay buffer, and return the total number of rows so far."""
     buffer: ReplayBuffer = model.replay_buffer
     size, rows = buffer.buffer_size, int(model.num_timesteps // model.n_envs)
     files = _replay_files(run)
@@ -153,60 +149,56 @@ def _save_replay(run: Run, model: Any) -> int:
 
 def _replay_files(run: Run) -> list[tuple[int, int, Path]]:
     """Return (first row, row after the last, file), in order."""
-    found = []
-    for file in (run.checkpoints / "replay").glob("*-*.npz"):
-        start, _, stop = file.stem.partition("-")
-        if start.isdecimal() and stop.isdecimal():
-            found.append((int(start), int(stop), file))
-    return sorted(found)
+    names = ((file.stem.partition("-"), file) for file in (run.checkpoints / "replay").glob("*-*.npz"))
+    return sorted((int(a), int(b), file) for (a, _, b), file in names if a.isdecimal() and b.isdecimal())
 
 
 def forget_replay(run: Run) -> None:
-    """Remove the run's replay memory, which only resuming needs."""
+    """Remove the files of the run's replay buffer, which only resuming needs."""
     folder = run.checkpoints / "replay"
     for file in [*(file for *_, file in _replay_files(run)), *folder.glob(f"{DRAFT}*")]:
         file.unlink()
-    with suppress(OSError):  # there is none, or it has files of others
+    with suppress(OSError):  # it does not exist, or contains other files
         folder.rmdir()
 
 
 def _load_replay(run: Run, buffer: ReplayBuffer, rows: int) -> None:
-    size, expected = buffer.buffer_size, 0
+    """Fill a replay buffer from the files of ``rows`` rows, and remove later ones; ValueError if one is missing."""
+    size, available = buffer.buffer_size, 0
     for start, stop, file in _replay_files(run):
-        if stop > rows:  # written just before a crash, for a checkpoint that was not
+        if stop > rows:  # a crash interrupted the checkpoint of this file
             file.unlink()
             continue
         if stop > rows - size:
-            most = 2 * sum(getattr(buffer, name).nbytes for name in _ARRAYS)
-            with open_regular(file, most) as opened, np.load(opened) as saved:
+            limit = 2 * sum(getattr(buffer, name).nbytes for name in _ARRAYS)
+            with open_regular(file, limit) as opened, np.load(opened) as saved:
                 at = np.arange(start, stop) % size
                 for name in _ARRAYS:
                     getattr(buffer, name)[at] = saved[name]
-        expected = stop
-    if expected != rows:
-        raise ValueError(f"{run.checkpoints / 'replay'}: has {expected} of {rows} rows; delete the run to start again")
+        available = stop
+    if available != rows:
+        raise ValueError(f"{run.checkpoints / 'replay'}: has {available} of {rows} rows; delete the run to start again")
     buffer.pos, buffer.full = rows % size, rows >= size
 
 
 def load_agent(run: Run, folder: Path, algo: str, venv: ChemlabVecEnv) -> tuple[BaseAlgorithm, dict[str, Any]]:
-    """Load the learner of a ``last`` checkpoint with its environments and the state of the training loop.
+    """Restore the learner, the environments and the process's random generators from a ``last`` checkpoint.
 
-    The process's random generators are restored as well.
+    Returns:
+        The learner, and the state of the training loop.
 
     Raises:
-        ValueError: replay memory is missing.
+        ValueError: files of the replay buffer are missing.
         DataError: the checkpoint has no valid signature.
     """
     state = load_state(folder)
     model = load_learner(folder, algo, env=venv, force_reset=False)
-    buffer = _replay(model)
-    if buffer is not None:
-        _load_replay(run, buffer, state["replay_rows"])
-    # Creating the model has reseeded everything, so the generators are restored last.
-    if model.num_timesteps:  # before, they have not begun, and do with the run's seed
+    if hasattr(model, "replay_buffer"):
+        _load_replay(run, model.replay_buffer, state["replay_rows"])
+    if model.num_timesteps:  # the environments of a clone have not begun; the caller seeds them
         venv.set_state(state["environments"])
     if state.get("memory") is not None:
         model._last_lstm_states = state["memory"]  # type: ignore[attr-defined]
     model.action_space.np_random.bit_generator.state = state["action_space"]
-    restore_random_state(state)
+    restore_random_state(state)  # last, because loading a learner seeds the generators
     return model, dict(state["progress"])

@@ -1,11 +1,10 @@
-"""Export of a training run's best checkpoint as a policy that needs only NumPy, with a check of equality.
+"""Export of a training run's best checkpoint as a policy that needs only NumPy, compared with the original.
 
 Needs the extra: ``pip install ".[train]"``.
 """
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -35,12 +34,11 @@ with needs("exporting needs PyTorch", "train"):
 
 
 _TOLERANCE = 1e-5
+"""Largest accepted difference between the outputs of the original and the exported policy."""
 
 
 def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
-    """Return the outputs of SB3's own code for observations: Q values, log-probabilities, means, or (off policy)
-    actions.
-    """
+    """Return SB3's outputs for observations: Q values, log-probabilities, means, or (SAC, TD3) actions."""
     if hasattr(model.policy, "actor"):
         return np.asarray(model.predict(observation, deterministic=True)[0])
     with torch.no_grad():
@@ -55,15 +53,14 @@ def _outputs(model: Any, observation: ObservationArray) -> npt.NDArray[Any]:
 
 
 def _observations(task: Task, advised: bool) -> ObservationArray:
-    """Return observations of random episodes, with the played action as the hint if there is one."""
-    members = 64
-    env = task.batch(members)
+    """Return observations of random episodes; ``advised``: with the played action as the hint."""
+    env = task.batch(64)
     policy = RandomPolicy(action_size(env.single_action_space), 0)
-    nothing, everyone = np.zeros(members, dtype=np.int64), np.arange(members)
+    step, members = np.zeros(64, dtype=np.int64), np.arange(64)
     observations, infos = env.reset(seed=0)
     seen = []
     for _ in range(21):
-        actions = policy.act(observations, infos.get("action_mask"), nothing, everyone)
+        actions = policy.act(observations, infos.get("action_mask"), step, members)
         seen.append(with_advice(observations, actions, env.action_count) if advised else observations)
         observations, _, _, _, infos = env.step(actions)
     return np.concatenate(seen)
@@ -73,14 +70,14 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
     """Return the largest difference between the outputs of both policies, relative for outputs above 1.
 
     Actions are compared, and the quantities that determine them: Q values, log-probabilities, unclipped means. Infinite
-    if another discrete action is chosen without a tie.
+    if the discrete actions differ without a tie.
     """
     if policy.card.memory:
         return _largest_in_sequence(model, policy, observation)
     theirs, ours = _outputs(model, observation), policy.values(observation)
-    nothing = np.zeros(len(observation), dtype=np.int64)
+    zeros = np.zeros(len(observation), dtype=np.int64)
     played = np.asarray(model.predict(observation, deterministic=True)[0])
-    actions = policy.act(observation, None, nothing, nothing)
+    actions = policy.act(observation, None, zeros, zeros)
     if policy.card.output == "argmax":
         if not (hasattr(model.policy, "q_net") or hasattr(model.policy, "quantile_net")):
             highest = ours.max(axis=1, keepdims=True)
@@ -93,15 +90,15 @@ def largest_difference(model: Any, policy: PretrainedPolicy, observation: Observ
 
 
 def _largest_in_sequence(model: Any, policy: PretrainedPolicy, observation: ObservationArray) -> float:
-    """Return the same for policies with a memory, on sequences of observations."""
-    original, nobody, worst = as_policy(model), np.zeros(1, dtype=np.int64), 0.0
+    """Return :func:`largest_difference` of policies with a memory, by their actions."""
+    original, member, largest = as_policy(model), np.zeros(1, dtype=np.int64), 0.0
     legal = np.ones((1, policy.card.action_size), dtype=np.int8) if policy.card.output == "argmax" else None
     for i, seen in enumerate(observation):
-        theirs, ours = (one.act(seen[None], legal, nobody + i, nobody) for one in (original, policy))
+        theirs, ours = (one.act(seen[None], legal, member + i, member) for one in (original, policy))
         if policy.card.output == "argmax" and (theirs != ours).any():
             return float("inf")
-        worst = max(worst, _relative(ours, theirs))
-    return worst
+        largest = max(largest, _relative(ours, theirs))
+    return largest
 
 
 def _relative(ours: npt.NDArray[Any], theirs: npt.NDArray[Any]) -> float:
@@ -112,15 +109,16 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     """Write ``OUT.safetensors`` and ``OUT.json`` from a run's best checkpoint.
 
     Args:
-        folder: the run; ``:greedy`` or ``:sampled`` after it says how the exported policy plays, instead of the way in
-            which the checkpoint was evaluated.
+        folder: the run's folder. With ``:greedy`` or ``:sampled`` after it, the exported policy plays in this way;
+            otherwise in that of the checkpoint's evaluation.
         out: path of the two files, with or without a suffix; the file name is the policy's name.
-        role: role, if several were trained together. A bench is then evaluated on its own, with a laboratory's vessels.
+        role: role to export, if several were trained together. A bench is then evaluated on its own, on vessels of
+            laboratories.
 
     Raises:
-        ValueError: the folder holds no run or no checkpoint, its bench has changed since, the role is missing or
-            unknown, or the exported policy differs from SB3's by more than 1e-5 (checked for the user's own runs, or
-            with untrusted code allowed).
+        ValueError: the folder has no run or no checkpoint, its bench has changed since, the role is missing or unknown,
+            or the exported policy differs from SB3's by more than 1e-5 (compared for the user's own runs, or if
+            untrusted code is allowed).
     """
     name, way = split_way(str(folder))
     run = Run(Path(name))
@@ -130,51 +128,56 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     if best is None:
         raise ValueError(f"{folder}: contains no checkpoint (not under version control); run chemlab train again")
     arguments = recorded_arguments(config, str(run.config_file))
-    team, learned = not isinstance(arguments, Single), sorted(file.stem for file in best.glob("*.safetensors"))
+    learned = sorted(file.stem for file in best.glob("*.safetensors"))
     if not learned:
         raise ValueError(f"{folder}: was trained by a version with other learners; train it again")
-    if team and role is None and len(learned) == 1:
-        role = learned[0]
-    if team != (role is not None) or (role is not None and role not in learned):
-        known = f"give one of its roles: {', '.join(learned)}"
-        raise ValueError(f"role: {folder}: {known if team else 'is a run of one role: give none'}; given {role!r}")
     if isinstance(arguments, Single):
+        if role is not None:
+            raise ValueError(f"role: {folder}: is a run of one role: give none; given {role!r}")
         task, trained = find_task(arguments), config["fingerprint"]
     else:
+        role = learned[0] if role is None and len(learned) == 1 else role
+        if role not in learned:
+            raise ValueError(f"role: {folder}: give one of its roles: {', '.join(learned)}; given {role!r}")
         card = load_pretrained(best / str(role)).card
         splits = arguments.split, arguments.evaluation_split
         task, trained = task_of(card, load_scenario(arguments.scenario), splits), card.fingerprint
     if trained != task.fingerprint:
         raise ValueError(f"{folder}: {task.agent} of {task.scenario.name} has changed since this run; train it again")
-    policy, model = load_pretrained(best / task.workplace.key), None
+    policy = load_pretrained(best / task.workplace.key)
     policy.check(task.workplace)
-    if not team:
-        with suppress(DataError):  # the weights of an untrusted run are exported without a comparison
-            model = load_learner(best, str(config["algo"]))
-    if model is not None:
-        difference = largest_difference(
-            model, policy.as_played(GREEDY), _observations(task, policy.card.advice is not None)
-        )
-        if not difference <= _TOLERANCE:
-            raise ValueError(
-                f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
-            )
-    # The exported policy is played with masks, however it was trained.
+    if isinstance(arguments, Single):
+        _compare(folder, best, str(config["algo"]), task, policy)
+    # The exported policy is played with masks, even if it was trained without them.
     path = out.with_suffix("") if out.suffix in (".json", ".safetensors") else out
-    policy = PretrainedPolicy(
-        policy.card.model_copy(update={"name": path.name, "masked": True}), policy.weights
-    ).as_played(way)
+    card = policy.card.model_copy(update={"name": path.name, "masked": True})
+    policy = PretrainedPolicy(card, policy.weights).as_played(way)
     episodes = arguments.final_episodes
-    found = task.by_goal(task.trained(policy), episodes, RESULT_SEED)
+    by_goal = task.by_goal(task.trained(policy), episodes, RESULT_SEED)
     scripted = task.scripted(episodes, RESULT_SEED)
     evaluation = {
         "episodes_per_goal": episodes,
         "seed": RESULT_SEED,
-        "mean": sum(found.values()) / len(found),
-        "by_goal": found,
+        "mean": sum(by_goal.values()) / len(by_goal),
+        "by_goal": by_goal,
         "scripted_mean": sum(scripted.values()) / len(scripted) if scripted else None,
         "scripted_by_goal": scripted,
     }
     card = policy.card.model_copy(update={"evaluation": evaluation})
     save_policy(path, card, policy.weights)
     return card
+
+
+def _compare(folder: Path, checkpoint: Path, algo: str, task: Task, policy: PretrainedPolicy) -> None:
+    """Raise ValueError if a policy differs from its learner; the learner of an untrusted run is not loaded."""
+    try:
+        model = load_learner(checkpoint, algo)
+    except DataError:
+        return
+    difference = largest_difference(
+        model, policy.as_played(GREEDY), _observations(task, policy.card.advice is not None)
+    )
+    if not difference <= _TOLERANCE:
+        raise ValueError(
+            f"{folder}: the exported policy differs from SB3's by {difference:.2g} (allowed: {_TOLERANCE:g})"
+        )

@@ -1,8 +1,7 @@
-"""A training run of roles of a laboratory that learn together: :class:`~chemlab.agents.train.ppo.PPOTeam`.
+"""Joint training of several roles of a laboratory with :class:`~chemlab.agents.train.ppo.PPOTeam`.
 
-Two regimes: ``together`` (all roles learn from every rollout) and ``in-turns`` (round-robin: one role learns for a
-while, the others are fixed). Benches may learn on their own first (``practice``); a manager that learns, too, then
-learns over them.
+There are two regimes: ``together`` (all roles learn from every rollout) and ``in-turns`` (one role at a time learns,
+round-robin). Benches may first learn on their own (``practice``); then the manager learns with these benches.
 
 Needs PyTorch: ``pip install ".[train]"``.
 """
@@ -28,18 +27,18 @@ from ..runs import Evaluation, Run
 from ..saved import find_saved
 from .arguments import IPPO
 from .checkpoints import load_state, random_state, restore_random_state, save_state
-from .loop import Progress, Trainee, reached
+from .loop import Progress, Trainee, evaluation_fields
 from .networks import card_of
 from .ppo import PPOTeam, wide_columns
 from .tasks import task_fingerprint
 
 
 class Team(Trainee):
-    """Roles of a laboratory in one batch of laboratories; a policy by name plays the others.
+    """Roles that learn in a batch of laboratories; background policies play the other roles.
 
     Raises:
         DataError: the scenario is unknown.
-        ValueError: a role or reward mix is unknown, or the background policies do not fit.
+        ValueError: a role or reward mix is unknown, or a background policy does not fit.
     """
 
     arguments: IPPO
@@ -49,24 +48,23 @@ class Team(Trainee):
         a = self.arguments = arguments
         self.steps, self._background = a.steps, a.background or "scripted"
         self.scenario = load_scenario(a.scenario, rewards=a.rewards)
-        labs = Laboratories(load_scenario(a.scenario), 1)
-        # A run may use another reward mix than the scenario: the task is the same.
-        self._workplaces = {role_of(role.name): role.workplace for role in reversed(labs.roles)}
+        # Policies state the task, which does not depend on the reward mix.
+        roles = reversed(Laboratories(load_scenario(a.scenario), 1).roles)
+        self._workplaces = {role_of(role.name): role.workplace for role in roles}
         self._labs = labs = Laboratories(self.scenario, 1)
         self.has_policy = a.bc is not None or a.begin_from is not None
         self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
-        for number, agent in enumerate(labs.agents):
+        for index, agent in enumerate(labs.agents):
             if role_of(agent) not in self.learning:
-                agent_policy(self._background, labs, number)
-        roles, goals = ",".join(self.learning), list(self.scenario.lab_goals)
-        self.config = self.described(a.scenario, roles, goals, task_fingerprint(a))
-        self.config = self.config.model_copy(update={"background": self._background})
+                agent_policy(self._background, labs, index)
+        config = self.described(a.scenario, ",".join(self.learning), list(self.scenario.lab_goals), task_fingerprint(a))
+        self.config = config.model_copy(update={"background": self._background})
         self._taken: dict[str, PretrainedPolicy] | None = None
 
     def check(self) -> None:
-        for number, agent in enumerate(self._labs.agents):
+        for index, agent in enumerate(self._labs.agents):
             if self.arguments.bc is not None and role_of(agent) in self.learning:
-                agent_policy(self.arguments.bc, self._labs, number)
+                agent_policy(self.arguments.bc, self._labs, index)
         self.make()
 
     def begin(self, run: Run) -> Progress:
@@ -84,31 +82,30 @@ class Team(Trainee):
         return progress
 
     def make(self) -> None:
-        """Make the team as it begins, but for clones."""
+        """Make a new team, with the policies of ``begin_from``; ``bc`` is not cloned yet."""
         a = self.arguments
-        found = {} if a.begin_from is None else self._found(a.begin_from)
-        self.team = PPOTeam(self.scenario, self.learning, a, self._background, self._wide(found))
-        for role, policy in found.items():
+        initial = {} if a.begin_from is None else self._initial_policies(a.begin_from)
+        self.team = PPOTeam(self.scenario, self.learning, a, self._background, self._observes_wide(initial))
+        for role, policy in initial.items():
             try:
                 self.team.learners[role].take(policy)
             except ValueError as error:
                 raise ValueError(f"begin_from: {a.begin_from}: {role}: {error}") from error
 
-    def _wide(self, found: Mapping[str, PretrainedPolicy]) -> bool:
-        """Return whether the manager is to observe readings of many numbers, because a policy to begin from may."""
-        if self.arguments.bc is not None or MANAGER_ROLE not in found:
+    def _observes_wide(self, initial: Mapping[str, PretrainedPolicy]) -> bool:
+        """Return True if the manager observes readings of many numbers, because a cloned or initial policy may."""
+        if self.arguments.bc is not None or MANAGER_ROLE not in initial:
             return self.arguments.bc is not None
-        return bool(found[MANAGER_ROLE].weights["0.weight"][:, wide_columns(self.scenario)].any())
+        return bool(initial[MANAGER_ROLE].weights["0.weight"][:, wide_columns(self.scenario)].any())
 
-    def _found(self, text: str) -> dict[str, PretrainedPolicy]:
-        """Find the policies to begin from, by role.
+    def _initial_policies(self, text: str) -> dict[str, PretrainedPolicy]:
+        """Return the policies of ``begin_from`` by role.
 
         Args:
-            text: a policy of several roles, a folder with those of single ones by role, or ``ROLE=POLICY``, separated
-                by commas.
+            text: a policy of several roles, a folder with a policy for each role, or ``ROLE=POLICY,...``.
 
         Raises:
-            ValueError: there is none, or one does not fit.
+            ValueError: no policy exists, or one does not fit its role.
         """
         pairs = [part.partition("=") for part in text.split(",")]
         named = {role: policy for role, equals, policy in pairs if equals}
@@ -118,7 +115,7 @@ class Team(Trainee):
         if not named:
             single = {role: str(Path(text) / role) for role in self.learning if Path(text, role).exists()}
             named = single or dict.fromkeys(self.learning, text)
-        found = {}
+        initial = {}
         for role, name in named.items():
             try:
                 load = find_saved(name).load
@@ -126,56 +123,56 @@ class Team(Trainee):
             except ValueError as error:
                 raise ValueError(f"begin_from: {role}: {error}") from error
             if isinstance(policy, PretrainedPolicy):
-                found[role] = policy
+                initial[role] = policy
             elif name != text:
                 raise ValueError(f"begin_from: {name}: holds no policy of {role} with its actions")
-        if not found:
+        if not initial:
             raise ValueError(f"begin_from: {text}: holds no policies of {', '.join(self.learning)}")
-        return found
+        return initial
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
         team = self.team
-        turns, self.note = team.learn(progress.step / self.steps, progress.rounds), ""
+        turns = team.learn(progress.step / self.steps, progress.rounds)
         means = {role: float(np.mean(one.scores)) for role, one in team.practices.items() if one.scores}
-        if means:
-            for role, mean in means.items():
-                self.logger.record(f"practice/{role}", mean)
-                team.practices[role].scores = []
-            self.note = "practice: " + ", ".join(f"{role} {mean:.3f}" for role, mean in means.items())
+        for role, mean in means.items():
+            self.logger.record(f"practice/{role}", mean)
+            team.practices[role].scores = []
+        practised = ", ".join(f"{role} {mean:.3f}" for role, mean in means.items())
+        self.note = f"practice: {practised}" if means else ""
         scores, team.scores = team.scores, []
-        for role, had in team.turns.items():
-            self.logger.record(f"turns/{role}", had)
+        for role, count in team.turns.items():
+            self.logger.record(f"turns/{role}", count)
         return turns, scores
 
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`: scores of the laboratory.
+        """See :class:`~chemlab.agents.train.loop.Trainee`; returns are raw scores of the laboratory.
 
-        Benches over which the manager learns are greedy, as in training.
+        Benches that finished their practice are greedy, as in the manager's training.
         """
         learned = self._taken or {role: self._policy(role, 0, None, sampled) for role in self.learning}
-        return self._played(learned, self._background, episodes, seed)
+        return self._evaluate(learned, self._background, episodes, seed)
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`: scripted policies play the roles that learn."""
+        """See :class:`~chemlab.agents.train.loop.Trainee`; scripted policies play the learning roles."""
         background = ",".join([self._background, *(f"{role}=scripted" for role in self.learning)])
-        return self._played({}, background, episodes, seed)
+        return self._evaluate({}, background, episodes, seed)
 
-    def _played(
+    def _evaluate(
         self, learned: Mapping[str, PretrainedPolicy], background: str, episodes: int, seed: int
     ) -> dict[str, float]:
-        """Return mean scores by goal of what has been learned, among the background's policies."""
+        """Return the mean raw score by goal of learned policies by role; background policies play the other roles."""
         labs = Laboratories(self.scenario, episodes, split=self.arguments.evaluation_split)
-        found = {}
+        means = {}
         for goal in self.scenario.lab_goals:
             policies: dict[str, Policy] = {}
-            for number, agent in enumerate(labs.agents):
-                mine = learned.get(role_of(agent))
-                if mine is None:
-                    policies[agent] = agent_policy(background, labs, number)
+            for index, agent in enumerate(labs.agents):
+                policy = learned.get(role_of(agent))
+                if policy is None:
+                    policies[agent] = agent_policy(background, labs, index)
                 else:
-                    policies[agent] = as_trained(mine.as_played(None), labs, number)
-            found[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())
-        return found
+                    policies[agent] = as_trained(policy.as_played(None), labs, index)
+            means[goal] = float(play_laboratory(labs, policies, goal, seed).returns.mean())
+        return means
 
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
         save_state(folder, {"team": self.team, **random_state(), "progress": vars(progress)})
@@ -187,10 +184,10 @@ class Team(Trainee):
         self._taken = {role: load_pretrained(folder / role) for role in self.learning}
 
     def close(self) -> None:
-        """See :class:`~chemlab.agents.train.loop.Trainee`: there is nothing to release."""
+        """See :class:`~chemlab.agents.train.loop.Trainee`; there is nothing to release."""
 
     def _policy(self, role: str, step: int, evaluation: Evaluation | None, sampled: bool) -> PretrainedPolicy:
-        """Return the policy of a role for the whole scenario, sampled or greedy."""
+        """Return a role's policy with its card, for the scenario's complete observation, to be sampled or greedy."""
         workplace, manager = self._workplaces[role], role == MANAGER_ROLE
         card = Card.of(
             workplace,
@@ -201,7 +198,7 @@ class Team(Trainee):
             command=self.arguments.command_line(),
             activation="tanh",
             output="argmax" if self.team.learners[role].network.discrete else "clip",
-            evaluation=reached(self.arguments, evaluation),
+            evaluation=evaluation_fields(self.arguments, evaluation),
             background=self._background,
             sampled=sampled and role not in self.team.fixed,
             notes=manager and self.team.notes is not None,

@@ -1,7 +1,7 @@
 """The loop of every training run: rounds, evaluations, checkpoints and the result.
 
-A round is a rollout and the update after it. Between rounds nothing is half done: there the curve grows a point, the
-learner is evaluated, and checkpoints are written. A new learner is a :class:`Trainee`.
+A round is a rollout and the update after it. After a round, a point is added to the curve; if due, the learner is
+evaluated and a checkpoint is written. A new kind of learner is a subclass of :class:`Trainee`.
 """
 
 from __future__ import annotations
@@ -34,35 +34,37 @@ with needs("training needs Stable-Baselines3", "train"):
 
 
 EVALUATION_SEED = 1_000_000
-"""First seed of the evaluations that choose the best checkpoint. The final one begins at
-:data:`~chemlab.agents.runs.RESULT_SEED`; training has :func:`~chemlab.agents.runs.training_seeds`."""
+"""First seed of the evaluations that choose the best checkpoint.
+
+The final evaluation begins at :data:`~chemlab.agents.runs.RESULT_SEED`.
+"""
 
 
 class Watcher:
-    """Observer of a training run; this one ignores everything."""
+    """Observer of a training run; the methods of this class do nothing."""
 
     def cloning(self, policy: str) -> None:
-        """Behaviour cloning of a policy begins."""
+        """Called before a policy is cloned, with its name."""
 
     def begun(self, step: int, steps: int) -> None:
-        """Training begins, or resumes from a step above 0."""
+        """Called when training begins, or resumes from a step above 0, with the total number of steps."""
 
     def advanced(self, step: int, mean: float | None, note: str = "") -> None:
-        """A round is over; mean return of the episodes that ended in it, and the learner's note."""
+        """Called after a round, with the mean return of the episodes that ended in it and the learner's note."""
 
     def evaluated(self, evaluation: Evaluation, best: bool) -> None:
-        """An evaluation is over, and a checkpoint written."""
+        """Called after an evaluation and its checkpoint; ``best`` is True for the highest mean so far."""
 
     def finishing(self) -> None:
-        """Training is over; the final evaluation begins."""
+        """Called before the final evaluation."""
 
 
 @dataclass
 class Progress:
     """State of the loop, stored in each checkpoint.
 
-    ``seconds`` is wall time over all sittings; ``sampled`` says how the policy plays: as in the last evaluation, at
-    first as ``play`` says.
+    ``seconds`` is wall time over all sessions. ``sampled`` is True if the policy's actions are drawn, as in the last
+    evaluation; before the first one, the argument ``play`` decides.
     """
 
     step: int = 0
@@ -78,7 +80,7 @@ class Progress:
         """Restore the progress of a checkpoint.
 
         Raises:
-            ValueError: the checkpoint is another version's.
+            ValueError: the checkpoint is from another version.
         """
         if set(saved) != {f.name for f in fields(cls)}:
             raise ValueError(f"{folder}: not a checkpoint of this version; delete the run's folder to begin anew")
@@ -86,15 +88,15 @@ class Progress:
 
 
 class Trainee(ABC):
-    """A learner, or several, with the environments that they learn in. Making one checks the arguments only.
+    """One or several learners with their environments. The constructor only checks the arguments.
 
     Attributes:
-        arguments: of the run.
-        config: the run's ``config.json``.
-        steps: how many of them it learns from.
-        logger: set by the loop; losses may be logged there.
-        note: what the last round was, where it was not of the episodes that are evaluated.
-        has_policy: whether it begins with a policy, which is evaluated before anything is learned.
+        arguments: arguments of the run.
+        config: content of the run's ``config.json``.
+        steps: number of training steps.
+        logger: TensorBoard logger, set by the loop; losses may be logged there.
+        note: description of the last round for the progress line, if it was not of ordinary episodes.
+        has_policy: True if it starts from a clone or a trained policy, which is evaluated before training.
     """
 
     arguments: Arguments
@@ -106,11 +108,11 @@ class Trainee(ABC):
 
     @abstractmethod
     def check(self) -> None:
-        """Check what only a run that begins needs, before anything is written; ValueError if it is wrong."""
+        """Check the other requirements of a new run before anything is written; ValueError if one is not met."""
 
     @abstractmethod
     def begin(self, run: Run) -> Progress:
-        """Make the learner and its environments: new, or as the run's last checkpoint has them."""
+        """Make the learner and its environments, new or from the run's last checkpoint, and return its progress."""
 
     @abstractmethod
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
@@ -118,23 +120,23 @@ class Trainee(ABC):
 
     @abstractmethod
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
-        """Evaluate the policy, sampled or greedy (after :meth:`take`, as its card says): mean return by goal."""
+        """Return the policy's mean return by goal, ``sampled`` or greedy (after :meth:`take`, as its card states)."""
 
     @abstractmethod
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
-        """Evaluate the scripted policy on the same episodes; None where there is none."""
+        """Return the scripted policy's mean return by goal on the same episodes; None if there is no such policy."""
 
     @abstractmethod
     def save(self, folder: Path, progress: Progress, evaluation: Evaluation | None) -> None:
-        """Write a checkpoint: the policies, with their evaluation if there is one, and the state to resume from."""
+        """Write a checkpoint: the policies, with their evaluation if there is one, and the state for resuming."""
 
     @abstractmethod
     def take(self, folder: Path) -> None:
-        """Play as the policies of a checkpoint from now on."""
+        """Load the policies of a checkpoint, which :meth:`scores` evaluates from now on."""
 
     @abstractmethod
     def close(self) -> None:
-        """Release what only training needs."""
+        """Release resources of training after the final evaluation."""
 
     def described(self, scenario: str, bench: str, goals: list[str], fingerprint: str) -> RunConfig:
         """Return the run's ``config.json``."""
@@ -161,22 +163,20 @@ class Trainee(ABC):
         )
 
 
-def reached(arguments: Arguments, evaluation: Evaluation | None) -> dict[str, Any]:
-    """Return what a checkpoint's card states of its evaluation; nothing where there was none."""
+def evaluation_fields(arguments: Arguments, evaluation: Evaluation | None) -> dict[str, Any]:
+    """Return the ``evaluation`` of a checkpoint's card; empty without an evaluation."""
     if evaluation is None:
         return {}
     values = {"episodes_per_goal": arguments.eval_episodes, "seed": EVALUATION_SEED, **asdict(evaluation)}
-    for name in ("step", "sampled", "other_mean"):
-        del values[name]
-    return values
+    return {name: value for name, value in values.items() if name not in ("step", "sampled", "other_mean")}
 
 
-class _Purging(TensorBoardOutputFormat):
-    """TensorBoard's files, without what a killed run logged past its last checkpoint; disk errors name the folder."""
+class _TensorBoardFiles(TensorBoardOutputFormat):
+    """TensorBoard's files without the points after the checkpoint of a resumed run; disk errors name the folder."""
 
     def __init__(self, folder: Path, step: int) -> None:
         self._folder = folder
-        # The point at the checkpoint's own step has been logged; purging it would leave a gap.
+        # The point of the checkpoint's own step remains: it is not logged again.
         with naming(folder):
             self.writer = SummaryWriter(str(folder), purge_step=step + 1 if step else 0)
         self._is_closed = False
@@ -192,29 +192,29 @@ class _Purging(TensorBoardOutputFormat):
 
 @contextmanager
 def _tensorboard(run: Run, step: int) -> Iterator[Logger]:
-    others = threading.excepthook
+    previous_hook = threading.excepthook
 
-    def told(error: threading.ExceptHookArgs) -> None:
-        # TensorBoard's thread writes the file; its errors are reported by the next call.
+    def hook(error: threading.ExceptHookArgs) -> None:
+        # Errors of TensorBoard's writer thread are raised again by the next call.
         if type(error.thread).__name__ != "_AsyncWriterThread":
-            others(error)
+            previous_hook(error)
 
-    threading.excepthook = told
+    threading.excepthook = hook
     try:
-        with closing(Logger(str(run.tensorboard), [_Purging(run.tensorboard, step)])) as logger:
+        with closing(Logger(str(run.tensorboard), [_TensorBoardFiles(run.tensorboard, step)])) as logger:
             yield logger
     finally:
-        threading.excepthook = others
+        threading.excepthook = previous_hook
 
 
 def train_in_rounds(run: Run, trainee: Trainee, progress: Progress, watcher: Watcher) -> RunResult:
     """Train to the end from ``progress``, and write the result.
 
     Args:
-        run: the run's folder, held by the caller.
+        run: the run's folder, locked by the caller.
         trainee: the learner.
-        progress: a fresh one, or that of the last checkpoint.
-        watcher: observes the run.
+        progress: progress of a new run, or of the last checkpoint.
+        watcher: observer of the run.
     """
     a, p, total = trainee.arguments, progress, trainee.steps
     if p.step:
@@ -239,7 +239,7 @@ def train_in_rounds(run: Run, trainee: Trainee, progress: Progress, watcher: Wat
                 _log(logger, point, evaluation)
             if evaluate or save:
                 p.seconds = time.perf_counter() - begun
-                _save(run, trainee, p, evaluation, best)
+                commit_checkpoint(run, p.step, lambda folder: trainee.save(folder, p, evaluation), best, p.best_step)
             if evaluation is not None:
                 watcher.evaluated(evaluation, best)
 
@@ -249,11 +249,11 @@ def train_in_rounds(run: Run, trainee: Trainee, progress: Progress, watcher: Wat
             assess(evaluate=True, save=True)
         while p.step < total:
             before = p.step
-            turns, ended = trainee.learn(p)
-            p.step, p.rounds, p.seconds = p.step + turns, p.rounds + 1, time.perf_counter() - begun
-            point = _point(p, ended)
+            steps, returns = trainee.learn(p)
+            p.step, p.rounds, p.seconds = p.step + steps, p.rounds + 1, time.perf_counter() - begun
+            point = _point(p, returns)
             run.append(point)
-            # Evenly spread over the run, and after the last round.
+            # Evenly spread over the run; the last ones follow the last round.
             evaluate, save = (p.step * n // total > before * n // total for n in (a.evaluations, a.checkpoints))
             assess(evaluate, save, point)
             watcher.advanced(p.step, point.return_mean, trainee.note)
@@ -267,24 +267,23 @@ def _mean(by_goal: dict[str, float]) -> float:
     return sum(by_goal.values()) / len(by_goal)
 
 
-def _point(progress: Progress, ended: list[float]) -> CurvePoint:
-    returns = np.array(ended)
-    mean, std = (float(returns.mean()), float(returns.std())) if ended else (None, None)
-    return CurvePoint(progress.step, mean, std, len(ended), round(progress.seconds, 3))
+def _point(progress: Progress, returns: list[float]) -> CurvePoint:
+    mean, std = (float(np.mean(returns)), float(np.std(returns))) if returns else (None, None)
+    return CurvePoint(progress.step, mean, std, len(returns), round(progress.seconds, 3))
 
 
 _WAYS = {"greedy": (False,), "sampled": (True,), "better": (False, True)}
-"""Ways of an evaluation by the argument ``play``: False is greedy, True sampled."""
+"""Values of ``sampled`` in an evaluation, by the argument ``play``."""
 
 
 def _evaluation(step: int, trainee: Trainee, scripted: dict[str, float] | None) -> Evaluation:
-    """Evaluate the policy greedily, sampled, or both; the higher mean counts."""
+    """Evaluate the policy greedily, sampled, or both; return the evaluation with the higher mean."""
     a = trainee.arguments
-    found = {way: trainee.scores(a.eval_episodes, EVALUATION_SEED, way) for way in _WAYS[getattr(a, "play", "greedy")]}
-    sampled = max(found, key=lambda way: _mean(found[way]))
-    beside = None if scripted is None else _mean(scripted)
-    other = _mean(found[not sampled]) if len(found) > 1 else None
-    return Evaluation(step, _mean(found[sampled]), found[sampled], beside, scripted, sampled, other)
+    by_way = {way: trainee.scores(a.eval_episodes, EVALUATION_SEED, way) for way in _WAYS[getattr(a, "play", "greedy")]}
+    sampled = max(by_way, key=lambda way: _mean(by_way[way]))
+    scripted_mean = None if scripted is None else _mean(scripted)
+    other_mean = _mean(by_way[not sampled]) if len(by_way) > 1 else None
+    return Evaluation(step, _mean(by_way[sampled]), by_way[sampled], scripted_mean, scripted, sampled, other_mean)
 
 
 def _log(logger: Logger, point: CurvePoint, evaluation: Evaluation | None) -> None:
@@ -296,21 +295,15 @@ def _log(logger: Logger, point: CurvePoint, evaluation: Evaluation | None) -> No
     logger.dump(point.step)
 
 
-def _save(run: Run, trainee: Trainee, progress: Progress, evaluation: Evaluation | None, best: bool) -> None:
-    def write(folder: Path) -> None:
-        trainee.save(folder, progress, evaluation)
-
-    commit_checkpoint(run, progress.step, write, best, progress.best_step)
-
-
 def _result(run: Run, trainee: Trainee, progress: Progress) -> RunResult:
+    """Evaluate the last and the best checkpoint, and return the run's result."""
     config, episodes = trainee.config, trainee.arguments.final_episodes
     best = run.checkpoint("best")
     assert best is not None, "the last round is followed by an evaluation and a checkpoint"
     assert progress.best_step is not None, "the best checkpoint has been set"
     last = trainee.scores(episodes, RESULT_SEED, progress.sampled)
     trainee.take(best)
-    found = trainee.scores(episodes, RESULT_SEED, progress.best_sampled)
+    by_goal = trainee.scores(episodes, RESULT_SEED, progress.best_sampled)
     scripted = trainee.scripted(episodes, RESULT_SEED)
     return RunResult(
         env_id=config.env_id,
@@ -322,8 +315,8 @@ def _result(run: Run, trainee: Trainee, progress: Progress) -> RunResult:
         frames_per_second=round(progress.step / progress.seconds, 1),
         best_step=progress.best_step,
         episodes_per_goal=episodes,
-        mean=_mean(found),
-        by_goal=found,
+        mean=_mean(by_goal),
+        by_goal=by_goal,
         scripted_mean=None if scripted is None else _mean(scripted),
         scripted_by_goal=scripted,
         last_mean=_mean(last),

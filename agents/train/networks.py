@@ -1,4 +1,4 @@
-"""Policy network of a Stable-Baselines3 learner as a policy that needs only NumPy.
+"""Conversion of a Stable-Baselines3 learner's network to a policy that needs only NumPy.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -28,7 +28,7 @@ _ACTIVATIONS: dict[type[nn.Module], str] = {nn.Tanh: "tanh", nn.ReLU: "relu"}
 
 
 def learned_policy(model: Any, workplace: Workplace, **card: Any) -> PretrainedPolicy:
-    """Return a learner's policy network; it is played with masks if it was trained with masks.
+    """Return a learner's policy, which is played with masks if it was trained with masks.
 
     Args:
         model: the learner.
@@ -40,20 +40,19 @@ def learned_policy(model: Any, workplace: Workplace, **card: Any) -> PretrainedP
     """
     weights, activation, output = _network_of(model)
     masked = isinstance(model, MaskablePPO) or isinstance(model.policy, MaskedLstmPolicy)
-    own: dict[str, Any] = {"activation": activation, "output": output, "masked": masked}
     if "lstm.bias" in weights:
-        own["memory"] = int(model.policy.lstm_actor.hidden_size)
-    return PretrainedPolicy(Card.of(workplace, **own, **card), weights)
+        card["memory"] = int(model.policy.lstm_actor.hidden_size)
+    return PretrainedPolicy(Card.of(workplace, activation=activation, output=output, masked=masked, **card), weights)
 
 
 def card_of(config: RunConfig, workplace: Workplace) -> dict[str, Any]:
-    """Return the fields of a card that a run's configuration states."""
-    own = {name: getattr(config, name) for name in ("env_id", "algo", "label", "seed", "versions")}
-    return {"name": workplace.key, **own}
+    """Return the fields of a policy's card that its run's configuration states."""
+    fields = {name: getattr(config, name) for name in ("env_id", "algo", "label", "seed", "versions")}
+    return {"name": workplace.key, **fields}
 
 
 def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, str]:
-    """Return weights, activation and output (as on a :class:`~chemlab.agents.pretrained.Card`) of a learner.
+    """Return a learner's weights, activation and output, as stated by :class:`~chemlab.agents.pretrained.Card`.
 
     Raises:
         ValueError: the network has layers other than fully connected ones with tanh or ReLU.
@@ -63,7 +62,7 @@ def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, st
         parts, output = [policy.q_net.q_net], "argmax"
     elif hasattr(policy, "quantile_net"):  # QR-DQN
         parts, output = [policy.quantile_net.quantile_net], "argmax"
-    elif hasattr(policy, "actor"):  # SAC has the mean in a layer of its own; TD3's network ends with it
+    elif hasattr(policy, "actor"):  # SAC's last layer is `mu`; TD3's `mu` is the whole network
         actor = policy.actor
         parts, output = [actor.latent_pi, actor.mu] if hasattr(actor, "latent_pi") else [actor.mu], "tanh"
     else:
@@ -84,7 +83,7 @@ def _network_of(model: Any) -> tuple[dict[str, npt.NDArray[np.float32]], str, st
         weights |= dict(zip(LSTM, (ih.copy(), hh.copy(), sum(biases)), strict=True))
     if isinstance(getattr(policy, "log_std", None), nn.Parameter):
         weights[LOG_STD] = policy.log_std.detach().numpy().copy()
-    if hasattr(policy, "quantile_net"):  # the best mean of quantiles: also a linear layer
+    if hasattr(policy, "quantile_net"):  # the mean of the quantiles is also a linear layer
         last, actions = len(linear) - 1, int(model.action_space.n)
         for part in ("weight", "bias"):
             values = weights[f"{last}.{part}"]

@@ -1,4 +1,4 @@
-"""Training of one agent, of a bench or a laboratory, with an algorithm of Stable-Baselines3 or sb3-contrib.
+"""Training of one agent, on a single bench or in a laboratory, with Stable-Baselines3 or sb3-contrib.
 
 Needs the extra: ``pip install ".[train]"``.
 """
@@ -23,10 +23,10 @@ from ..pretrained import PretrainedPolicy, load_pretrained, save_policy
 from ..recurrent import MaskedLstmPolicy
 from ..runs import Evaluation, Run, training_seeds
 from ..sb3 import ChemlabVecEnv
-from .arguments import ALGORITHMS, SAC, TD3, Recurrent, Replay, Single, Stage, curriculum_of
+from .arguments import ALGORITHMS, SAC, TD3, OnPolicy, Recurrent, Replay, Single, Stage, curriculum_of
 from .checkpoints import forget_replay, load_agent, save_agent
-from .imitate import imitate
-from .loop import Progress, Trainee, reached
+from .imitate import LEAST_STD, imitate
+from .loop import Progress, Trainee, evaluation_fields
 from .networks import card_of, learned_policy
 from .tasks import find_task
 
@@ -36,13 +36,13 @@ _SETTINGS = {
     "epochs": "n_epochs",
     "exploration_final": "exploration_final_eps",
 }
-"""Names of Stable-Baselines3's settings by those of the arguments."""
+"""Names of Stable-Baselines3's settings by argument."""
 
 
 def _learner(arguments: Single, venv: ChemlabVecEnv, total: int) -> BaseAlgorithm:
-    """Make an untrained learner."""
+    """Return an untrained learner for ``total`` training steps."""
     a = arguments
-    settings = {theirs: getattr(a, ours) for ours, theirs in _SETTINGS.items() if hasattr(a, ours)}
+    settings = {setting: getattr(a, name) for name, setting in _SETTINGS.items() if hasattr(a, name)}
     settings["train_freq" if isinstance(a, Replay) else "n_steps"] = a.rollout
     settings["policy_kwargs"] = {"net_arch": list(a.net_arch)}
     if isinstance(a, Recurrent):
@@ -59,8 +59,8 @@ def _learner(arguments: Single, venv: ChemlabVecEnv, total: int) -> BaseAlgorith
     return model
 
 
-class _Ended(BaseCallback):
-    """Collects the returns of the episodes that end."""
+class _EpisodeReturns(BaseCallback):
+    """Collects the returns of completed episodes, of a training run of ``total`` steps."""
 
     def __init__(self, total: int) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class _Ended(BaseCallback):
         self.returns: list[float] = []
 
     def _on_training_start(self) -> None:
-        # DQN's exploration schedule spans the whole run, but SB3 receives one rollout at a time.
+        # DQN's exploration schedule spans the whole run, but each call of learn() is for one rollout.
         self.model._total_timesteps = self._total
 
     def _on_step(self) -> bool:
@@ -95,8 +95,8 @@ class Agent(Trainee):
         _check_algorithm(a.algo, discrete=bool(task.workplace.action_count))
         if isinstance(a, Recurrent) and task.background is not None and task.agent != MANAGER_AGENT:
             raise ValueError(
-                f"algo: {a.algo}: a laboratory's bench begins anew with each experiment, and {task.agent} has several "
-                "in an episode; train the bench on its own (--bench), or the manager"
+                f"algo: {a.algo}: the LSTM must be reset for each experiment, and {task.agent} has several in an "
+                "episode; train the bench on its own (--bench), or the manager"
             )
         warning = task.warning()
         if warning is not None:
@@ -106,8 +106,7 @@ class Agent(Trainee):
         self._stages = curriculum_of(a, tuple(task.scenario.benches))
         self._stage: Stage | None = None
         self._hints: str | None = getattr(a, "hints", None)
-        self._shown: str | None = getattr(a, "bc", None) or self._hints
-        self.has_policy = self._shown is not None
+        self.has_policy = getattr(a, "cloned", None) is not None
         self._taken: PretrainedPolicy | None = None
         self.config = self.described(a.scenario, task.agent, list(task.goals), task.fingerprint)
 
@@ -117,6 +116,10 @@ class Agent(Trainee):
             self._task.policy(bc)
         if self._hints is not None:
             self._task.advisor(self._hints)
+        if self._stages:  # otherwise a mistake in a later stage would end the run in the middle
+            batch = self._task.batch(1)
+            for stage in self._stages:
+                self._task.prepare(batch, stage.shares)
 
     def begin(self, run: Run) -> Progress:
         self._run, a, task = run, self.arguments, self._task
@@ -136,26 +139,25 @@ class Agent(Trainee):
         return progress
 
     def _clone(self) -> float:
-        """Clone the policy of ``bc`` or ``hints``, if there is one; return the seconds that takes."""
+        """Clone the policy of ``bc`` or ``hints``, if there is one; return the duration in s."""
         a, begun = self.arguments, time.perf_counter()
-        if self._shown is not None:
-            more = {"spread": a.bc_std} if hasattr(a, "bc_std") else {}
-            batch, teacher = self._task.batch(a.envs), self._task.policy(self._shown, a.seed)
-            hinted = self._hints is not None
-            imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, **more)  # type: ignore[attr-defined]
+        if isinstance(a, OnPolicy) and a.cloned is not None:
+            batch, teacher = self._task.batch(a.envs), self._task.policy(a.cloned, a.seed)
+            hinted, least_std = self._hints is not None, getattr(a, "bc_std", LEAST_STD)
+            imitate(self.model, batch, teacher, a.bc_steps, a.seed, hinted, a.bc_rounds, least_std)
         return time.perf_counter() - begun
 
     def learn(self, progress: Progress) -> tuple[int, list[float]]:
-        """See :class:`~chemlab.agents.train.loop.Trainee`; episodes begin as the curriculum states for this step."""
+        """See :class:`~chemlab.agents.train.loop.Trainee`; initial states are those of the curriculum's stage."""
         stage = next((stage for stage in self._stages if progress.step < stage.until), None)
         if stage != self._stage:
             self._task.prepare(self.venv.batch, None if stage is None else stage.shares)
             self._stage = stage
-        ended, first = _Ended(self.steps), not progress.step
+        episodes, first = _EpisodeReturns(self.steps), not progress.step
         self.model.set_logger(self.logger)
         # The training loop writes the log between rounds.
-        self.model.learn(self._rollout, ended, log_interval=None, reset_num_timesteps=first)  # type: ignore[arg-type]
-        return self._rollout, ended.returns
+        self.model.learn(self._rollout, episodes, log_interval=None, reset_num_timesteps=first)  # type: ignore[arg-type]
+        return self._rollout, episodes.returns
 
     def scores(self, episodes: int, seed: int, sampled: bool) -> dict[str, float]:
         if self._taken is None and not sampled:
@@ -173,7 +175,7 @@ class Agent(Trainee):
         save_policy(folder / policy.card.name, policy.card, policy.weights)
 
     def _policy(self, step: int, evaluation: Evaluation | None, sampled: bool) -> PretrainedPolicy:
-        """Return the learner's policy as it is exported, sampled or greedy."""
+        """Return the learner's policy with its card, to be sampled or greedy."""
         return learned_policy(
             self.model,
             self._task.workplace,
@@ -182,7 +184,7 @@ class Agent(Trainee):
             starts=self.arguments.starts,
             step=step,
             command=self.arguments.command_line(),
-            evaluation=reached(self.arguments, evaluation),
+            evaluation=evaluation_fields(self.arguments, evaluation),
             background=self._task.background,
             advice=self._hints,
             sampled=sampled,
@@ -197,9 +199,10 @@ class Agent(Trainee):
 
 
 def _check_algorithm(algo: str, discrete: bool) -> None:
-    other = ("sac", "td3") if discrete else ("dqn", "qr-dqn", "maskable-ppo", "maskable-recurrent-ppo")
-    if algo in other:
-        fitting = ", ".join(name for name, kind in ALGORITHMS.items() if issubclass(kind, Single) and name not in other)
+    """Raise ValueError if an algorithm does not support discrete or continuous actions."""
+    unfit = ("sac", "td3") if discrete else ("dqn", "qr-dqn", "maskable-ppo", "maskable-recurrent-ppo")
+    if algo in unfit:
+        fitting = ", ".join(name for name, kind in ALGORITHMS.items() if issubclass(kind, Single) and name not in unfit)
         kind = "discrete" if discrete else "continuous"
-        advice = "" if discrete else f", or with --actions discrete {' or '.join(other)}"
+        advice = "" if discrete else f", or with --actions discrete {' or '.join(unfit)}"
         raise ValueError(f"algo: this bench's actions are {kind}: {fitting}{advice}; given {algo!r}")

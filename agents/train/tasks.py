@@ -34,11 +34,11 @@ class Task(ABC):
 
     scenario: Scenario
     agent: str
-    """Learning agent: a bench's key, or the name of an agent of a laboratory."""
+    """Learning agent: the key of a single bench, or the name of an agent of a laboratory."""
     goals: tuple[str, ...]
     workplace: Workplace
     background: str | None = None
-    """Policies of the other roles, if there are any."""
+    """Policies of the other agents of a laboratory."""
 
     @property
     def fingerprint(self) -> str:
@@ -47,13 +47,13 @@ class Task(ABC):
 
     @abstractmethod
     def batch(self, members: int) -> RoleVectorEnv:
-        """Return a batch for training, which resets its members in the same step."""
+        """Return a batch of ``members`` environments for training, with autoreset mode ``SameStep``."""
 
     def prepare(self, batch: Any, shares: Mapping[str, float] | None) -> None:
         """Set the initial-state distribution of a :meth:`batch` (see :meth:`~chemlab.lab.engine.Laboratories.prepare`).
 
         Raises:
-            ValueError: the task is a bench on its own, or a bench or share is invalid.
+            ValueError: the task is a single bench, or a bench or share is invalid.
             DataError: no such vessels have been recorded for the scenario.
         """
         if shares is not None:
@@ -65,24 +65,24 @@ class Task(ABC):
 
     @abstractmethod
     def policy(self, name: str, seed: int = 0) -> Policy:
-        """Make a policy for this task by name; ``seed`` is that of what it draws, unless an episode's seed sets it.
+        """Return a policy for this task by name; ``seed`` is that of its random numbers until an episode sets another.
 
         Raises:
-            ValueError: the name is unknown, or nothing fits.
+            ValueError: the name is unknown, or the policy does not fit.
         """
 
     def advisor(self, name: str, seed: int = 0) -> Advisor:
-        """Make the advisor of the learning agent; ``seed`` as for :meth:`policy`.
+        """Return an advisor for the manager; arguments as for :meth:`policy`.
 
         Raises:
-            ValueError: the name is unknown, or the learning agent is not a laboratory's manager.
+            ValueError: the policy is unknown, or the learning agent is not a laboratory's manager.
         """
         if self.workplace.key != MANAGER_ROLE:
             raise ValueError(f"hints: are for a laboratory's manager; {self.agent} learns here")
         return Advisor(self.policy(name, seed), self.workplace.action_count)
 
     def advised(self, policy: Policy, advice: str | None) -> Policy:
-        """Wrap a policy with its own advisor by name, if it has one; errors as for :meth:`advisor`."""
+        """Return a policy with an advisor by name, or without one (None); errors as for :meth:`advisor`."""
         return policy if advice is None else AdvisedPolicy(policy, self.advisor(advice))
 
     def trained(self, policy: Policy) -> Policy:
@@ -90,30 +90,30 @@ class Task(ABC):
         return policy
 
     def warning(self) -> str | None:
-        """Return a warning to the user before training, if there is one."""
+        """Return a warning for the user before training, or None."""
         return None
 
     def scripted(self, episodes: int, seed: int) -> dict[str, float] | None:
-        """Return the scripted policy's mean for each goal; None for a kind of bench without one."""
+        """Return the scripted policy's mean return by goal; None if the bench has no scripted policy."""
         if isinstance(self.workplace, Bench) and not is_scripted(self.workplace):
             return None
         return self.by_goal(self.policy("scripted"), episodes, seed)
 
     def by_goal(self, policy: Policy, episodes: int, seed: int) -> dict[str, float]:
-        """Return a policy's mean for each goal."""
+        """Return a policy's mean return by goal."""
         means = self.returns(policy, episodes, seed).mean(axis=1)
         return {goal: float(mean) for goal, mean in zip(self.goals, means, strict=True)}
 
 
 class BenchTask(Task):
-    """One bench of a scenario.
+    """A bench of a scenario on its own.
 
     Args:
         scenario, bench, goals, starts: as for :class:`~chemlab.envs.role_env.RoleEnv`.
         splits: splits of worlds for training and for evaluation.
 
     Raises:
-        DataError: the scenario, bench, goal or kind of initial states is unknown.
+        DataError: the scenario, bench, goal or initial-state distribution is unknown.
     """
 
     def __init__(
@@ -145,37 +145,39 @@ class BenchTask(Task):
         count = len(self.goals)
         if episodes not in self._batches:
             self._batches[episodes] = self._make(episodes * count, split=self._splits[1])
-        # All goals in one batch, each with the same seeds.
-        seeds = [seed + i for i in range(episodes)] * count
-        played = play_bench(self._batches[episodes], policy, np.repeat(self.goals, episodes).tolist(), seeds)
+        # All goals are played in one batch, with the same seeds.
+        goals, seeds = np.repeat(self.goals, episodes).tolist(), list(range(seed, seed + episodes)) * count
+        played = play_bench(self._batches[episodes], policy, goals, seeds)
         return played.returns.reshape(count, episodes)
 
     def policy(self, name: str, seed: int = 0) -> Policy:
         return bench_policy(name, self.workplace, seed)
 
     def warning(self) -> str | None:
-        """See :class:`Task`; warns if the scenario declares no initial state of the single bench."""
-        start, given = self.workplace.spec.start, self.scenario.argument
+        """See :class:`Task`; there is a warning if the scenario declares no initial state of the single bench."""
+        start = self.workplace.spec.start
         if self._starts == "lab" or start.contents or start.goal_mol or start.companion:
             return None
-        recorded = f"; or record vessels with chemlab export starts {given}, and train with --starts lab"
-        if starts_file(self.scenario).is_file():
-            recorded = "; or train with --starts lab"
+        advice = "; or train with --starts lab"
+        if not starts_file(self.scenario).is_file():
+            advice = (
+                f"; or record vessels with chemlab export starts {self.scenario.argument}, and train with --starts lab"
+            )
         return (
             f"bench {self.agent!r} of {self.scenario.name}: its experiments begin with an empty vessel, because the "
             f"scenario has no [benches.{self.agent}.start]; give it contents (moles by material)"
-            f"{recorded if is_scripted(self.workplace) else ''}"
+            f"{advice if is_scripted(self.workplace) else ''}"
         )
 
 
 class LaboratoryTask(Task):
-    """One role of a laboratory; its return is the raw score for the manager, and the agent's own return for others.
+    """One agent of a laboratory; the manager's return is the raw score, another agent's return its own.
 
     Args:
         scenario: a bundled name, a path, or a loaded scenario.
         agent: name of the learning agent.
-        background: policies of the others, by name.
-        goals: laboratory goals of its episodes (default: all).
+        background: policies of the other agents, by name.
+        goals: laboratory goals of the episodes; None: all.
         splits: splits of worlds for training and for evaluation.
 
     Raises:
@@ -198,8 +200,8 @@ class LaboratoryTask(Task):
         self.goals = known if goals is None else tuple(goals)
         if set(self.goals) - set(known) or not self.goals:
             raise ValueError(f"goals: {self.scenario.name} asks for {', '.join(known)}, given {', '.join(self.goals)}")
-        self._number = self.batch(1).focal
-        self.workplace = Laboratories(self.scenario, 1).roles[self._number].workplace
+        self._index = self.batch(1).focal
+        self.workplace = Laboratories(self.scenario, 1).roles[self._index].workplace
         self._labs: dict[int, Laboratories] = {}
 
     def batch(self, members: int) -> RoleVectorEnv:
@@ -217,30 +219,29 @@ class LaboratoryTask(Task):
 
     def returns(self, policy: Policy, episodes: int, seed: int) -> FloatArray:
         labs = self._labs.setdefault(episodes, Laboratories(self.scenario, episodes, split=self._splits[1]))
-        others = background_policies(self._background)
-        policies = {**(others(labs) if callable(others) else others), self.agent: policy}
+        policies = {**background_policies(self._background)(labs), self.agent: policy}
         played = [play_laboratory(labs, policies, goal, seed) for goal in self.goals]
-        manages = self.agent == MANAGER_AGENT
-        own = (one.returns if manages else one.measures[f"reward {self.agent}"] for one in played)
-        return np.array(list(own))
+        if self.agent == MANAGER_AGENT:
+            return np.array([one.returns for one in played])
+        return np.array([one.measures[f"reward {self.agent}"] for one in played])
 
     def policy(self, name: str, seed: int = 0) -> Policy:
-        return agent_policy(name, Laboratories(self.scenario), self._number, seed)
+        return agent_policy(name, Laboratories(self.scenario), self._index, seed)
 
     def trained(self, policy: Policy) -> Policy:
-        return as_trained(policy, Laboratories(self.scenario), self._number)
+        return as_trained(policy, Laboratories(self.scenario), self._index)
 
 
 def task_of(card: Card, scenario: Scenario, splits: tuple[str, str] = ("train", "validation")) -> Task:
-    """Return the task of a card's evaluation: a bench on its own if it states initial states, else a laboratory.
+    """Return the task of a policy's evaluation: a laboratory, or a single bench if its card states initial states.
 
     Args:
-        card: of the policy.
-        scenario: of its training.
+        card: card of the policy.
+        scenario: scenario of its training.
         splits: splits of worlds for training and for evaluation.
 
     Raises:
-        DataError: the scenario, bench, goal or kind of initial states is unknown.
+        DataError: the scenario, bench, goal or initial-state distribution is unknown.
         ValueError: a background policy is unknown.
     """
     goals = tuple(card.goals)
@@ -251,8 +252,8 @@ def task_of(card: Card, scenario: Scenario, splits: tuple[str, str] = ("train", 
 
 
 def task_fingerprint(arguments: Arguments) -> str:
-    """Return the fingerprint of the arguments' task; errors as :func:`find_task`."""
-    # A sweep has hundreds of runs of a few tasks.
+    """Return the fingerprint of the arguments' task; errors as for :func:`find_task`."""
+    # Cached, because a sweep may have hundreds of runs of a few tasks.
     names = ("scenario", "bench", "roles", "actions", "rewards")
     return _fingerprint(*(getattr(arguments, name, None) for name in names), isinstance(arguments, Single))
 
@@ -268,8 +269,8 @@ def find_task(arguments: Single) -> Task:
     """Return the task of a run's arguments.
 
     Raises:
-        DataError: unknown scenario, bench, goal or starting states.
-        ValueError: an argument is for the other kind of task.
+        DataError: the scenario, bench, goal or initial-state distribution is unknown.
+        ValueError: an argument does not apply to this kind of task, or the agent is unknown or one of several.
     """
     a, splits = arguments, (arguments.split, arguments.evaluation_split)
     scenario = load_scenario(a.scenario, actions=a.actions)

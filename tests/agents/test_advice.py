@@ -89,7 +89,7 @@ class Watched:
         advice = self.watches.advise(observation, mask, step, members)
         self.agreed += (advice == played).tolist()
         asked = self.watches._advised
-        asked.update({i: asked[i]._replace(decided=-1) for i in members.tolist()})
+        asked.update({i: (-1, *asked[i][1:]) for i in members.tolist()})
         self.watches.played(played, members)
         return played
 
@@ -240,8 +240,12 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
     from chemlab.agents.runs import Run
     from chemlab.agents.train.export import export_run
     from chemlab.agents.train.learn import train
+    from chemlab.agents.train.loop import Watcher
 
-    result = train(arguments(learning_rate=1e-12, bc_steps=2400, final_episodes=20), tmp_path / "run")
+    announced, watcher = list[str](), Watcher()
+    watcher.cloning = announced.append  # type: ignore[method-assign]
+    result = train(arguments(learning_rate=1e-12, bc_steps=2400, final_episodes=20), tmp_path / "run", watcher)
+    assert announced == ["scripted"]
     assert result.mean == pytest.approx(result.scripted_mean, abs=0.1)
     best = Run(tmp_path / "run").checkpoint("best")
     card = load_pretrained(best / "manager").card

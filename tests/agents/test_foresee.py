@@ -110,7 +110,7 @@ def test_a_look_at_one_vessel_tells_of_the_others_what_concluding_anew_does() ->
     belief.stage[1] = 2
     known, bests = manager._posterior(belief.likelihood), manager._promises(belief, goal).max(axis=-1)
     found = manager._after_look(belief, goal, 0, known[0], bests)
-    worlds = np.searchsorted(np.cumsum(known[0]), manager._shares).clip(0, known.shape[1] - 1)
+    worlds = manager._sampled(known[0])
     readings = manager._foresight[goal].readings[worlds, 0] + manager._errors
     before = belief.likelihood.copy()
     for sample, likely in enumerate(manager._likely(readings, goal, 0)):

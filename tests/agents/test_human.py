@@ -70,7 +70,7 @@ def test_mistakes_are_explained() -> None:
         ("T+2", "from 0 to 1"),
         ("Na=nan", "from 0 to 1"),
         ("Na=much", "not a number"),
-        ("gold=1", "knows T, V, 1-chlorohexane"),
+        ("gold=1", "unknown; choose from T, V, 1-chlorohexane"),
     ):
         refused(typed, part, parse_numbers, typed, 5, REAGENTS)
     two = "could be 1-chlorohexane or 1-bromohexane"
@@ -79,7 +79,8 @@ def test_mistakes_are_explained() -> None:
         ("4", "from 1 to 3"),
         ("pour 2", "not possible now"),
         ("fly", "no action"),
-        ("3 1", "what"),
+        ("3 1", "3 is an action, not a group; leave out 1"),
+        ("²", "no action"),
     ):
         refused(typed, part, menu().take, typed)
 

@@ -72,7 +72,7 @@ def test_order_and_folders(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("", r"needs \[\[runs\]\]"),
-        ("[[runs]]\nseeds = 0", "seeds: needs a list"),
+        ("[[runs]]\nseeds = 0", "seeds: must be the number"),
         ('[[runs]]\nsedes = 3\nalgo = "ppo"', "sedes: unknown argument; did you mean seed"),
         ('[[runs]]\nscenario = "rusch"', "runs 1: .*rusch"),
         ('[[runs]]\nroles = "rxm"', "runs 1: .*rxm"),

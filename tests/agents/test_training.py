@@ -564,7 +564,7 @@ def test_a_run_of_an_older_version_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_minibatch_of_one_is_refused_where_it_would_make_weights_that_are_no_numbers() -> None:
-    single = "batch_size: of the 65 steps of a rollout a single one would be left"
+    single = "batch_size: a rollout of 65 steps leaves a single step for the last minibatch"
     refused("65", single, MaskablePPO, bench="dit", envs=5, rollout=13)
     MaskablePPO(bench="dit", envs=5, rollout=13, batch_size=33)
     refused("1", "rollout: PPO needs at least 2 steps", PPO, bench="rxn", envs=1, rollout=1)
@@ -601,7 +601,7 @@ def test_arguments_that_do_not_fit_the_bench(tmp_path: Path) -> None:
         ({"goals": ["gold"]}, "goals: wurtz_dodecane has"),
         ({"algo": "dqn"}, "actions are continuous"),
         ({"bench": "dit", "algo": "sac"}, "actions are discrete"),
-        (agent, "begins anew with each experiment"),
+        (agent, "reset for each experiment"),
     ]
     for values, message in cases:
         refused(message, message, lambda: train(training_arguments({"bench": "rxn", **values}), tmp_path / "run"))  # noqa: B023

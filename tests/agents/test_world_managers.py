@@ -224,11 +224,11 @@ def test_particles_follow_the_vessel() -> None:
         players.play_pass(labs.members)
     belief = manager._kept[0]
     line = belief.lines[0]
-    manager._see(labs.observe(0, labs.members)[0], 1, 0)
+    manager._observe(labs.observe(0, labs.members)[0], 1, 0)
     assert line.speed.std() == pytest.approx(0.5, rel=0.25)
     gain = labs.experiments[0].gain[0, 0]
     true = gain * 3.0  # runs of ten ticks
-    manager._resample(belief, line, manager._shows(np.array([true]))[0])
+    manager._resample(belief, line, manager._expected_readings(np.array([true]))[0])
     assert line.age.mean() == pytest.approx(true, rel=0.05)
     assert np.exp(line.speed.mean()) == pytest.approx(gain, rel=0.05)
 
