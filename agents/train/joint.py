@@ -56,7 +56,8 @@ class Team(Trainee):
         self.has_policy = a.bc is not None or a.begin_from is not None
         self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
         for number, agent in enumerate(labs.agents):
-            if role_of(agent) not in self.learning:
+            # An exported manager is scored over the background's benches, even if others learned with it.
+            if role_of(agent) not in self.learning or (MANAGER_ROLE in self.learning and role_of(agent) != MANAGER_ROLE):
                 agent_policy(self._background, labs, number)
         roles, goals = ",".join(self.learning), list(self.scenario.lab_goals)
         self.config = self.described(a.scenario, roles, goals, task_fingerprint(a))

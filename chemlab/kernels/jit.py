@@ -12,8 +12,10 @@ import gc
 import hashlib
 import math
 import os
+import signal
 import threading
 from collections.abc import Callable, Sequence
+from types import FrameType
 from typing import Any, TypeVar, cast
 
 import numba
@@ -21,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import extending, types
 from numba.core import cgutils, event
+from numba.core.compiler_lock import global_compiler_lock
 from numba.core.typing import templates
 
 from .arrays import SLOT, FloatArray, Handle, declared
@@ -61,7 +64,39 @@ class _WithoutGarbageCollector(event.Listener):  # type: ignore[misc]
             gc.enable()
 
 
+class _Interruptible(event.Listener):  # type: ignore[misc]
+    """Raises KeyboardInterrupt (Ctrl-C) only between two functions that numba compiles or loads.
+
+    Within one, it may fall into a callback of LLVM, where Python prints and ignores it. A second one is raised at once.
+    """
+
+    interrupted = False
+
+    def on_start(self, _: event.Event) -> None:
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        if in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self.note)
+
+    def on_end(self, _: event.Event) -> None:
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        if not in_main_thread or signal.getsignal(signal.SIGINT) != self.note:
+            return
+        interrupted = self.interrupted
+        if not global_compiler_lock.is_locked():
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            self.interrupted = False
+        if interrupted:
+            raise KeyboardInterrupt
+
+    def note(self, number: int, frame: FrameType | None) -> None:
+        """Note an interruption while this thread compiles; a handler of signals."""
+        if self.interrupted or not global_compiler_lock.is_locked():
+            signal.default_int_handler(number, frame)
+        self.interrupted = True
+
+
 event.register("numba:compile", _WithoutGarbageCollector())
+event.register("numba:compiler_lock", _Interruptible())
 
 
 def kernel(function: F) -> F:
