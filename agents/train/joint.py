@@ -55,9 +55,10 @@ class Team(Trainee):
         self._labs = labs = Laboratories(self.scenario, 1)
         self.has_policy = a.bc is not None or a.begin_from is not None
         self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
+        # An exported manager is scored over the background's benches, even if others learned with it.
+        own = {MANAGER_ROLE} if MANAGER_ROLE in self.learning else self.learning
         for number, agent in enumerate(labs.agents):
-            # An exported manager is scored over the background's benches, even if others learned with it.
-            if role_of(agent) not in self.learning or (MANAGER_ROLE in self.learning and role_of(agent) != MANAGER_ROLE):
+            if role_of(agent) not in own:
                 agent_policy(self._background, labs, number)
         roles, goals = ",".join(self.learning), list(self.scenario.lab_goals)
         self.config = self.described(a.scenario, roles, goals, task_fingerprint(a))

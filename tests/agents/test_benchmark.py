@@ -369,6 +369,13 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
         find_rows([str(tmp_path / "several")])
 
 
+def test_a_row_has_a_run_for_each_seed(tmp_path: Path) -> None:
+    """A repetition with the same seed is no replication."""
+    for name in ("a", "b"):
+        write_run(tmp_path / "runs" / name, "unlabelled", "manager", {"F": 0.5})
+    refused("seed", r"runs.b has the seed of .*runs.a, 0: leave one", find_rows, [str(tmp_path / "runs")])
+
+
 def test_checkpoints_and_names_of_policies_are_no_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A checkpoint has files of lines, too; and a folder that is called as a policy is, is none."""
     checkpoint = tmp_path / "checkpoints" / "last-10"
