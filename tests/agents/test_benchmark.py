@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import command, refused
-from run_files import trained
+from run_files import trained, write_run
 from scipy import stats
 
 from chemlab.agents.episodes import play_episode, play_laboratory
