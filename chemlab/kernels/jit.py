@@ -23,7 +23,6 @@ import numpy as np
 import numpy.typing as npt
 from numba import extending, types
 from numba.core import cgutils, event
-from numba.core.compiler_lock import global_compiler_lock
 from numba.core.typing import templates
 
 from .arrays import SLOT, FloatArray, Handle, declared
@@ -70,27 +69,31 @@ class _Interruptible(event.Listener):  # type: ignore[misc]
     Within one, it may fall into a callback of LLVM, where Python prints and ignores it. A second one is raised at once.
     """
 
+    depth = 0
     interrupted = False
 
     def on_start(self, _: event.Event) -> None:
-        in_main_thread = threading.current_thread() is threading.main_thread()
-        if in_main_thread and signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
             signal.signal(signal.SIGINT, self.note)
+            self.depth, self.interrupted = 0, False
+        self.depth += 1
 
     def on_end(self, _: event.Event) -> None:
         in_main_thread = threading.current_thread() is threading.main_thread()
         if not in_main_thread or signal.getsignal(signal.SIGINT) != self.note:
             return
-        interrupted = self.interrupted
-        if not global_compiler_lock.is_locked():
+        self.depth -= 1
+        if not self.depth:
             signal.signal(signal.SIGINT, signal.default_int_handler)
-            self.interrupted = False
-        if interrupted:
+        if self.interrupted:
             raise KeyboardInterrupt
 
     def note(self, number: int, frame: FrameType | None) -> None:
-        """Note an interruption while this thread compiles; a handler of signals."""
-        if self.interrupted or not global_compiler_lock.is_locked():
+        """Note an interruption; a handler of signals."""
+        if self.interrupted:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
             signal.default_int_handler(number, frame)
         self.interrupted = True
 
