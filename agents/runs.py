@@ -148,6 +148,16 @@ class RunResult:
     last_sampled: bool = False
 
 
+_FORMER_NAMES = {"heuristic_mean": "scripted_mean", "heuristic_by_goal": "scripted_by_goal"}
+"""Fields of results and evaluations by their names before 0.3."""
+
+
+def _renamed(values: Any) -> Any:
+    if not isinstance(values, dict):
+        return values
+    return {_FORMER_NAMES.get(name, name): value for name, value in values.items()}
+
+
 def checked_config(values: Any, where: str) -> dict[str, Any]:
     """Validate a run's configuration.
 
@@ -164,7 +174,7 @@ def checked_result(values: Any, where: str) -> RunResult:
     Raises:
         DataError: it is malformed; the message begins with ``where``.
     """
-    result = validated(RunResult, bounded(values, where), where)
+    result = validated(RunResult, _renamed(bounded(values, where)), where)
     if set(result.by_goal) != set(result.last_by_goal) or not result.by_goal:
         raise DataError(f"{where}: by_goal and last_by_goal must have the same goals")
     return result
@@ -295,7 +305,7 @@ def _lines(path: Path, kind: type[Line]) -> Iterator[Line]:
         if not line.endswith("\n"):
             return
         where = f"{path}:{number}"
-        yield validated(kind, parse_json(line, where), where)
+        yield validated(kind, _renamed(parse_json(line, where)), where)
 
 
 def differences(saved: Mapping[str, Any], expected: Mapping[str, Any]) -> dict[str, str]:

@@ -191,6 +191,11 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
                 f"policies: {name}: runs of one row differ in their seeds alone; {run.path} has "
                 f"{', '.join(other.values())}; give each of them with a --policy of its own"
             )
+    seeds = [config.get("seed") for config in configs]
+    for run, seed in zip(runs, seeds, strict=True):
+        first = runs[seeds.index(seed)]
+        if first is not run:
+            raise ValueError(f"policies: {name}: {run.path} has the seed of {first.path}, {seed}: leave one")
     ends = [curve[-1] for run in runs if (curve := run.curve())]
     evaluations = tuple(tuple((one.step, one.mean) for one in run.evaluations()) for run in runs)
     found = []

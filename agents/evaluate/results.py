@@ -273,23 +273,33 @@ Cells = dict[str, dict[str, Cell]]
 """By task and label."""
 
 
+def settings_of(run: TrainedRun) -> str:
+    """Return the settings of a run that are equal for all runs of a cell, as JSON."""
+    settings = {k: v for k, v in run.config.items() if k not in _PER_RUN and v is not None}
+    return json.dumps(settings, sort_keys=True)
+
+
 def cells_of(runs: Sequence[TrainedRun], task_of: Callable[[TrainedRun], str] = task_title) -> tuple[Cells, list[str]]:
     """Return the cells of finished runs, and the runs that are in no cell, with the reason.
 
     If runs of one label have different settings (steps, hyperparameters), the cell has the settings of most runs, or,
-    if there are several, those with most steps.
+    if there are several, those with most steps. A cell has one run for each seed: repetitions are no further samples.
     """
     groups: dict[tuple[str, str], dict[str, list[TrainedRun]]] = {}
     left_out = [f"{run.name}: not finished" for run in runs if run.result is None]
     for run in runs:
         if run.result is not None:
-            settings = {k: v for k, v in run.config.items() if k not in _PER_RUN and v is not None}
             by_settings = groups.setdefault((task_of(run), run.result.label), {})
-            by_settings.setdefault(json.dumps(settings, sort_keys=True), []).append(run)
+            by_settings.setdefault(settings_of(run), []).append(run)
     cells: Cells = {}
     for (task, label), by_settings in groups.items():
         chosen = max(by_settings.values(), key=lambda group: (len(group), group[0].finished.steps))
-        cells.setdefault(task, {})[label] = Cell(task, label, sorted(chosen, key=lambda run: run.finished.seed))
+        by_seed: dict[int, TrainedRun] = {}
+        for run in chosen:
+            first = by_seed.setdefault(run.finished.seed, run)
+            if first is not run:
+                left_out.append(f"{run.name}: has the seed of {first.name}, {run.finished.seed}, and equal settings")
+        cells.setdefault(task, {})[label] = Cell(task, label, [by_seed[seed] for seed in sorted(by_seed)])
         for run in (run for group in by_settings.values() if group is not chosen for run in group):
             other = [name for name in differences(run.config, chosen[0].config) if name not in _PER_RUN]
             left_out.append(f"{run.name}: {', '.join(other)} differ from most {label} runs there ({chosen[0].name})")

@@ -32,7 +32,7 @@ from . import statistics
 from .csv_tables import markdown_table, number, read_table, write_table
 from .curves import Tasks, save_curves
 from .play import Target
-from .results import TrainedRun, display_name, read_runs, write_runs
+from .results import TrainedRun, display_name, read_runs, settings_of, write_runs
 from .statistics import interval_text, number_text
 
 EPISODES = 200
@@ -66,10 +66,8 @@ _PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
 _COLUMNS = ("scenario", "background", "policy", "run", "goal", "episodes", "seed", "chemlab", "same_task", *MEASURES)
 _NUMBERS: dict[str, type] = {"episodes": int, "seed": int, **dict.fromkeys(MEASURES, float)}
 _LEARNED, _SCRIPTED = "learned", "scripted"
-_KIND = ("algo", "preset", "bc", "hints", "begin_from")
-"""Settings that are equal for all runs of one row, besides the roles; seeds in the path of a checkpoint may differ."""
-_Series = tuple[PurePosixPath, tuple[str, ...]]
-"""Identity of the runs of one row: parent folder, and roles and settings."""
+_Series = tuple[PurePosixPath, str]
+"""Identity of the runs of one row: parent folder, and settings."""
 
 Means = dict[str, dict[str, float]]
 """Means by goal and measure."""
@@ -113,8 +111,8 @@ def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Gro
     for run in runs:
         if run.result is not None and has_manager(run):
             key = str(run.config["scenario"]), str(run.config.get("background") or "scripted")
-            settings = (re.sub(r"seed-\d+", "seed", str(run.config.get(name))) for name in _KIND)
-            series = PurePosixPath(run.name).parent, (*_trained_roles(run), *settings)
+            # Seeds in the path of a policy that training began from may differ.
+            series = PurePosixPath(run.name).parent, re.sub(r"seed-\d+", "seed", settings_of(run))
             groups.setdefault(key, {}).setdefault(series, []).append(run)
     found = []
     for (scenario, background), by_series in sorted(groups.items()):

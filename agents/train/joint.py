@@ -54,8 +54,10 @@ class Team(Trainee):
         self._labs = labs = Laboratories(self.scenario, 1)
         self.has_policy = a.bc is not None or a.begin_from is not None
         self.learning = chosen_roles(labs, None if a.roles in (None, ("all",)) else a.roles)
+        # An exported manager is scored over the background's benches, even if others learned with it.
+        own = {MANAGER_ROLE} if MANAGER_ROLE in self.learning else self.learning
         for index, agent in enumerate(labs.agents):
-            if role_of(agent) not in self.learning:
+            if role_of(agent) not in own:
                 agent_policy(self._background, labs, index)
         config = self.described(a.scenario, ",".join(self.learning), list(self.scenario.lab_goals), task_fingerprint(a))
         self.config = config.model_copy(update={"background": self._background})

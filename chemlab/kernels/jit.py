@@ -12,8 +12,10 @@ import gc
 import hashlib
 import math
 import os
+import signal
 import threading
 from collections.abc import Callable, Sequence
+from types import FrameType
 from typing import Any, TypeVar, cast
 
 import numba
@@ -61,7 +63,43 @@ class _WithoutGarbageCollector(event.Listener):  # type: ignore[misc]
             gc.enable()
 
 
+class _Interruptible(event.Listener):  # type: ignore[misc]
+    """Raises KeyboardInterrupt (Ctrl-C) only between two functions that numba compiles or loads.
+
+    Within one, it may fall into a callback of LLVM, where Python prints and ignores it. A second one is raised at once.
+    """
+
+    depth = 0
+    interrupted = False
+
+    def on_start(self, _: event.Event) -> None:
+        if threading.current_thread() is not threading.main_thread():
+            return
+        if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+            signal.signal(signal.SIGINT, self.note)
+            self.depth, self.interrupted = 0, False
+        self.depth += 1
+
+    def on_end(self, _: event.Event) -> None:
+        in_main_thread = threading.current_thread() is threading.main_thread()
+        if not in_main_thread or signal.getsignal(signal.SIGINT) != self.note:
+            return
+        self.depth -= 1
+        if not self.depth:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+        if self.interrupted:
+            raise KeyboardInterrupt
+
+    def note(self, number: int, frame: FrameType | None) -> None:
+        """Note an interruption; a handler of signals."""
+        if self.interrupted:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+            signal.default_int_handler(number, frame)
+        self.interrupted = True
+
+
 event.register("numba:compile", _WithoutGarbageCollector())
+event.register("numba:compiler_lock", _Interruptible())
 
 
 def kernel(function: F) -> F:

@@ -93,7 +93,8 @@ class ExperimentBatch:
         chosen = self.scenario.goals if goals is None else (goals,) if isinstance(goals, str) else tuple(goals)
         unknown = [goal for goal in chosen if goal not in self.scenario.goals]
         if unknown or not chosen:
-            raise DataError(f"goals: {self.scenario.name} has {', '.join(self.scenario.goals)}, given {goals!r}")
+            given = ", ".join(map(repr, chosen)) or repr(goals)
+            raise DataError(f"goals: {self.scenario.name} has {', '.join(self.scenario.goals)}, given {given}")
         positions = len(self.bench.positions)
         places = np.arange(members * positions).reshape(members, positions)
         self.shelf = Shelf(chemistry, members, positions)

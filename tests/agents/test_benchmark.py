@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import command, refused
-from run_files import trained
+from run_files import trained, write_run
 from scipy import stats
 
 from chemlab.agents.episodes import play_episode, play_laboratory
@@ -367,6 +367,13 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
     game("several", AUDIT_SEED + 1, who="somebody else")
     with pytest.raises(ValueError, match=r"manager_0 is human in .*0.jsonl, and somebody else in .*1.jsonl"):
         find_rows([str(tmp_path / "several")])
+
+
+def test_a_row_has_a_run_for_each_seed(tmp_path: Path) -> None:
+    """A repetition with the same seed is no replication."""
+    for name in ("a", "b"):
+        write_run(tmp_path / "runs" / name, "unlabelled", "manager", {"F": 0.5})
+    refused("seed", r"runs.b has the seed of .*runs.a, 0: leave one", find_rows, [str(tmp_path / "runs")])
 
 
 def test_checkpoints_and_names_of_policies_are_no_records(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

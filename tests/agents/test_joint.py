@@ -393,4 +393,5 @@ def test_bad_arguments_are_named(tmp_path: Path) -> None:
     refused("roles", cook, train, IPPO(roles=("cook",)), run)
     refused("regime", r"regime\s.*'together' or 'in-turns'", lambda: IPPO(regime="chaos"))  # type: ignore[arg-type]
     refused("bc", "heuristc", train, IPPO(**SMALL, bc="heuristc"), run)
+    refused("background", "heuristc", train, IPPO(**SMALL, background="heuristc"), run)
     assert not run.exists()

@@ -102,6 +102,17 @@ def test_runs_are_grouped_by_who_learned_background_and_folder(tmp_path: Path) -
     assert found == {"clone": 1, "first": 1, "on-0": 2, "team": 1}
 
 
+def test_runs_with_different_arguments_have_rows_of_their_own(tmp_path: Path) -> None:
+    """Those of a run's own file, and also after a round trip through tables."""
+    kinds: Any = {"first": {}, "clone": {"bc": "scripted", "bc_steps": 20}, "far": {"gamma": 0.5}, "other": {"seed": 1}}
+    for name, more in kinds.items():
+        run_files.trained(tmp_path / name, scenario="wurtz_dodecane_direct", roles="manager", **more)
+    found = labels(tmp_path)
+    assert {label: len(seeds) for (_, label), seeds in found.items()} == {"clone": 1, "far": 1, "first": 2}
+    write_runs(tmp_path / "tables", read_runs(tmp_path))
+    assert labels(tmp_path / "tables") == found
+
+
 def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
     source, tables, out = tmp_path / "results", tmp_path / "tables", tmp_path / "out"
     write_run(source / "rxn" / "seed-0", bench="rxn")
@@ -129,8 +140,11 @@ def test_intervals_are_over_seeds(tmp_path: Path) -> None:
     """Seeds 0.6, 0.7, 0.9: their mean, Student's interval of these three numbers, and of their paired gains."""
     scores, scripted = np.array([0.6, 0.7, 0.9]), np.array([0.5, 0.5, 0.6])
     for seed in range(3):
-        more = {"steps": 3000, "seconds": 1200.0} if seed == 1 else {}
-        write_run(tmp_path / "manager" / f"seed-{seed}", seed, score=0.8 - 0.3 * (seed == 2), **more)
+        path = tmp_path / "manager" / f"seed-{seed}"
+        write_run(path, seed, score=0.8 - 0.3 * (seed == 2), seconds=1200.0 if seed == 1 else 600.0)
+        if seed == 1:  # the last rollout of this run was longer
+            result = path / "result.json"
+            result.write_text(result.read_text().replace('"steps": 1000', '"steps": 3000'))
     write_run(tmp_path / "alone" / "seed-0")
     names = [f"manager/seed-{seed}" for seed in range(3)]
     beside = [row("scripted", value, name) for name, value in zip(names, scripted, strict=True)]

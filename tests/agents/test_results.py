@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,16 @@ def test_tables_have_what_the_folders_have(runs: Path, tmp_path: Path) -> None:
     before = {path.name: path.read_bytes() for path in tables.iterdir()}
     write_runs(tables, again.values())
     assert {path.name: path.read_bytes() for path in tables.iterdir()} == before
+
+
+def test_runs_of_before_0_3_are_read(runs: Path) -> None:
+    """Scripted scores had another name."""
+    path = runs / "x" / "seed-0"
+    expected = read_runs(path)[0]
+    for file in (path / "result.json", path / "evaluations.jsonl"):
+        file.write_text(file.read_text().replace('"scripted_', '"heuristic_'))
+    (found,) = read_runs(path)
+    assert (found.result, found.evaluations) == (expected.result, expected.evaluations)
 
 
 def test_returns_keep_every_digit_and_curves_five(tmp_path: Path) -> None:
@@ -97,6 +108,16 @@ def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
     assert float(ends[1]) - float(ends[0]) > 2 * 1.96 * math.sqrt(middle * (1.0 - middle) / 3.0 / (4 * 4) * 4) * 0.8
     (alone,) = cells_of([run for run in read_runs(runs) if run.name == "y"])[0]["lab, rxn, 2 goals"].values()
     assert "[" not in cells_table([alone])[2]
+
+
+def test_a_seed_counts_once(runs: Path) -> None:
+    """A repetition with the same seed, or a copy, is no further sample."""
+    write_run(runs / "y2", "lab", "rxn", {"a": 0.9, "b": 0.9}, label="a2c")
+    shutil.copytree(runs / "y2", runs / "y3")
+    cells, left_out = cells_of(read_runs(runs))
+    ((_, labels),) = cells.items()
+    assert [run.name for run in labels["a2c"].runs] == ["y2"]
+    assert "y3: has the seed of y2, 0, and equal settings" in left_out
 
 
 def test_of_equally_many_runs_the_longer_ones_count(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -168,6 +169,30 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path: Path) -> Non
         for how in ("interrupted", "whole")
     ]
     assert outputs == ["interrupted\n", "3.0\n"]
+
+
+def test_an_interruption_waits_for_the_function_that_is_compiled() -> None:
+    """A callback of LLVM would print and ignore it."""
+    met = []
+
+    @extending.intrinsic
+    def interrupting(context: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        met.append("still compiling")
+        return types.int64(), lambda context, builder, signature, arguments: context.get_constant(types.int64, 7)
+
+    @numba.njit
+    def interrupted() -> int:
+        return interrupting()
+
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert met
+    assert interrupted() == 7
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    with pytest.raises(KeyboardInterrupt):
+        signal.raise_signal(signal.SIGINT)
 
 
 def test_kernels_are_kept_outside_the_package(tmp_path: Path) -> None:
