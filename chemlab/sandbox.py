@@ -55,7 +55,7 @@ from .config.datamodel import validated
 from .config.loading import load_scenario
 from .config.materials import COLDEST_K, HOTTEST_K, Material, litres_of, load_materials, shipped_materials
 from .config.pairs import Pair, log_activity_coefficients, pair_table
-from .config.reactions import PROTON
+from .config.reactions import PROTON, ReactionFamily
 from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario
 from .kernels.arrays import FloatArray, Handle
 from .physics import backends, transfer
@@ -284,10 +284,14 @@ def _build_chemistry(setting: _Setting, names: frozenset[str]) -> _Chemistry:
 
 
 def _reaction_materials(reactions: str) -> set[str]:
-    """Return the materials that a reaction file's reactions name; an empty set for a bundled family."""
-    tables = read_toml(Path(reactions)).get("reaction", []) if reactions.endswith(".toml") else []
-    sides = [table.get(key) for table in tables if isinstance(table, dict) for key in ("reactants", "products")]
-    return {name for side in sides if isinstance(side, dict) for name in side}
+    """Return the materials that a reaction file names; an empty set for a bundled family.
+
+    Raises:
+        DataError: the file is invalid.
+    """
+    if not reactions.endswith(".toml"):
+        return set()
+    return validated(ReactionFamily, read_toml(Path(reactions)), reactions).materials()
 
 
 def _missing_pairs(scenario: Scenario, excluded: set[str]) -> dict[frozenset[str], Pair]:
@@ -633,12 +637,17 @@ class Flask:
         collecting = self.another(capacity_l=100.0) if receiver is None else receiver
         self._connect(collecting)
         row, target = self._row, collecting._row
-        before = target[self._columns].copy()
-        taken, condensed = backends.heat(row, target, joules, limits, self._chem, self._shelf.waste[0], self._events)
+        before, spilled = target[self._columns].copy(), self._events[SPILL]
+        overflow = np.zeros_like(self._shelf.waste[0])
+        taken, condensed = backends.heat(row, target, joules, limits, self._chem, overflow, self._events)
         self._joules += float(taken)
-        self._set_head(target[self._columns] - before, stages)
+        self._set_head(target[self._columns] + overflow - before, stages)
+        # What overflows is lost by the receiver, as when it is poured.
+        collecting._shelf.waste[0] += overflow
+        collecting._events[SPILL] += self._events[SPILL] - spilled
+        self._events[SPILL] = spilled
         if receiver is None:
-            self._shelf.waste[0] += target[self._columns]
+            self._shelf.waste[0] += target[self._columns] + overflow
         else:
             receiver._equilibrate()
         self._equilibrate()

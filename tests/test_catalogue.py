@@ -234,6 +234,35 @@ def test_flasks_of_bundled_materials_read_nothing_of_it() -> None:
     assert set(scenario.pairs) <= set(shipped_pairs())
 
 
+def test_a_reaction_file_may_name_all_of_it(tmp_path: Path) -> None:
+    """Also what only speeds a reaction up, slows it down or ionizes, and that the flask does not contain."""
+    step = 'reactants = {{ {} = 1 }}\nproducts = {{ {} = 1 }}\nsource = "made up"\n'
+    rate = "pre_exponential = 0.001\nactivation_energy_j_mol = 0.0\n"
+    isomers, file = step.format('"1-propanol"', '"2-propanol"'), tmp_path / "own.toml"
+    for more in ("catalysts = { pyridine = 1 }\n", "inhibitors = { pyridine = 1 }\n", None):
+        entry = f"[[violent]]\n{isomers}" if more is None else f"[[reaction]]\n{isomers}{rate}{more}"
+        file.write_text(f'name = "own"\n{entry}', encoding="utf-8")
+        flask = Flask({"ethanol": 1.0}, reactions=file)
+        flask.add("pyridine", 0.1)
+        flask.add("1-propanol", 1.0)
+        flask.react(100.0)
+        assert flask.amounts["1-propanol"] < 1.0
+    file.write_text('name = "own"\nreaction = 3\n', encoding="utf-8")
+    with pytest.raises(DataError, match=r"own\.toml: reaction: must be a list"):
+        Flask({"water": 1.0}, reactions=file)
+
+
+def test_salts_that_exchange_their_ions_do_nothing_else_in_water(tmp_path: Path) -> None:
+    file = tmp_path / "exchange.toml"
+    step = "reactants = { NaCl = 1, KBr = 1 }\nproducts = { NaBr = 1, KCl = 1 }\npre_exponential = 1.0\n"
+    more = f'[[reaction]]\n{step}activation_energy_j_mol = 0.0\nsource = "made up"\n'
+    file.write_text(FAMILY.read_text(encoding="utf-8") + more, encoding="utf-8")
+    flasks = [Flask({"water": 10.0, "NaCl": 0.1, "KBr": 0.1}, reactions=family) for family in (file, FAMILY)]
+    for flask in flasks:
+        flask.react(100.0)
+    assert flasks[0].amounts == pytest.approx(flasks[1].amounts, rel=1e-9)
+
+
 # -- history ----------------------------------------------------------------------------------------------------------
 
 

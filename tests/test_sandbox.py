@@ -598,6 +598,21 @@ def test_what_does_not_fit_runs_over() -> None:
     assert [one.filename for one in caught] == [__file__]
 
 
+@pytest.mark.parametrize("physics", TIERS)
+def test_a_receiver_that_runs_over_loses_it_itself(physics: str) -> None:
+    pot = Flask({"diethyl_ether": 4.0}, physics=physics)
+    receiver = pot.another({"diethyl_ether": 0.1}, capacity_l=0.05)
+    with pytest.warns(SpillWarning, match=r"spilled: the capacity is 0\.05 L") as caught:
+        pot.heat(60e3, receiver)
+    assert len(caught) == 1
+    assert pot.waste == pot.events == {}
+    held = sum(flask.amounts["diethyl_ether"] for flask in (pot, receiver))
+    assert held + receiver.waste["diethyl_ether"] == pytest.approx(4.1, rel=1e-12)
+    assert receiver.events["spill_l"] > 0.1
+    if physics == "real":
+        assert pot.history[-1].distillate["diethyl_ether"] == pytest.approx(4.0 - pot.amounts["diethyl_ether"])
+
+
 def test_a_thermostat_that_would_boil_an_open_flask() -> None:
     flask = Flask({"water": 10.0, "ethanol": 2.0})
     with pytest.warns(BoilingWarning, match=r"at 600 K the contents would boil .*jacket_w_k leaves it open") as caught:
