@@ -93,6 +93,8 @@ EVERYDAY = "everyday"
 """Default of ``reactions``: salts dissolve and acids ionize in water; nothing else reacts."""
 _MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
 """Dew point: maximum number of iterations; heat of vaporization over the gas constant in K, which sets their step."""
+_MOST_SETTLINGS, _SETTLED_K = 50, 0.01
+"""Acids and bases: maximum number of times that they settle, and the change in K below which they are settled."""
 _LONGEST_HISTORY = 10_000
 """Number of operations that a flask's history keeps."""
 
@@ -1157,9 +1159,13 @@ class Flask:
     def _equilibrate(self, clock: float = 0.0) -> None:
         """Advance the settling clock by ``clock``, bring phases to equilibrium, and warn of spills."""
         transfer.turn_clock(self._row, float(clock))
-        for _ in range(2 if PROTON in self._shelf.layout.materials else 1):  # newly dissolved bases react with acids
+        for settled in range(_MOST_SETTLINGS if PROTON in self._shelf.layout.materials else 1):
+            before = self.temperature_k
             backends.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
             backends.partition(self._row, self._chem, self._work)
+            # Newly dissolved bases react with acids, whose heat boils water off or dissolves more.
+            if settled and abs(self.temperature_k - before) < _SETTLED_K:
+                break
         spilled = float(self._events[SPILL])
         if spilled > self._spilled:
             excess = spilled - self._spilled

@@ -226,6 +226,17 @@ def test_a_strong_acid_is_neutralized_at_once() -> None:
     assert flask.amounts["HSO4-"] + flask.amounts["SO4--"] == pytest.approx(0.01, rel=1e-9)
 
 
+@pytest.mark.parametrize("mol", [0.3, 4.0, 8.0])
+def test_the_heat_of_a_neutralization_boils_an_open_flask(mol: float) -> None:
+    """4 mol warm the salt water past its boiling point; 8 mol in little water leave hot salt, at 1,140 K."""
+    flask = Flask({"water": 20.0 if mol < 8.0 else 1.0, "KOH": mol})
+    acid = flask.another({"water": 10.0 if mol < 8.0 else 1.0, "HNO3": mol})
+    acid.pour(flask, 1.0)
+    flask.mix()
+    assert flask.vapor_pressure_kpa <= 1.001 * flask.pressure_kpa or flask.amounts["water"] < 1e-4
+    assert bool(flask.events) is (mol > 1.0)
+
+
 def test_flasks_of_bundled_materials_read_nothing_of_it() -> None:
     """Their chemistry is the one of before there was a catalogue."""
     scenario = Flask({"ethanol": 1.0, "water": 1.0, "NaCl": 0.1})._chemistry.scenario

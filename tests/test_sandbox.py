@@ -546,6 +546,7 @@ def test_the_ph_of_water_and_of_salt_water() -> None:
     for contents in ({"water": 10.0}, {"water": 10.0, "Na+": 0.1, "Cl-": 0.1}, {"water": 10.0, "hexane": 0.5}):
         assert float(Flask(contents, temperature_k=298.15).measure("ph_meter")) == pytest.approx(7.0, abs=0.005)
     assert float(Flask({"hexane": 1.0}).measure("ph_meter")) == -2.0
+    assert str(Flask({"water": 0.1, "HCl": 1.0}).measure("ph_meter")).endswith("nothing aqueous, or below -2")
 
 
 # -- what a flask knows -----------------------------------------------------------------------------------------------
