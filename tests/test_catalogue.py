@@ -274,6 +274,25 @@ def test_salts_that_exchange_their_ions_do_nothing_else_in_water(tmp_path: Path)
     assert flasks[0].amounts == pytest.approx(flasks[1].amounts, rel=1e-9)
 
 
+def test_an_acid_uses_up_a_solid_salt(tmp_path: Path) -> None:
+    """While the last of the solid dissolves, the integration does not crawl; in one call and in many."""
+    file = tmp_path / "gas.toml"
+    step = "reactants = { sodium_bicarbonate = 1, acetic_acid = 1 }\n"
+    step += "products = { sodium_acetate = 1, water = 1, CO2 = 1 }\npre_exponential = 0.3\n"
+    more = f'[[reaction]]\n{step}activation_energy_j_mol = 0.0\nsource = "made up"\n'
+    salts_only = FAMILY.read_text(encoding="utf-8").partition("[[acid]]")[0]
+    file.write_text(salts_only + more, encoding="utf-8")
+    one = Flask({"water": 1.35, "sodium_bicarbonate": 0.08, "acetic_acid": 0.09}, reactions=file)
+    many = one.copy()
+    one.react(40.0, 298.15)
+    for _ in range(20):
+        many.react(2.0, 298.15)
+    assert one.amounts["HCO3-"] > 1e-4
+    assert one.amounts == pytest.approx(many.amounts, rel=0.01, abs=1e-5)
+    one.react(6000.0, 298.15)
+    assert one.amounts["acetate"] + one.amounts["sodium_acetate"] == pytest.approx(0.08, rel=1e-6)
+
+
 # -- history ----------------------------------------------------------------------------------------------------------
 
 
