@@ -55,7 +55,7 @@ from .config.datamodel import validated
 from .config.loading import load_scenario
 from .config.materials import COLDEST_K, HOTTEST_K, Material, litres_of, load_materials, shipped_materials
 from .config.pairs import Pair, log_activity_coefficients, pair_table
-from .config.reactions import PROTON
+from .config.reactions import PROTON, ReactionFamily
 from .config.scenario import SAFETY_EVENTS, InstrumentSpec, Scenario
 from .kernels.arrays import FloatArray, Handle
 from .physics import backends, transfer
@@ -93,6 +93,8 @@ EVERYDAY = "everyday"
 """Default of ``reactions``: salts dissolve and acids ionize in water; nothing else reacts."""
 _MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
 """Dew point: maximum number of iterations; heat of vaporization over the gas constant in K, which sets their step."""
+_MOST_SETTLINGS, _SETTLED_K = 50, 0.01
+"""Acids and bases: maximum number of times that they settle, and the change in K below which they are settled."""
 _LONGEST_HISTORY = 10_000
 """Number of operations that a flask's history keeps."""
 
@@ -284,10 +286,14 @@ def _build_chemistry(setting: _Setting, names: frozenset[str]) -> _Chemistry:
 
 
 def _reaction_materials(reactions: str) -> set[str]:
-    """Return the materials that a reaction file's reactions name; an empty set for a bundled family."""
-    tables = read_toml(Path(reactions)).get("reaction", []) if reactions.endswith(".toml") else []
-    sides = [table.get(key) for table in tables if isinstance(table, dict) for key in ("reactants", "products")]
-    return {name for side in sides if isinstance(side, dict) for name in side}
+    """Return the materials that a reaction file names; an empty set for a bundled family.
+
+    Raises:
+        DataError: the file is invalid.
+    """
+    if not reactions.endswith(".toml"):
+        return set()
+    return validated(ReactionFamily, read_toml(Path(reactions)), reactions).materials()
 
 
 def _missing_pairs(scenario: Scenario, excluded: set[str]) -> dict[frozenset[str], Pair]:
@@ -633,12 +639,17 @@ class Flask:
         collecting = self.another(capacity_l=100.0) if receiver is None else receiver
         self._connect(collecting)
         row, target = self._row, collecting._row
-        before = target[self._columns].copy()
-        taken, condensed = backends.heat(row, target, joules, limits, self._chem, self._shelf.waste[0], self._events)
+        before, spilled = target[self._columns].copy(), self._events[SPILL]
+        overflow = np.zeros_like(self._shelf.waste[0])
+        taken, condensed = backends.heat(row, target, joules, limits, self._chem, overflow, self._events)
         self._joules += float(taken)
-        self._set_head(target[self._columns] - before, stages)
+        self._set_head(target[self._columns] + overflow - before, stages)
+        # What overflows is lost by the receiver, as when it is poured.
+        collecting._shelf.waste[0] += overflow
+        collecting._events[SPILL] += self._events[SPILL] - spilled
+        self._events[SPILL] = spilled
         if receiver is None:
-            self._shelf.waste[0] += target[self._columns]
+            self._shelf.waste[0] += target[self._columns] + overflow
         else:
             receiver._equilibrate()
         self._equilibrate()
@@ -1148,9 +1159,13 @@ class Flask:
     def _equilibrate(self, clock: float = 0.0) -> None:
         """Advance the settling clock by ``clock``, bring phases to equilibrium, and warn of spills."""
         transfer.turn_clock(self._row, float(clock))
-        for _ in range(2 if PROTON in self._shelf.layout.materials else 1):  # newly dissolved bases react with acids
+        for settled in range(_MOST_SETTLINGS if PROTON in self._shelf.layout.materials else 1):
+            before = self.temperature_k
             backends.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
             backends.partition(self._row, self._chem, self._work)
+            # Newly dissolved bases react with acids, whose heat boils water off or dissolves more.
+            if settled and abs(self.temperature_k - before) < _SETTLED_K:
+                break
         spilled = float(self._events[SPILL])
         if spilled > self._spilled:
             excess = spilled - self._spilled

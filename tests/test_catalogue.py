@@ -226,12 +226,71 @@ def test_a_strong_acid_is_neutralized_at_once() -> None:
     assert flask.amounts["HSO4-"] + flask.amounts["SO4--"] == pytest.approx(0.01, rel=1e-9)
 
 
+@pytest.mark.parametrize("mol", [0.3, 4.0, 8.0])
+def test_the_heat_of_a_neutralization_boils_an_open_flask(mol: float) -> None:
+    """4 mol warm the salt water past its boiling point; 8 mol in little water leave hot salt, at 1,140 K."""
+    flask = Flask({"water": 20.0 if mol < 8.0 else 1.0, "KOH": mol})
+    acid = flask.another({"water": 10.0 if mol < 8.0 else 1.0, "HNO3": mol})
+    acid.pour(flask, 1.0)
+    flask.mix()
+    assert flask.vapor_pressure_kpa <= 1.001 * flask.pressure_kpa or flask.amounts["water"] < 1e-4
+    assert bool(flask.events) is (mol > 1.0)
+
+
 def test_flasks_of_bundled_materials_read_nothing_of_it() -> None:
     """Their chemistry is the one of before there was a catalogue."""
     scenario = Flask({"ethanol": 1.0, "water": 1.0, "NaCl": 0.1})._chemistry.scenario
     assert scenario.family.name == "sodium_salts"
     assert scenario.material_files == ()
     assert set(scenario.pairs) <= set(shipped_pairs())
+
+
+def test_a_reaction_file_may_name_all_of_it(tmp_path: Path) -> None:
+    """Also what only speeds a reaction up, slows it down or ionizes, and that the flask does not contain."""
+    step = 'reactants = {{ {} = 1 }}\nproducts = {{ {} = 1 }}\nsource = "made up"\n'
+    rate = "pre_exponential = 0.001\nactivation_energy_j_mol = 0.0\n"
+    isomers, file = step.format('"1-propanol"', '"2-propanol"'), tmp_path / "own.toml"
+    for more in ("catalysts = { pyridine = 1 }\n", "inhibitors = { pyridine = 1 }\n", None):
+        entry = f"[[violent]]\n{isomers}" if more is None else f"[[reaction]]\n{isomers}{rate}{more}"
+        file.write_text(f'name = "own"\n{entry}', encoding="utf-8")
+        flask = Flask({"ethanol": 1.0}, reactions=file)
+        flask.add("pyridine", 0.1)
+        flask.add("1-propanol", 1.0)
+        flask.react(100.0)
+        assert flask.amounts["1-propanol"] < 1.0
+    file.write_text('name = "own"\nreaction = 3\n', encoding="utf-8")
+    with pytest.raises(DataError, match=r"own\.toml: reaction: must be a list"):
+        Flask({"water": 1.0}, reactions=file)
+
+
+def test_salts_that_exchange_their_ions_do_nothing_else_in_water(tmp_path: Path) -> None:
+    file = tmp_path / "exchange.toml"
+    step = "reactants = { NaCl = 1, KBr = 1 }\nproducts = { NaBr = 1, KCl = 1 }\npre_exponential = 1.0\n"
+    more = f'[[reaction]]\n{step}activation_energy_j_mol = 0.0\nsource = "made up"\n'
+    file.write_text(FAMILY.read_text(encoding="utf-8") + more, encoding="utf-8")
+    flasks = [Flask({"water": 10.0, "NaCl": 0.1, "KBr": 0.1}, reactions=family) for family in (file, FAMILY)]
+    for flask in flasks:
+        flask.react(100.0)
+    assert flasks[0].amounts == pytest.approx(flasks[1].amounts, rel=1e-9)
+
+
+def test_an_acid_uses_up_a_solid_salt(tmp_path: Path) -> None:
+    """While the last of the solid dissolves, the integration does not crawl; in one call and in many."""
+    file = tmp_path / "gas.toml"
+    step = "reactants = { sodium_bicarbonate = 1, acetic_acid = 1 }\n"
+    step += "products = { sodium_acetate = 1, water = 1, CO2 = 1 }\npre_exponential = 0.3\n"
+    more = f'[[reaction]]\n{step}activation_energy_j_mol = 0.0\nsource = "made up"\n'
+    salts_only = FAMILY.read_text(encoding="utf-8").partition("[[acid]]")[0]
+    file.write_text(salts_only + more, encoding="utf-8")
+    one = Flask({"water": 1.35, "sodium_bicarbonate": 0.08, "acetic_acid": 0.09}, reactions=file)
+    many = one.copy()
+    one.react(40.0, 298.15)
+    for _ in range(20):
+        many.react(2.0, 298.15)
+    assert one.amounts["HCO3-"] > 1e-4
+    assert one.amounts == pytest.approx(many.amounts, rel=0.01, abs=1e-5)
+    one.react(6000.0, 298.15)
+    assert one.amounts["acetate"] + one.amounts["sodium_acetate"] == pytest.approx(0.08, rel=1e-6)
 
 
 # -- history ----------------------------------------------------------------------------------------------------------

@@ -546,6 +546,7 @@ def test_the_ph_of_water_and_of_salt_water() -> None:
     for contents in ({"water": 10.0}, {"water": 10.0, "Na+": 0.1, "Cl-": 0.1}, {"water": 10.0, "hexane": 0.5}):
         assert float(Flask(contents, temperature_k=298.15).measure("ph_meter")) == pytest.approx(7.0, abs=0.005)
     assert float(Flask({"hexane": 1.0}).measure("ph_meter")) == -2.0
+    assert str(Flask({"water": 0.1, "HCl": 1.0}).measure("ph_meter")).endswith("nothing aqueous, or below -2")
 
 
 # -- what a flask knows -----------------------------------------------------------------------------------------------
@@ -596,6 +597,21 @@ def test_what_does_not_fit_runs_over() -> None:
     with pytest.warns(SpillWarning) as caught:
         flask.add("H2SO4", 1.0)  # added as its ions
     assert [one.filename for one in caught] == [__file__]
+
+
+@pytest.mark.parametrize("physics", TIERS)
+def test_a_receiver_that_runs_over_loses_it_itself(physics: str) -> None:
+    pot = Flask({"diethyl_ether": 4.0}, physics=physics)
+    receiver = pot.another({"diethyl_ether": 0.1}, capacity_l=0.05)
+    with pytest.warns(SpillWarning, match=r"spilled: the capacity is 0\.05 L") as caught:
+        pot.heat(60e3, receiver)
+    assert len(caught) == 1
+    assert pot.waste == pot.events == {}
+    held = sum(flask.amounts["diethyl_ether"] for flask in (pot, receiver))
+    assert held + receiver.waste["diethyl_ether"] == pytest.approx(4.1, rel=1e-12)
+    assert receiver.events["spill_l"] > 0.1
+    if physics == "real":
+        assert pot.history[-1].distillate["diethyl_ether"] == pytest.approx(4.0 - pot.amounts["diethyl_ether"])
 
 
 def test_a_thermostat_that_would_boil_an_open_flask() -> None:

@@ -174,6 +174,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("{ water = 0.001 }", "{ wine = 0.001 }", ["costs.stock_per_mol", "'wine'", "chemlab data material"]),
         ("Na = 2.0 }", "K = 2.0 }", ["benches.rxn.reagents", "unknown material 'K'"]),
         ('material = "water"', 'material = "wine"', ["benches.ext.process.1.material", "unknown material 'wine'"]),
+        ('material = "water"', "material = { water = 1 }", ["benches.ext: process.1.material", "valid string"]),
         # Goals.
         ('lab_goals = ["dodecane"]', 'lab_goals = ["water"]', ["lab_goals", "'water'", "dodecane, NaCl"]),
         ('lab_goals = ["dodecane"]', 'lab_goals = ["dodecane", "NaCl"]', ["theoretical_maximum_mol.NaCl", "above 0"]),

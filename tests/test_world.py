@@ -218,7 +218,7 @@ def file(**draw: Any) -> dict[str, Any]:
         "name": "tested",
         "title": "tested",
         "summary": "tested",
-        "shelf": {"slots": 8, "vessel": [vessel]},
+        "shelf": {"slots": 8, "vessel": [vessel, {"capacity_l": 1.0}]},
         "world": {"draws": {"x": {**between(0.5, 1.0), **draw}}},
     }
 
@@ -229,8 +229,9 @@ def file(**draw: Any) -> dict[str, Any]:
         ("titre", FEED, "x: inert: required for a titre"),
         ("amount", {"of": ["slot_0"]}, "x: material: required for amount"),
         ("amount", {"of": [], "material": "Na"}, "x: of: name at least one vessel"),
-        ("amount", {"of": ["slot_1"], "material": "Na"}, "unknown vessel 'slot_1'; choose from slot_0, rxn"),
-        ("amount", {"of": ["slot_0"], "material": "Na"}, "x.material: 'Na' is not in slot_0"),
+        ("amount", {"of": ["slot_2"], "material": "Na"}, "unknown vessel 'slot_2'; choose from slot_0, slot_1, rxn"),
+        ("amount", {"of": ["slot_0"], "material": "Na"}, "x.material: 'Na' is not in slot_0, which has .* only"),
+        ("amount", {"of": ["slot_1"], "material": "Na"}, "x.material: 'Na' is not in slot_1, which has nothing"),
         ("amount", {"of": ["stock"], "material": "Na"}, "x.what: a bottle's amount is observed"),
         (
             "titre",

@@ -95,7 +95,7 @@ def check_charges(spec: Scenario, known: Materials, family: ReactionFamily, wher
         for i, entry in enumerate(process if isinstance(process, (list, tuple)) else ()):
             named += [(f"process.{i}.material", entry.get("material"))] if isinstance(entry, Mapping) else []
         for option, name in named:
-            if name in known:
+            if isinstance(name, str) and name in known:  # the bench's options model refuses other values
                 alone(f"benches.{key}.{option}", name)
     for key, draw in spec.world.draws.items():
         if draw.what in VESSEL_QUANTITIES:
@@ -124,9 +124,8 @@ def check_draws(spec: Scenario, known: Materials, where: str) -> None:
                 raise DataError(f"{here}.of: unknown vessel {name!r}; choose from {', '.join([*starts, BOTTLE])}")
             contents = starts[name].contents
             if draw.material not in contents:
-                raise DataError(
-                    f"{here}.material: {draw.material!r} is not in {name}, which has {', '.join(contents) or 'no'} only"
-                )
+                held = f"{', '.join(contents)} only" if contents else "nothing"
+                raise DataError(f"{here}.material: {draw.material!r} is not in {name}, which has {held}")
             material = str(draw.material)
             other = drawn.setdefault((name, material, draw.what), key)
             if other != key:

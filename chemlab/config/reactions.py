@@ -303,11 +303,15 @@ def dissolved_reactions(family: ReactionFamily) -> ReactionFamily:
         if needed.isdisjoint(salts) or WATER in step.inhibitors:
             steps.append(step)
             continue
+        apart = step.model_copy(update={"inhibitors": {**step.inhibitors, WATER: _KEPT_APART}})
         ionic = _of_ions(step, salts)
+        if ionic is None:
+            steps.append(apart)
+            continue
         if ionic.reactants.keys() | ionic.catalysts.keys() >= step.reactants.keys() | step.catalysts.keys():
             steps.append(ionic)  # only products or inhibitors are salts
             continue
-        steps += [step.model_copy(update={"inhibitors": {**step.inhibitors, WATER: _KEPT_APART}}), ionic]
+        steps += [apart, ionic]
     return family.model_copy(update={"reaction": tuple(steps)})
 
 
@@ -320,8 +324,8 @@ def _parted(side: Mapping[str, float], salts: Mapping[str, Salt]) -> dict[str, f
     return total
 
 
-def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction:
-    """Return a reaction of dissolved salts."""
+def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction | None:
+    """Return a reaction of dissolved salts; None if salts only exchange ions, which no ion takes part in."""
     before, after = _parted(step.reactants, salts), _parted(step.products, salts)
     taking_part = {*step.reactants, *step.products} & set(salts)
     for ion in {ion for name in taking_part for ion in (salts[name].cation, salts[name].anion)}:
@@ -331,6 +335,8 @@ def _of_ions(step: Reaction, salts: Mapping[str, Salt]) -> Reaction:
                 del side[ion]
             elif both:
                 side[ion] -= both
+    if not before:
+        return None
     orders: dict[str, float] = {}
     catalysts: dict[str, float] = {}
     for name, order in (*step.orders.items(), *step.catalysts.items()):

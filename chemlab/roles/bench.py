@@ -462,6 +462,7 @@ class Bench(ABC):
         self._told_numbers = scenario.world.numbers(self.told)
         self.model: Any = load_model(scenario, key, self.model_methods)
         """Replaces the built-in physics where the scenario names one."""
+        self._model_name = f"{scenario.origin}: benches.{key}.model: {self.spec.model}"
         self._added = load_observations(self.spec.observe, scenario, f"benches.{key}.observe")
         self._terms = load_terms(self.spec.reward, scenario, f"benches.{key}.reward")
 

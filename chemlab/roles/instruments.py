@@ -318,7 +318,7 @@ INSTRUMENTS: dict[str, Instrument] = {
         "pH of the aqueous layer",
         partial(_channel, "pH", _LOWEST_PH, _HIGHEST_PH, _PH),
         _read_ph,
-        words=partial(_or_none, "no pH: nothing aqueous"),
+        words=partial(_or_none, f"no pH: nothing aqueous, or below {_LOWEST_PH:g}"),
         needs=("acid", "ionization"),
     ),
     "density_meter": Instrument(

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from ..config.datafile import DataError
-from ..config.parts import blamed, load_part
+from ..config.parts import PartError, blamed, checked_numbers, load_part
 from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray
 
@@ -70,7 +70,7 @@ def load_model(scenario: Scenario, bench: str, methods: tuple[str, ...]) -> Any:
         raise DataError(f"{scenario.origin}: {key}: a bench of kind {scenario.benches[bench].kind!r} has no model")
     model = load_part(name, scenario, key)
     if isinstance(model, type):
-        with blamed(name):
+        with blamed(f"{scenario.origin}: {key}: {name}"):
             model = model(scenario)
     lacking = [method for method in methods if not callable(getattr(model, method, None))]
     if lacking:
@@ -82,12 +82,19 @@ def load_model(scenario: Scenario, bench: str, methods: tuple[str, ...]) -> Any:
 
 
 def checked_reaction(
-    model: ReactionModel, amounts: FloatArray, temperature: float, volume: float, dt: float, elements: FloatArray
+    model: ReactionModel,
+    name: str,
+    amounts: FloatArray,
+    temperature: float,
+    volume: float,
+    dt: float,
+    elements: FloatArray,
 ) -> FloatArray:
     """Call a user's reaction model and validate its result.
 
     Args:
         model: the user's model.
+        name: where a scenario names it, for error messages.
         amounts: [M] mol before.
         temperature: temperature in K.
         volume: liquid volume in L.
@@ -95,17 +102,17 @@ def checked_reaction(
         elements: [E, M] atoms of each element (and charge) in each material.
 
     Raises:
-        ValueError: the shape is wrong, an amount is negative or not finite, or atoms are not conserved.
+        PartError: the model fails, or returns a wrong shape, or amounts that are negative, not finite, or do not
+            conserve atoms.
     """
-    result = np.asarray(model(amounts.copy(), temperature, volume, dt), dtype=np.float64)
-    if result.shape != amounts.shape:
-        raise ValueError(f"reaction model {model!r} returned shape {result.shape}, expected {amounts.shape}")
-    if not np.all(np.isfinite(result)) or result.min(initial=0.0) < -1e-9:
-        raise ValueError(f"reaction model {model!r} returned amounts that are negative or not finite: {result!r}")
+    with blamed(name):
+        returned = model(amounts.copy(), temperature, volume, dt)
+    result = checked_numbers(returned, amounts.shape, name)
+    if result.min(initial=0.0) < -1e-9:
+        at = int(result.argmin())
+        raise PartError(f"{name}: must not be negative; given {result[at]:g} at [{at}]")
     before, after = elements @ amounts, elements @ result
     worst = float(np.abs(after - before).max(initial=0.0))
     if worst > _CONSERVED * max(1.0, float(np.abs(before).max(initial=0.0))):
-        raise ValueError(
-            f"reaction model {model!r} does not conserve atoms: {worst:.3g} mol of an element too many or few"
-        )
+        raise PartError(f"{name}: does not conserve atoms: {worst:.3g} mol of an element too many or few")
     return np.maximum(result, 0.0)

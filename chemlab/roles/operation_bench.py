@@ -16,7 +16,7 @@ from pydantic import Field, model_validator
 from ..config.datafile import DataError
 from ..config.datamodel import DataModel
 from ..config.materials import COLDEST_K, HOTTEST_K
-from ..config.parts import blamed, checked_numbers, load_part
+from ..config.parts import PartError, blamed, checked_numbers, load_part
 from ..config.scenario import Scenario
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, merged
 from ..kernels.arrays import Field as Array
@@ -399,7 +399,8 @@ class OperationBench(Bench):
                 target = self.positions.index(process.target) if process.target else vessel
                 rows.append((number, vessel, target, material, magnitude, float(operation.touches)))
                 words = operation.words if magnitude > 0.0 else operation.negative or ""
-                what = words.format(vessel=process.vessel, target=process.target, material=process.material)
+                with blamed(f"{where}: {process.kind}: words may have {{vessel}}, {{target}} and {{material}}"):
+                    what = words.format(vessel=process.vessel, target=process.target, material=process.material)
                 meanings.append(f"{what}, {abs(magnitude):g} {operation.unit}")
         rows.append((END, 0, 0, -1, 0.0, 0.0))
         return np.array(rows, dtype=np.float64).reshape(-1, _COLUMNS), [*meanings, "end the experiment"]
@@ -477,19 +478,21 @@ class OperationBench(Bench):
     ) -> None:
         """Separate one vessel by the user's model instead of the built-in one."""
         model: SeparationModel = self.model
+        here = f"{self._model_name}: partition()"
         m, k, n_solvents = len(self.layout.materials), len(known.dissolved), len(known.solvents)
         amounts = row[AMOUNTS : AMOUNTS + m]
         dissolved = row[AMOUNTS + m :].reshape(k, n_solvents)
         solvent_volume = amounts[known.solvents] * known.molar_volume[known.solvents]
         if solvent_volume.sum() > 0.0:
             total = amounts[known.dissolved]
-            result = model.partition(dissolved.copy(), total, solvent_volume, float(row[CLOCK_WAS]), float(row[CLOCK]))
-            result = np.asarray(result, dtype=np.float64)
-            fits = result.shape == dissolved.shape and np.allclose(result.sum(axis=1), total, rtol=1e-6, atol=1e-9)
+            clocks = float(row[CLOCK_WAS]), float(row[CLOCK])
+            with blamed(here):
+                returned = model.partition(dissolved.copy(), total.copy(), solvent_volume, *clocks)
+            result = checked_numbers(returned, dissolved.shape, here)
+            fits = np.allclose(result.sum(axis=1), total, rtol=1e-6, atol=1e-9)
             if not fits or result.min(initial=0.0) < -1e-9:
-                raise ValueError(
-                    f"separation model {model!r}: dissolved amounts must be [K, L] = {dissolved.shape}, not negative "
-                    f"and add up to the totals {total!r}, given {result!r}"
+                raise PartError(
+                    f"{here}: dissolved amounts must not be negative, and add up to the totals {total}, given {result}"
                 )
             dissolved[...] = np.maximum(result, 0.0)
         else:
@@ -498,13 +501,16 @@ class OperationBench(Bench):
         volumes = np.zeros(shares.shape[0])
         count = find_layers(row, chem, layers, volumes)
         density = np.array([0.0 if i == SOLIDS else layer_density(row, i, chem) for i in layers[1 : 1 + count]])
-        picture = np.asarray(model.profile(volumes[:count], density, float(row[CLOCK]), shares.shape[1]))
+        here = f"{self._model_name}: profile()"
+        with blamed(here):
+            returned = model.profile(volumes[:count].copy(), density, float(row[CLOCK]), shares.shape[1])
+        picture = checked_numbers(returned, (count, shares.shape[1]), here)
         expected = volumes[:count] / volumes[:count].sum() * shares.shape[1]
-        fits = picture.shape == (count, shares.shape[1]) and np.allclose(picture.sum(axis=1), expected, atol=1e-6)
+        fits = np.allclose(picture.sum(axis=1), expected, atol=1e-6)
         if not fits or not np.allclose(picture.sum(axis=0), 1.0, atol=1e-6) or picture.min() < -1e-9:
-            raise ValueError(
-                f"separation model {model!r}: a profile must be {(count, shares.shape[1])}, not negative, fill "
-                f"every pixel and conserve the layers' volumes, given {picture!r}"
+            raise PartError(
+                f"{here}: shares must not be negative, must fill every pixel and conserve the layers' volumes, given "
+                f"{picture}"
             )
         shares[:count] = picture
 

@@ -455,6 +455,7 @@ class ReactionBench(Bench):
             amounts = row[AMOUNTS : AMOUNTS + len(self.layout.materials)]
             amounts[:] = checked_reaction(
                 self.model,
+                self._model_name,
                 amounts,
                 float(row[TEMPERATURE]),
                 liquid_volume(row, shelf.chem(m)),

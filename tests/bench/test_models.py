@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from chemlab.agents.policies import scripted_bench
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
-from chemlab.config.parts import strangers_code
+from chemlab.config.parts import PartError, strangers_code
 from chemlab.config.scenario import Scenario
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import build_chemistry
@@ -120,19 +120,20 @@ GARBAGE: dict[str, Callable[[FloatArray], FloatArray]] = {
     "no number": lambda amounts: amounts * np.nan,
     "too short": lambda amounts: amounts[:-1],
     "out of nothing": lambda amounts: amounts + 0.1,
+    "an error": lambda amounts: amounts[99:][0],
 }
 
 
 @pytest.mark.parametrize("kind", GARBAGE)
 def test_a_reaction_model_that_returns_garbage_is_refused(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A ValueError that names the model."""
+    """A PartError that names the scenario's key and the model."""
 
     def spoilt(amounts: FloatArray, *others: float) -> FloatArray:
         return GARBAGE[kind](amounts)
 
     monkeypatch.setitem(globals(), "inert", spoilt)
     batch = begun(ExperimentBatch(modelled("wurtz_dodecane", "rxn", "inert"), "rxn"))
-    with pytest.raises(ValueError, match="spoilt"):
+    with pytest.raises(PartError, match=r"benches\.rxn\.model: test_models:inert: (must|does|IndexError: )"):
         batch.act(np.array([[0.5, 0.5, 1.0, 0.0, 0.0, 1.0]]))
 
 
@@ -222,6 +223,7 @@ SPOILT: dict[str, tuple[str, Callable[[FloatArray], FloatArray]]] = {
     "negative dissolved": ("partition", lambda x: x + np.array([1.0, -1.0] + [0.0] * (x.shape[1] - 2))),
     "volume lost": ("profile", lambda x: x * 0.5),
     "wrong shape profile": ("profile", lambda x: x[:-1]),
+    "an error": ("profile", lambda x: x[:, 99:][0, 99]),
     "pixels not filled": ("profile", swapped),
     "negative share": ("profile", below_zero),
 }
@@ -229,14 +231,14 @@ SPOILT: dict[str, tuple[str, Callable[[FloatArray], FloatArray]]] = {
 
 @pytest.mark.parametrize("kind", SPOILT)
 def test_a_separation_model_that_returns_garbage_is_refused(kind: str) -> None:
-    """Ideal separation with one answer spoilt: ValueError naming the model."""
+    """Ideal separation with one answer spoilt: a PartError that names the scenario's key and the model."""
     method, spoil = SPOILT[kind]
-    batch = ExperimentBatch("wurtz_dodecane", "ext")
-    model = batch.bench.model = IdealSeparation(batch.scenario)
+    batch = ExperimentBatch(modelled("wurtz_dodecane", "ext", "IdealSeparation"), "ext")
+    model = batch.bench.model
     begun(batch)
     right = getattr(model, method)
     setattr(model, method, lambda *given: spoil(right(*given)))
-    with pytest.raises(ValueError, match="IdealSeparation"):
+    with pytest.raises(PartError, match=rf"benches\.ext\.model: test_models:IdealSeparation: {method}\(\): "):
         batch.act(np.array([batch.bench.action_meanings.index("add water to EV, 0.2 L")]))
 
 

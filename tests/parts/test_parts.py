@@ -177,6 +177,7 @@ LAMP = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(1.5))
 BROKEN_LAMP = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(np.nan))
 RENAMED = _replace(REFRACTOMETER, channel=lambda name, analytes: Channel("other", 1, "n_D", 0.0, 1.0, ""))
 SILENT = _replace(EVAPORATE, act=lambda turn, chem: None)
+WORDY = _replace(EVAPORATE, words="blow {material} off {vesel}")
 GREEDY = _replace(EVAPORATE, act=lambda turn, chem: turn.row.__setitem__(AMOUNTS + turn.material, -1.0) or 0.0)
 LAWLESS = _replace(EVAPORATE, legal=lambda turn, chem: turn.no_such_field)
 def nothing(bench, shelf, experiments, members):
@@ -245,6 +246,7 @@ def test_parts_of_a_base_are_found_from_another_folder(tmp_path: Path) -> None:
         ("HYDROMETER", "KELVIN", r"KELVIN: see\(\): must be from 0 to 1: scale it.* given 298.15"),
         ("HYDROMETER", "NAMELESS", r"NAMELESS: channel\(\) must return a Channel"),
         ("EVAPORATE", "SILENT", r"ext.process: my_parts.py:SILENT: act\(\), which must return"),
+        ("EVAPORATE", "WORDY", r"process.\d: my_parts.py:WORDY: words may have {vessel}, .* KeyError: 'vesel'"),
         ("EVAPORATE", "GREEDY", r"GREEDY: act\(\) has left amounts that are negative"),
         ("EVAPORATE", "LAWLESS", r"LAWLESS: legal\(\): AttributeError: .*no_such_field"),
         ("concentrate", "nothing", r"ext.reward: my_parts.py:nothing: must be finite; given nan at \[0\]"),

@@ -22,6 +22,8 @@ from .salts import change_amount, settle_with_heat
 from .vapor import flash_off
 
 _RTOL, _ATOL = 1e-3, 1e-9
+_WARMED_K = 0.01
+"""Rise of temperature in K by acids and bases above which the contents may boil; below it, they were at equilibrium."""
 
 
 def work_size(chemistry: Any) -> tuple[int, int]:
@@ -85,10 +87,12 @@ def settle(
     chemistry = opened(RealChemistry, chem)
     place_new(row, chem)
     before = enthalpy(row, chem)
-    changed = _react_violently(row, chem, events)
+    changed, heated = _react_violently(row, chem, events), False
     if chemistry.ionization[0] >= 0:
+        cooler = row[TEMPERATURE]
         settle_acids(row, chem, work)
         row[TEMPERATURE] = within_range(row[TEMPERATURE])
+        heated = row[TEMPERATURE] > cooler + _WARMED_K
     if changed:
         set_enthalpy(row, before, chem)
     if settle_with_heat(row, before, chem):
@@ -96,7 +100,7 @@ def settle(
     if sealed:
         return
     _let_out(row, chem, waste)
-    if changed:
+    if changed or heated:
         events[RELIEF] += flash_off(row, chemistry.ambient_pressure, 0.0, 0.0, chem, waste)
         spill(row, chem, waste, events)
 

@@ -20,7 +20,7 @@ from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume
 from .. import vapor_pressure
 from .heats import add_heat, enthalpy
-from .kinetics import KEPT, integrate
+from .kinetics import KEPT, MOST_IN_SPAN, integrate
 from .partition import melt, melting_heat, melting_point
 from .phases import settle
 from .real_chemistry import RealChemistry
@@ -32,6 +32,8 @@ _HEAT_K = 20.0
 _RISE_K = 6.0
 """Maximum rise in K of the boiling point in a part."""
 _MOST_PARTS, _MOST_SPANS = 512, 4096
+_MOST_CUTS = 100
+"""Maximum number of spans that end early because they need too many steps."""
 _LEAST_SPAN = 1e-9
 """Share of the time below which a span is not shortened further for equilibria."""
 _SHORTEST_S = 0.25
@@ -108,7 +110,7 @@ def react(
         if hottest == 0.0:
             hottest = boiling_point(row, chem)
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-    left, shortest, total, known = dt, min(dt / _MOST_PARTS, _SHORTEST_S), 0, False
+    left, shortest, total, cuts, known = dt, min(dt / _MOST_PARTS, _SHORTEST_S), 0, 0, False
     part, ahead, climb, rate, last = shortest, 0.0, 0.0, 0.0, shortest
     span, briefest, fresh, melts, freezes = dt, dt / _MOST_SPANS, False, False, False
     while left > 0.0:
@@ -135,9 +137,14 @@ def react(
         there = Surroundings(jacket, transfer, -1.0, around.rtol, around.atol)
         stop = hottest if freezes else min(hottest, melting)
         steps, passed = integrate(row, part if held else span, there, stop, ways, chem, work)
-        if steps < 0:
-            return steps
+        cuts += steps > MOST_IN_SPAN and passed < (part if held else span)
+        if steps < 0 or cuts > _MOST_CUTS:
+            return -1
         total += steps
+        if held and passed < part:
+            _copy(kept, row)
+            part, fresh = passed, False
+            continue
         drift = 0.0
         if steps > 0 or row[TEMPERATURE] != at:
             drift = drifted(row, chem, steady, litres, around.atol, ways, work)

@@ -86,6 +86,7 @@ def bubble_point(n: int, pressure: float, guess: float, chem: Handle, block: Flo
 
     ``partial`` [n] receives the vapour's composition, and ``liquids`` their distribution over the phases there.
     """
+    guess = min(guess, _HOTTEST_K)
     temperature, known, shared = guess, guess, guess
     split(n, temperature, chem, block)
     for _round in range(_MOST_ROUNDS):
