@@ -363,8 +363,7 @@ def shares(scenario: str, every_role: bool, updates: int) -> dict[str, float]:
     time_part(team._best, "learn", "the rest of self-imitation")
     time_part(team._best, "add rewarded", "other training help")
     time_part(team, "_helped _read", "other training help")
-    for policy in team._background.values():
-        time_part(policy, "act", "scripted benches")
+    time_part(team._players, "decide renew", "scripted benches")
     time_part(team.batch, "step", "laboratories")
     time_part(team.batch, "_look", "observations and masks")
     time_part(team.batch, "_told _infos", "infos")
