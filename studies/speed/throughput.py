@@ -471,7 +471,8 @@ def collections(seconds: float) -> list[str]:
         lines.append(f"| {part} | " + " | ".join(f"{each.get(part, 0.0):.1%}" for each in found.values()) + " |")
     lines.append(f"| {first} | " + " | ".join(f"{each[first]:,.0f}" for each in found.values()) + " |")
     more = [second_core("rush", False, 30), second_core("wurtz_dodecane", True, 6)]
-    lines.append("| times as many of wall time with a second core | " + " | ".join(f"{x:.2f}" for x in more) + " |")
+    name = "wall-clock speed with two cores, as a multiple of that with one"
+    lines.append(f"| {name} | " + " | ".join(f"{x:.2f}" for x in more) + " |")
     return [*lines, "", f"Load average {os.getloadavg()[0]:.1f}."]
 
 
