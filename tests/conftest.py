@@ -49,23 +49,32 @@ def _all_tests(config: pytest.Config) -> bool:
     return config.args_source is config.ArgsSource.TESTPATHS
 
 
-_COMPILED = (
-    "from chemlab.physics.backends import law_addresses; law_addresses('real')",
-    "import sys; from chemlab.cli import main; sys.argv[1:] = ['warm', 'wurtz_dodecane']; main()",
-)
-"""Programs that compile most of what the tests need, and nothing twice."""
+_WARM = "import sys; from chemlab.cli import main; sys.argv[1:] = ['warm', 'wurtz_dodecane']; main()"
+_LAWS = """
+from chemlab.physics import backends
+for law in {}:
+    backends.law_address(law, "real")
+"""
 
 
 def pytest_sessionstart(session: pytest.Session) -> None:
-    """Compile for all of xdist's processes before they start: each would compile everything itself."""
+    """Compile for all of xdist's processes before they start: each would compile everything itself.
+
+    The laws of the backend ``real`` take longer than all else, so two processes compile them from both ends.
+    """
     options = session.config.option
     if hasattr(session.config, "workerinput") or options.collectonly or not _all_tests(session.config):
         return
     if getattr(options, "numprocesses", None) and not os.environ.get("NUMBA_DISABLE_JIT"):
-        # Not in a checkout, whose chemlab would be found before an installed one.
-        place: Any = {"cwd": _state.name, "stdout": subprocess.DEVNULL}
-        for program in [subprocess.Popen([sys.executable, "-c", code], **place) for code in _COMPILED]:
-            program.wait()  # what fails here fails in a test, too
+
+        def start(program: str) -> subprocess.Popen[bytes]:
+            # Not in a checkout, whose chemlab would be found before an installed one. What fails here fails in a test.
+            return subprocess.Popen([sys.executable, "-c", program], cwd=_state.name, stdout=subprocess.DEVNULL)
+
+        beside = start(_LAWS.format("reversed(backends.LAWS)"))
+        for program in (_WARM, _LAWS.format("backends.LAWS")):
+            start(program).wait()
+        beside.wait()
 
 
 @pytest.hookimpl(tryfirst=True)

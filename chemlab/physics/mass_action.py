@@ -7,9 +7,10 @@ the integrator's error. A step that would make an amount negative is halved.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ..kernels.arrays import FloatArray, Handle
-from ..kernels.jit import helper, opened
+from ..kernels.jit import helper, inner, opened
 from .backends import rate_constant
 from .chemistry import AMOUNTS, Chemistry
 from .constants import GAS_CONSTANT
@@ -31,6 +32,24 @@ _MOST_STEPS = 1_000_000
 _USED_UP = 1e-15
 """mol/L below which a reactant counts as consumed."""
 _WORK_ROWS = 14
+
+
+class _Rows(NamedTuple):
+    """Rows of the scratch array."""
+
+    constants: FloatArray  # [R]
+    start: FloatArray  # [species] mol/L when the integration began
+    extent: FloatArray  # [R] mol/L at the beginning of the step
+    trial: FloatArray  # [R] at its end
+    now: FloatArray  # [species] mol/L at the beginning of the step
+    conc: FloatArray  # [species] at its end
+    stages: FloatArray  # [7, R] rates of the stages
+    defect: FloatArray  # [species] error, in mol/L per time
+
+
+@inner
+def _rows(work: FloatArray) -> _Rows:
+    return _Rows(work[0], work[1], work[2], work[3], work[4], work[5], work[6:13], work[13])
 
 
 def react_work_size(chemistry: Chemistry) -> tuple[int, int]:
@@ -87,6 +106,83 @@ def _rates(
     return lowest
 
 
+@inner
+def _first_step(chem: Handle, rows: _Rows, dt: float) -> float:
+    """Return the first step to try; 0 if no reaction runs."""
+    chemistry = opened(Chemistry, chem)
+    stoichiometry = chemistry.stoichiometry
+    n_reactions, n_species = stoichiometry.shape
+    start, k, change = rows.start, rows.stages, rows.defect
+    running = False
+    for j in range(n_species):
+        change[j] = 0.0
+    for r in range(n_reactions):
+        running = running or k[0, r] > 0.0
+        for j in range(n_species):
+            change[j] += stoichiometry[r, j] * k[0, r]
+    if not running:
+        return 0.0
+    # A first step that consumes most of a reactant has no meaningful error estimate: start well below that.
+    h = dt
+    for j in range(n_species):
+        if change[j] < 0.0:
+            h = min(h, _FIRST_SHARE * start[j] / -change[j])
+    return max(h, _SMALLEST_STEP * dt)
+
+
+@inner
+def _take_stages(chem: Handle, rows: _Rows, h: float) -> float:
+    """Compute the rates of a step's stages, and the extents and concentrations at its end.
+
+    Returns:
+        Lowest concentration of the stages.
+    """
+    constants, start, extent, trial, _, conc, k, _ = rows
+    n_reactions = opened(Chemistry, chem).stoichiometry.shape[0]
+    for r in range(n_reactions):
+        trial[r] = extent[r] + h * _A21 * k[0, r]
+    lowest = _rates(constants, chem, start, trial, conc, k[1])
+    for r in range(n_reactions):
+        trial[r] = extent[r] + h * (_A31 * k[0, r] + _A32 * k[1, r])
+    lowest = min(lowest, _rates(constants, chem, start, trial, conc, k[2]))
+    for r in range(n_reactions):
+        trial[r] = extent[r] + h * (_A41 * k[0, r] + _A42 * k[1, r] + _A43 * k[2, r])
+    lowest = min(lowest, _rates(constants, chem, start, trial, conc, k[3]))
+    for r in range(n_reactions):
+        trial[r] = extent[r] + h * (_A51 * k[0, r] + _A52 * k[1, r] + _A53 * k[2, r] + _A54 * k[3, r])
+    lowest = min(lowest, _rates(constants, chem, start, trial, conc, k[4]))
+    for r in range(n_reactions):
+        trial[r] = extent[r] + h * (_A61 * k[0, r] + _A62 * k[1, r] + _A63 * k[2, r] + _A64 * k[3, r] + _A65 * k[4, r])
+    lowest = min(lowest, _rates(constants, chem, start, trial, conc, k[5]))
+    for r in range(n_reactions):
+        trial[r] = extent[r] + h * (_B1 * k[0, r] + _B3 * k[2, r] + _B4 * k[3, r] + _B5 * k[4, r] + _B6 * k[5, r])
+    return min(lowest, _rates(constants, chem, start, trial, conc, k[6]))
+
+
+@inner
+def _judge(chem: Handle, rows: _Rows, h: float, rtol: float, atol: float) -> tuple[float, float]:
+    """Return the error of a step in units of its tolerance, and the lowest concentration at its end."""
+    chemistry = opened(Chemistry, chem)
+    stoichiometry, changes = chemistry.stoichiometry, chemistry.changes
+    n_reactions, n_species = stoichiometry.shape
+    _, start, _, _, now, conc, k, defect = rows
+    for j in range(n_species):
+        defect[j] = 0.0
+    for r in range(n_reactions):
+        gap = _E1 * k[0, r] + _E3 * k[2, r] + _E4 * k[3, r] + _E5 * k[4, r] + _E6 * k[5, r] + _E7 * k[6, r]
+        for c in range(changes.shape[1]):
+            j = changes[r, c]
+            if j >= 0:
+                defect[j] += stoichiometry[r, j] * gap
+    error, lowest = 0.0, 0.0
+    for j in range(n_species):
+        ratio = h * defect[j] / (atol + rtol * max(abs(now[j]), abs(conc[j])))
+        error += ratio * ratio
+        # Rounding in the sums of concentrations may leave -1e-17 instead of 0.
+        lowest = min(lowest, conc[j] + 1e-15 * (start[j] + 1.0))
+    return math.sqrt(error / n_species), lowest
+
+
 @helper
 def integrate(
     row: FloatArray,
@@ -114,73 +210,29 @@ def integrate(
         changed).
     """
     chemistry = opened(Chemistry, chem)
-    stoichiometry, changes = chemistry.stoichiometry, chemistry.changes
-    n_reactions, n_species = stoichiometry.shape
+    n_reactions, n_species = chemistry.stoichiometry.shape
     if n_reactions == 0 or volume <= 0.0 or dt <= 0.0:
         return 0
-    constants, start, extent, trial, conc, now = work[0], work[1], work[2], work[3], work[4], work[5]
-    k1, k2, k3, k4, k5, k6, k7, defect = work[6], work[7], work[8], work[9], work[10], work[11], work[12], work[13]
+    rows = _rows(work)
+    constants, start, extent, trial, now, conc, k, _ = rows
     for r in range(n_reactions):
         constants[r] = rate_constant(r, temperature, chem)
         extent[r] = 0.0
     for j in range(n_species):
         start[j] = row[AMOUNTS + chemistry.species[j]] / volume
         now[j] = start[j]
-    _rates(constants, chem, start, extent, conc, k1)
-    running = False
-    for j in range(n_species):
-        defect[j] = 0.0
-    for r in range(n_reactions):
-        running = running or k1[r] > 0.0
-        for j in range(n_species):
-            defect[j] += stoichiometry[r, j] * k1[r]
-    if not running:
+    _rates(constants, chem, start, extent, conc, k[0])
+    h = _first_step(chem, rows, dt)
+    if h == 0.0:
         return 0
-    # A first step that consumes most of a reactant has no meaningful error estimate: start well below that.
-    h = dt
-    for j in range(n_species):
-        if defect[j] < 0.0:
-            h = min(h, _FIRST_SHARE * start[j] / -defect[j])
-    h = max(h, _SMALLEST_STEP * dt)
     done, steps = 0.0, 0
     while done < dt:
         steps += 1
         if steps > _MOST_STEPS:
             return -1
         h = min(h, dt - done)
-        for r in range(n_reactions):
-            trial[r] = extent[r] + h * _A21 * k1[r]
-        stage = _rates(constants, chem, start, trial, conc, k2)
-        for r in range(n_reactions):
-            trial[r] = extent[r] + h * (_A31 * k1[r] + _A32 * k2[r])
-        stage = min(stage, _rates(constants, chem, start, trial, conc, k3))
-        for r in range(n_reactions):
-            trial[r] = extent[r] + h * (_A41 * k1[r] + _A42 * k2[r] + _A43 * k3[r])
-        stage = min(stage, _rates(constants, chem, start, trial, conc, k4))
-        for r in range(n_reactions):
-            trial[r] = extent[r] + h * (_A51 * k1[r] + _A52 * k2[r] + _A53 * k3[r] + _A54 * k4[r])
-        stage = min(stage, _rates(constants, chem, start, trial, conc, k5))
-        for r in range(n_reactions):
-            trial[r] = extent[r] + h * (_A61 * k1[r] + _A62 * k2[r] + _A63 * k3[r] + _A64 * k4[r] + _A65 * k5[r])
-        stage = min(stage, _rates(constants, chem, start, trial, conc, k6))
-        for r in range(n_reactions):
-            trial[r] = extent[r] + h * (_B1 * k1[r] + _B3 * k3[r] + _B4 * k4[r] + _B5 * k5[r] + _B6 * k6[r])
-        stage = min(stage, _rates(constants, chem, start, trial, conc, k7))
-        for j in range(n_species):
-            defect[j] = 0.0
-        for r in range(n_reactions):
-            gap = _E1 * k1[r] + _E3 * k3[r] + _E4 * k4[r] + _E5 * k5[r] + _E6 * k6[r] + _E7 * k7[r]
-            for c in range(changes.shape[1]):
-                j = changes[r, c]
-                if j >= 0:
-                    defect[j] += stoichiometry[r, j] * gap
-        error, lowest = 0.0, 0.0
-        for j in range(n_species):
-            ratio = h * defect[j] / (atol + rtol * max(abs(now[j]), abs(conc[j])))
-            error += ratio * ratio
-            # Rounding in the sums above may leave -1e-17 instead of 0.
-            lowest = min(lowest, conc[j] + 1e-15 * (start[j] + 1.0))
-        error = math.sqrt(error / n_species)
+        stage = _take_stages(chem, rows, h)
+        error, lowest = _judge(chem, rows, h, rtol, atol)
         small = h <= _SMALLEST_STEP * dt
         if (lowest < 0.0 or stage < -atol or not error < math.inf) and not small:
             # Rates are cut off beyond zero, so the error estimate is not meaningful there.
@@ -197,19 +249,19 @@ def integrate(
                     part = min(part, max(now[j], 0.0) / (now[j] - conc[j]))
             for r in range(n_reactions):
                 trial[r] = extent[r] + part * (trial[r] - extent[r])
-            _rates(constants, chem, start, trial, conc, k7)
+            _rates(constants, chem, start, trial, conc, k[6])
             error = 1.0
         done += h
         for r in range(n_reactions):
             extent[r] = trial[r]
-            k1[r] = k7[r]
+            k[0, r] = k[6, r]
         for j in range(n_species):
             now[j] = conc[j]
         h *= 5.0 if error < 1e-4 else min(5.0, 0.9 * error**-0.2)
     for j in range(n_species):
         change = 0.0
         for r in range(n_reactions):
-            change += stoichiometry[r, j] * extent[r]
+            change += chemistry.stoichiometry[r, j] * extent[r]
         column = AMOUNTS + chemistry.species[j]
         row[column] = max(row[column] + volume * change, 0.0)
     return steps

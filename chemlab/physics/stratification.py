@@ -171,6 +171,87 @@ def _dot(a: FloatArray, b: FloatArray, size: int) -> float:
     return (s0 + s1) + (s2 + s3)
 
 
+@inner
+def _share_out(fluids: int, out: FloatArray, work: FloatArray) -> float:
+    """Multiply the fluids' amounts by their factors, and scale each pixel's to a sum of 1; reset the factors to 1.
+
+    Returns:
+        Largest deviation of a fluid from its target in pixels; those of all fluids are in the gradient.
+    """
+    pixels = out.shape[1]
+    target, factor, gradient, scale, weight = work[3], work[5], work[6], work[-1], work[-2]
+    for p in range(pixels):
+        scale[p] = out[1, p]
+    for i in range(1, fluids):
+        times = factor[i]
+        for p in range(pixels):
+            scale[p] += times * out[1 + i, p]
+    for p in range(pixels):
+        scale[p] = 1.0 / scale[p]
+    worst = 0.0
+    for i in range(fluids):
+        times = factor[i]
+        for p in range(pixels):
+            out[1 + i, p] *= times * scale[p]
+        factor[i] = 1.0
+        gradient[i] = _dot(weight, out[1 + i], pixels) - target[i]
+        worst = max(worst, abs(gradient[i]))
+    return worst
+
+
+@inner
+def _find_direction(fluids: int, out: FloatArray, work: FloatArray) -> tuple[float, float]:
+    """Replace the gradient by Newton's step of the betas 1.. (beta_0 is 0).
+
+    Returns:
+        Decrease of the minimized function along the step at its start; largest change of a beta.
+    """
+    pixels = out.shape[1]
+    target, level, gradient, scale, weight = work[3], work[4], work[6], work[-1], work[-2]
+    hessian = work[7:-2]
+    for i in range(1, fluids):
+        for p in range(pixels):
+            scale[p] = weight[p] * out[1 + i, p]
+        for j in range(1, i + 1):
+            hessian[i - 1, j - 1] = -_dot(scale, out[1 + j], pixels)
+        hessian[i - 1, i - 1] += gradient[i] + target[i] + 1e-13
+    for i in range(1, fluids):
+        gradient[i - 1] = gradient[i]
+        level[i - 1] = gradient[i]
+    _solve(hessian, gradient, fluids - 1)
+    falling, largest = 0.0, 0.0
+    for i in range(fluids - 1):
+        falling += level[i] * gradient[i]
+        largest = max(largest, abs(gradient[i]))
+    return falling, largest
+
+
+@inner
+def _step_length(fluids: int, falling: float, largest: float, out: FloatArray, work: FloatArray) -> float:
+    """Return the share of Newton's step to take.
+
+    The betas minimize a convex function (over pixels, the log of the sum of heights; minus target x beta). A step that
+    does not lower it enough is halved; otherwise Newton's method can oscillate.
+    """
+    target, factor, gradient, weight = work[3], work[5], work[6], work[-2]
+    step = min(1.0, _LONGEST_STEP / largest) if largest > 0.0 else 1.0
+    while step * largest > _SURE_STEP:
+        for i in range(fluids - 1):
+            factor[i + 1] = math.exp(-step * gradient[i])
+        change = 0.0
+        for p in range(out.shape[1]):
+            height = out[1, p]
+            for i in range(1, fluids):
+                height += factor[i] * out[1 + i, p]
+            change += weight[p] * math.log(height)
+        for i in range(fluids - 1):
+            change += target[i + 1] * step * gradient[i]
+        if change <= -1e-4 * step * falling:
+            break
+        step *= 0.5
+    return step
+
+
 @helper
 def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> None:
     """Shift the offsets by Newton's method until every fluid's pixels add up to its target; then fill ``out``.
@@ -179,84 +260,34 @@ def _conserve(fluids: int, solids: float, out: FloatArray, work: FloatArray) -> 
     no exponentials of pixels.
     """
     pixels = out.shape[1]
-    offset, target, level, factor, gradient = work[2], work[3], work[4], work[5], work[6]
-    scale, weight = work[-1], work[-2]
-    hessian = work[7:-2]
+    offset, factor, gradient, weight = work[2], work[5], work[6], work[-2]
     for p in range(pixels):
         solid = max(min(solids - p, 1.0), 0.0)
         out[0, p] = solid
         weight[p] = 1.0 - solid
+    done = False
     for _ in range(_MOST_ITERATIONS):
+        if done:
+            break
         _weigh(fluids, out, work)
         for i in range(fluids):
             factor[i] = 1.0
         shifted = 0.0
-        done = False
         for _again in range(_MOST_ITERATIONS):
             if shifted >= _FARTHEST_SHIFT:
                 break
-            for p in range(pixels):
-                scale[p] = out[1, p]
-            for i in range(1, fluids):
-                times = factor[i]
-                for p in range(pixels):
-                    scale[p] += times * out[1 + i, p]
-            for p in range(pixels):
-                scale[p] = 1.0 / scale[p]
-            worst = 0.0
-            # From here on the rows of ``out`` are shares; the factors are reset to 1.
-            for i in range(fluids):
-                times = factor[i]
-                for p in range(pixels):
-                    out[1 + i, p] *= times * scale[p]
-                factor[i] = 1.0
-                gradient[i] = _dot(weight, out[1 + i], pixels) - target[i]
-                worst = max(worst, abs(gradient[i]))
-            if worst < _TOLERANCE * pixels:
-                done = True
+            done = _share_out(fluids, out, work) < _TOLERANCE * pixels
+            if done:
                 break
-            # beta_0 = 0, so the system has the betas 1.. of the other fluids.
-            for i in range(1, fluids):
-                for p in range(pixels):
-                    scale[p] = weight[p] * out[1 + i, p]
-                for j in range(1, i + 1):
-                    hessian[i - 1, j - 1] = -_dot(scale, out[1 + j], pixels)
-                hessian[i - 1, i - 1] += gradient[i] + target[i] + 1e-13
-            for i in range(1, fluids):
-                gradient[i - 1] = gradient[i]
-                level[i - 1] = gradient[i]
-            _solve(hessian, gradient, fluids - 1)
-            falling, largest = 0.0, 0.0
-            for i in range(fluids - 1):
-                falling += level[i] * gradient[i]
-                largest = max(largest, abs(gradient[i]))
-            # The betas minimize a convex function (over pixels, the log of the sum of heights; minus target x beta). A
-            # step that does not lower it enough is halved; otherwise Newton's method can oscillate.
-            step = min(1.0, _LONGEST_STEP / largest) if largest > 0.0 else 1.0
-            while step * largest > _SURE_STEP:
-                for i in range(fluids - 1):
-                    factor[i + 1] = math.exp(-step * gradient[i])
-                change = 0.0
-                for p in range(pixels):
-                    height = out[1, p]
-                    for i in range(1, fluids):
-                        height += factor[i] * out[1 + i, p]
-                    change += weight[p] * math.log(height)
-                for i in range(fluids - 1):
-                    change += target[i + 1] * step * gradient[i]
-                if change <= -1e-4 * step * falling:
-                    break
-                step *= 0.5
+            falling, largest = _find_direction(fluids, out, work)
+            step = _step_length(fluids, falling, largest, out, work)
             before = 0.0
             for i in range(fluids - 1):
                 shift = -step * gradient[i]
                 offset[i] += shift - before
                 factor[i + 1] = math.exp(shift)
                 before = shift
-            largest *= step
-            shifted += largest
-        if done:
-            break
+            shifted += largest * step
     for i in range(fluids):
         for p in range(pixels):
             out[1 + i, p] *= weight[p]

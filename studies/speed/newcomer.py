@@ -21,19 +21,15 @@ from pathlib import Path
 from report import arguments, report
 
 ROOT = Path(__file__).parents[2]
-TEAM = (
-    "chemlab train wurtz_dodecane_direct --roles all --rewards mixed --bc scripted --bc-steps 4000 --learning-rate 1e-4"
-    " --steps 10000 --evaluations 4 --eval-episodes 10 --final-episodes 10 --out runs/team --quiet"
-)
 STEPS = {
     "install": ("python -m pip install .",),
-    "first episode, which compiles the kernels": ("chemlab run wurtz_dodecane_direct --record first.jsonl",),
+    "first episode, which compiles the kernels": ("chemlab run wurtz_dodecane --record first.jsonl",),
     "replay page of the episode": ("chemlab replay first.jsonl -o first.html",),
     "install the learners": ("python -m pip install TORCH .[train,plot]",),
-    "train a team": (TEAM,),
+    "train a team from nothing": ("chemlab train wurtz_dodecane --roles all --steps 500000 --out runs/team --quiet",),
     "its curve, and an episode of it": (
         "chemlab plot curves runs/team -o curve.png",
-        "chemlab run wurtz_dodecane_direct --policy runs/team",
+        "chemlab run wurtz_dodecane --policy runs/team",
     ),
     "a scenario of your own, checked and played": (
         "chemlab check my_lab.toml",

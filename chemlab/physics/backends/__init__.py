@@ -58,9 +58,12 @@ def law_addresses(name: str) -> IntArray:
     if not COMPILED:
         return np.zeros(0, dtype=np.int64)
     with told(name):
-        module = _backend(name)
-        found = [jit.code_address(getattr(module, law), _signature(law), TIERS[name]) for law in LAWS]
-        return np.array(found, dtype=np.int64)
+        return np.array([law_address(law, name) for law in LAWS], dtype=np.int64)
+
+
+def law_address(law: str, name: str) -> int:
+    """Return the address of a backend's law. Compiles it if necessary."""
+    return jit.code_address(getattr(_backend(name), law), _signature(law), TIERS[name])
 
 
 def _signature(law: str) -> Any:

@@ -11,6 +11,7 @@ At the melting point of crystals the contents react at this temperature, part by
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened
@@ -80,6 +81,110 @@ def _foreseen(now: float, before: float, part: float, last: float, following: fl
     return min(max(now + trend, 0.0), _STEEPEST * max(now, 0.0))
 
 
+class _Boiling(NamedTuple):
+    """What the last part of boiling contents predicts for the next one."""
+
+    ahead: float  # J with which vapour is already produced in advance
+    climb: float  # K/s by which the boiling point rises
+    known: bool  # False before the first part; the next two fields are then undefined
+    rate: float  # W of vaporization in the last part
+    last: float  # s, its duration
+
+
+_REPEATED, _DONE, _STOPPED, _DRY = 0, 1, 2, 3
+"""What has become of a part: it is to be repeated with another duration; the contents still boil; no longer; they have
+boiled to dryness."""
+_NOTHING_KNOWN = _Boiling(0.0, 0.0, False, 0.0, 0.0)
+
+
+@inner
+def _boil_part(
+    row: FloatArray,
+    kept: FloatArray,
+    part: float,
+    left: float,
+    state: _Boiling,
+    made: float,
+    drift: float,
+    shortest: float,
+    around: Surroundings,
+    chem: Handle,
+    waste: FloatArray,
+    events: FloatArray,
+) -> tuple[float, _Boiling, int]:
+    """Boil off vapour with the heat of a part in which the contents have reacted at their boiling point.
+
+    Args:
+        row, kept: vessel row after and before the part.
+        part: its duration in s.
+        left: time in s from its beginning.
+        state: the prediction for it.
+        made: heat of the reactions in J.
+        drift: from :func:`.spans.drifted`.
+        shortest: minimum duration of a part in s.
+        around, chem, waste, events: as in :func:`react`.
+
+    Returns:
+        Duration of the next part in s, the prediction for it, and what has become of this one.
+    """
+    at = row[TEMPERATURE]
+    pressure = opened(RealChemistry, chem).ambient_pressure
+    capacity = heat_capacity(row, chem)
+    # A jacket cools even a small remainder only to its own temperature.
+    coolest = min(made, 0.0) + capacity * min(around.jacket - at, 0.0)
+    heat = max(made + around.transfer * (around.jacket - at) * part, coolest)
+    most = _HEAT_K * capacity
+    if most <= 0.0:
+        return part, state, _DRY
+    surplus = max(heat - around.condenser * part, -most)
+    if not state.known:
+        # A short first part determines the duration and boiling rate of the next.
+        _copy(kept, row)
+        climb, longer = state.climb, min(left / part, 0.25 * most / max(abs(heat), 1e-9 * most))
+        following, ahead = max(part * longer, shortest), 0.5 * max(surplus, 0.0) * longer
+        ahead = ahead if following > shortest else 0.0
+        if ahead > 0.0:
+            events[RELIEF] += flash_off(row, pressure, ahead, 0.0, chem, waste)
+            climb = max(row[TEMPERATURE] - at, 0.0) / (0.5 * following)
+            following = max(min(following, _RISE_K / max(climb, 1e-9)), shortest)
+        return following, _Boiling(ahead, climb, True, surplus / part, part), _REPEATED
+    if part > shortest and (heat > 1.5 * most or heat < -_COOLED_K * capacity):
+        _copy(kept, row)
+        shorter = max(part * (0.25 if heat < 0.0 else max(0.8 * most / heat, 0.02)), shortest)
+        return shorter, state, _REPEATED
+    rest = left - part
+    following = min(_LONGEST_RATIO * part, part * most / max(heat, 1e-9 * most), _RISE_K / max(state.climb, 1e-9))
+    following = min(max(min(following, lengthened(part, drift)), shortest), rest)
+    ahead = 0.5 * following * _foreseen(surplus / part, state.rate, part, state.last, following)
+    ahead = min(ahead, 0.5 * most) if following > shortest else 0.0
+    hot = at + (heat - state.ahead + ahead) / capacity
+    events[RELIEF] += flash_off(row, pressure, heat - state.ahead + ahead, around.condenser * part, chem, waste)
+    if around.transfer > 0.0 and heat_capacity(row, chem) < 0.5 * capacity:
+        # Nearly dry contents absorb only the heat that brings them to the jacket's temperature.
+        row[TEMPERATURE] = min(row[TEMPERATURE], max(around.jacket, at))
+    climb = max(row[TEMPERATURE] - at, 0.0) / part
+    if row[TEMPERATURE] < hot - 1e-9:
+        return following, _Boiling(ahead, climb, True, surplus / part, part), _DONE
+    add_heat(row, -ahead, chem)
+    return shortest, _NOTHING_KNOWN, _STOPPED
+
+
+@inner
+def _melt_part(
+    row: FloatArray, part: float, heat: float, reacted: bool, shortest: float, chem: Handle
+) -> tuple[float, bool]:
+    """Melt crystals with the heat (J) of a part of ``part`` s at their melting point, and warm with the rest.
+
+    Returns:
+        Duration of the next part in s, and whether crystals have melted.
+    """
+    at = row[TEMPERATURE]
+    used = melt(row, at, max(heat, 0.0), chem)
+    add_heat(row, heat - used, chem)
+    following = part * melting_heat(row, at, chem) / heat if heat > 0.0 else part
+    return max(_MELTED * following if reacted else following, shortest), used > 0.0
+
+
 @helper
 def react(
     row: FloatArray,
@@ -96,7 +201,6 @@ def react(
     and is a safety event.
     """
     settle(row, chem, around.condenser < 0.0, waste, events, work)
-    pressure = opened(RealChemistry, chem).ambient_pressure
     kept = work[KEPT]
     free = 0.0 <= around.transfer < math.inf
     if not free and dt > 0.0:  # the thermostat supplies the heat
@@ -110,24 +214,22 @@ def react(
         if hottest == 0.0:
             hottest = boiling_point(row, chem)
             boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-    left, shortest, total, cuts, known = dt, min(dt / _MOST_PARTS, _SHORTEST_S), 0, 0, False
-    part, ahead, climb, rate, last = shortest, 0.0, 0.0, 0.0, shortest
-    span, briefest, fresh, melts, freezes = dt, dt / _MOST_SPANS, False, False, False
+    left, shortest, total, cuts = dt, min(dt / _MOST_PARTS, _SHORTEST_S), 0, 0
+    # A span is a part of the time in which the contents neither boil nor melt.
+    part, span, briefest, state = shortest, dt, dt / _MOST_SPANS, _NOTHING_KNOWN
+    fresh, melts, freezes = False, False, False
     while left > 0.0:
         melting = melting_point(row, chem) if free else math.inf
         freezes = freezes and abs(row[TEMPERATURE] - melting) < _FREEZING_K
         melted, melts = melts, row[TEMPERATURE] >= melting - _MELTING_K and not freezes
         if melts and not melted:
             if boils:
-                add_heat(row, -ahead, chem)
-            part, ahead, climb, known, boils = shortest, 0.0, 0.0, False, False
-        held = boils or melts
-        part, span = min(part, left), min(span, left)
-        at, content = row[TEMPERATURE], 0.0
+                add_heat(row, -state.ahead, chem)
+            part, state, boils = shortest, _NOTHING_KNOWN, False
         # bool: of a literal, numba would compile a second version.
+        held = boils or melts
         steady = held or not free
-        if held:
-            content = enthalpy(row, chem)
+        at, content = row[TEMPERATURE], enthalpy(row, chem) if held else 0.0
         ways = prepare(row, chem, bool(fresh), steady, around.condenser >= 0.0, work)
         litres = liquid_volume(row, chem)
         _copy(row, kept)
@@ -136,8 +238,10 @@ def react(
         jacket, transfer = (at, -1.0) if held else (around.jacket, around.transfer)
         there = Surroundings(jacket, transfer, -1.0, around.rtol, around.atol)
         stop = hottest if freezes else min(hottest, melting)
-        steps, passed = integrate(row, part if held else span, there, stop, ways, chem, work)
-        cuts += steps > MOST_IN_SPAN and passed < (part if held else span)
+        part, span = min(part, left), min(span, left)
+        asked = part if held else span
+        steps, passed = integrate(row, asked, there, stop, ways, chem, work)
+        cuts += steps > MOST_IN_SPAN and passed < asked
         if steps < 0 or cuts > _MOST_CUTS:
             return -1
         total += steps
@@ -156,72 +260,36 @@ def react(
                 span = max(lengthened(passed, drift), min(least, briefest))
                 part, fresh = max(min(part, span), shortest), False
                 continue
+        made = content - enthalpy(row, chem) if held else 0.0
         if melts:
             left -= part
-            heat = content - enthalpy(row, chem) + around.transfer * (around.jacket - at) * part
-            used = melt(row, at, max(heat, 0.0), chem)
-            total += used > 0.0
-            add_heat(row, heat - used, chem)
+            heat = made + around.transfer * (around.jacket - at) * part
+            part, any_melted = _melt_part(row, part, heat, steps > 0, shortest, chem)
+            total += any_melted
             freezes, fresh, span = heat <= 0.0, False, left
-            following = part * melting_heat(row, at, chem) / heat if heat > 0.0 else part
-            part = max(_MELTED * following if steps > 0 else following, shortest)
             if follows:
                 hottest = boiling_point(row, chem)
-            continue
-        if not boils:
+        elif boils:
+            following, state, outcome = _boil_part(
+                row, kept, part, left, state, made, drift, shortest, around, chem, waste, events
+            )
+            if outcome == _DRY:
+                return total
+            left -= 0.0 if outcome == _REPEATED else part
+            part = following
+            if outcome == _STOPPED:
+                hottest = boiling_point(row, chem)
+                boils = row[TEMPERATURE] >= hottest - _NEARLY_K
+        else:
             fresh = True
             left -= passed
             stopped, span = passed < span, max(lengthened(span, drift), briefest)
             if left > 0.0 and stopped and follows:
                 hottest = boiling_point(row, chem)
                 boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-                part, ahead, climb, known = shortest, 0.0, 0.0, False
+                part, state = shortest, _NOTHING_KNOWN
                 fresh = not boils
-            continue
-        capacity = heat_capacity(row, chem)
-        made = content - enthalpy(row, chem)
-        # A jacket cools even a small remainder only to its own temperature.
-        coolest = min(made, 0.0) + capacity * min(around.jacket - at, 0.0)
-        heat = max(made + around.transfer * (around.jacket - at) * part, coolest)
-        most = _HEAT_K * capacity
-        if most <= 0.0:
-            return total  # boiled to dryness
-        surplus = max(heat - around.condenser * part, -most)
-        if not known:
-            # A short first part determines the duration and boiling rate of the next.
-            _copy(kept, row)
-            known, rate, last = True, surplus / part, part
-            longer = min(left / part, 0.25 * most / max(abs(heat), 1e-9 * most))
-            part, ahead = max(part * longer, shortest), 0.5 * max(surplus, 0.0) * longer
-            ahead = ahead if part > shortest else 0.0
-            if ahead > 0.0:
-                events[RELIEF] += flash_off(row, pressure, ahead, 0.0, chem, waste)
-                climb = max(row[TEMPERATURE] - at, 0.0) / (0.5 * part)
-                part = max(min(part, _RISE_K / max(climb, 1e-9)), shortest)
-            continue
-        if part > shortest and (heat > 1.5 * most or heat < -_COOLED_K * capacity):
-            _copy(kept, row)
-            part = max(part * (0.25 if heat < 0.0 else max(0.8 * most / heat, 0.02)), shortest)
-            continue
-        left -= part
-        following = min(_LONGEST_RATIO * part, part * most / max(heat, 1e-9 * most), _RISE_K / max(climb, 1e-9))
-        following = min(max(min(following, lengthened(part, drift)), shortest), left)
-        owed, ahead = ahead, 0.5 * following * _foreseen(surplus / part, rate, part, last, following)
-        ahead = min(ahead, 0.5 * most) if following > shortest else 0.0
-        rate, last = surplus / part, part
-        hot = at + (heat - owed + ahead) / capacity
-        events[RELIEF] += flash_off(row, pressure, heat - owed + ahead, around.condenser * part, chem, waste)
-        if around.transfer > 0.0 and heat_capacity(row, chem) < 0.5 * capacity:
-            # Nearly dry contents absorb only the heat that brings them to the jacket's temperature.
-            row[TEMPERATURE] = min(row[TEMPERATURE], max(around.jacket, at))
-        climb = max(row[TEMPERATURE] - at, 0.0) / part
-        if row[TEMPERATURE] >= hot - 1e-9:  # boiling has stopped
-            add_heat(row, -ahead, chem)
-            hottest = boiling_point(row, chem)
-            boils = row[TEMPERATURE] >= hottest - _NEARLY_K
-            part, ahead, climb, known = shortest, 0.0, 0.0, False
-            continue
-        part = following
     if around.condenser >= 0.0 and not follows:
+        pressure = opened(RealChemistry, chem).ambient_pressure
         events[RELIEF] += flash_off(row, pressure, 0.0, around.condenser * dt, chem, waste)
     return total
