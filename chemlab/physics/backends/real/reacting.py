@@ -81,8 +81,18 @@ def _foreseen(now: float, before: float, part: float, last: float, following: fl
     return min(max(now + trend, 0.0), _STEEPEST * max(now, 0.0))
 
 
+class _Part(NamedTuple):
+    """A part of the time, in which the contents have reacted at their boiling point."""
+
+    duration: float  # s
+    shortest: float  # s, minimum duration of any part
+    left: float  # s, from its beginning to the end of the time
+    made: float  # J, heat of the reactions
+    drift: float  # as of :func:`.spans.drifted`
+
+
 class _Boiling(NamedTuple):
-    """What the last part of boiling contents predicts for the next one."""
+    """The last part's prediction for the next one."""
 
     ahead: float  # J with which vapour is already produced in advance
     climb: float  # K/s by which the boiling point rises
@@ -92,8 +102,7 @@ class _Boiling(NamedTuple):
 
 
 _REPEATED, _DONE, _STOPPED, _DRY = 0, 1, 2, 3
-"""What has become of a part: it is to be repeated with another duration; the contents still boil; no longer; they have
-boiled to dryness."""
+"""Outcomes of a part: to be repeated with another duration; still boiling; no longer boiling; boiled to dryness."""
 _NOTHING_KNOWN = _Boiling(0.0, 0.0, False, 0.0, 0.0)
 
 
@@ -101,70 +110,65 @@ _NOTHING_KNOWN = _Boiling(0.0, 0.0, False, 0.0, 0.0)
 def _boil_part(
     row: FloatArray,
     kept: FloatArray,
-    part: float,
-    left: float,
+    part: _Part,
     state: _Boiling,
-    made: float,
-    drift: float,
-    shortest: float,
     around: Surroundings,
     chem: Handle,
     waste: FloatArray,
     events: FloatArray,
 ) -> tuple[float, _Boiling, int]:
-    """Boil off vapour with the heat of a part in which the contents have reacted at their boiling point.
+    """Boil off vapour with the heat of a part.
 
     Args:
-        row, kept: vessel row after and before the part.
-        part: its duration in s.
-        left: time in s from its beginning.
-        state: the prediction for it.
-        made: heat of the reactions in J.
-        drift: from :func:`.spans.drifted`.
-        shortest: minimum duration of a part in s.
+        row, kept: vessel row after and before the part. If the part is to be repeated, ``row`` is as before it, less
+            vapour that boils off in advance.
+        part, state: the part, and the prediction for it.
         around, chem, waste, events: as in :func:`react`.
 
     Returns:
-        Duration of the next part in s, the prediction for it, and what has become of this one.
+        Duration of the next part in s, the prediction for it, and the outcome.
     """
+    duration, shortest, left, made, drift = part
     at = row[TEMPERATURE]
     pressure = opened(RealChemistry, chem).ambient_pressure
     capacity = heat_capacity(row, chem)
     # A jacket cools even a small remainder only to its own temperature.
     coolest = min(made, 0.0) + capacity * min(around.jacket - at, 0.0)
-    heat = max(made + around.transfer * (around.jacket - at) * part, coolest)
+    heat = max(made + around.transfer * (around.jacket - at) * duration, coolest)
     most = _HEAT_K * capacity
     if most <= 0.0:
-        return part, state, _DRY
-    surplus = max(heat - around.condenser * part, -most)
+        return duration, state, _DRY
+    surplus = max(heat - around.condenser * duration, -most)
     if not state.known:
         # A short first part determines the duration and boiling rate of the next.
         _copy(kept, row)
-        climb, longer = state.climb, min(left / part, 0.25 * most / max(abs(heat), 1e-9 * most))
-        following, ahead = max(part * longer, shortest), 0.5 * max(surplus, 0.0) * longer
+        climb, longer = state.climb, min(left / duration, 0.25 * most / max(abs(heat), 1e-9 * most))
+        following, ahead = max(duration * longer, shortest), 0.5 * max(surplus, 0.0) * longer
         ahead = ahead if following > shortest else 0.0
         if ahead > 0.0:
             events[RELIEF] += flash_off(row, pressure, ahead, 0.0, chem, waste)
             climb = max(row[TEMPERATURE] - at, 0.0) / (0.5 * following)
             following = max(min(following, _RISE_K / max(climb, 1e-9)), shortest)
-        return following, _Boiling(ahead, climb, True, surplus / part, part), _REPEATED
-    if part > shortest and (heat > 1.5 * most or heat < -_COOLED_K * capacity):
+        return following, _Boiling(ahead, climb, True, surplus / duration, duration), _REPEATED
+    if duration > shortest and (heat > 1.5 * most or heat < -_COOLED_K * capacity):
         _copy(kept, row)
-        shorter = max(part * (0.25 if heat < 0.0 else max(0.8 * most / heat, 0.02)), shortest)
+        shorter = max(duration * (0.25 if heat < 0.0 else max(0.8 * most / heat, 0.02)), shortest)
         return shorter, state, _REPEATED
-    rest = left - part
-    following = min(_LONGEST_RATIO * part, part * most / max(heat, 1e-9 * most), _RISE_K / max(state.climb, 1e-9))
-    following = min(max(min(following, lengthened(part, drift)), shortest), rest)
-    ahead = 0.5 * following * _foreseen(surplus / part, state.rate, part, state.last, following)
+    rest = left - duration
+    following = min(
+        _LONGEST_RATIO * duration, duration * most / max(heat, 1e-9 * most), _RISE_K / max(state.climb, 1e-9)
+    )
+    following = min(max(min(following, lengthened(duration, drift)), shortest), rest)
+    ahead = 0.5 * following * _foreseen(surplus / duration, state.rate, duration, state.last, following)
     ahead = min(ahead, 0.5 * most) if following > shortest else 0.0
     hot = at + (heat - state.ahead + ahead) / capacity
-    events[RELIEF] += flash_off(row, pressure, heat - state.ahead + ahead, around.condenser * part, chem, waste)
+    events[RELIEF] += flash_off(row, pressure, heat - state.ahead + ahead, around.condenser * duration, chem, waste)
     if around.transfer > 0.0 and heat_capacity(row, chem) < 0.5 * capacity:
         # Nearly dry contents absorb only the heat that brings them to the jacket's temperature.
         row[TEMPERATURE] = min(row[TEMPERATURE], max(around.jacket, at))
-    climb = max(row[TEMPERATURE] - at, 0.0) / part
+    climb = max(row[TEMPERATURE] - at, 0.0) / duration
     if row[TEMPERATURE] < hot - 1e-9:
-        return following, _Boiling(ahead, climb, True, surplus / part, part), _DONE
+        return following, _Boiling(ahead, climb, True, surplus / duration, duration), _DONE
     add_heat(row, -ahead, chem)
     return shortest, _NOTHING_KNOWN, _STOPPED
 
@@ -270,9 +274,8 @@ def react(
             if follows:
                 hottest = boiling_point(row, chem)
         elif boils:
-            following, state, outcome = _boil_part(
-                row, kept, part, left, state, made, drift, shortest, around, chem, waste, events
-            )
+            now = _Part(part, shortest, left, made, drift)
+            following, state, outcome = _boil_part(row, kept, now, state, around, chem, waste, events)
             if outcome == _DRY:
                 return total
             left -= 0.0 if outcome == _REPEATED else part
