@@ -340,12 +340,14 @@ class Room:
             self._recorder.turn([played])
         if self._watch is not None:
             self._watch(tick, played)
+        hides = labs.scenario.hides  # exact scores and amounts would be readings free of charge
         for agent, score in zip(labs.agents, labs.scores[0].tolist(), strict=True):
             if score == score and agent in self.seats and agent != MANAGER_AGENT:
-                self._notices[agent].append(f"Experiment over: score {score:+.3f}.")
+                self._notices[agent].append("Experiment over" + ("." if hides else f": score {score:+.3f}."))
         if labs.agents[index] in self.seats:
             events = labs.events(index).items()
-            self._notices[labs.agents[index]] += [f"Safety event: {kind} {amount:.3g}." for kind, amount in events]
+            amounts = [kind if hides else f"{kind} {amount:.3g}" for kind, amount in events]
+            self._notices[labs.agents[index]] += [f"Safety event: {words}." for words in amounts]
 
     def play(self, agent: str, action: Any) -> None:
         """Play the current turn of a seat with an action of the background policy.

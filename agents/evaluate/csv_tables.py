@@ -12,7 +12,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from chemlab.config.files import read_bytes, write_bytes
+from chemlab.config.display import inert
+from chemlab.config.files import read_bytes, write_bytes, write_text
 
 _TABLE_BYTES, _TABLE_ROWS = 32_000_000, 500_000
 """Maximum size of an uncompressed table: several times the curves of a thousand runs."""
@@ -88,3 +89,9 @@ def markdown_table(columns: Mapping[str, bool], rows: Iterable[Sequence[str]]) -
     """Return the lines of a Markdown table; ``columns`` is {heading: True to align it to the right, as numbers}."""
     rules = ["--:" if numeric else "---" for numeric in columns.values()]
     return [f"| {' | '.join(columns)} |", f"|{'|'.join(rules)}|", *(f"| {' | '.join(cells)} |" for cells in rows)]
+
+
+def write_lines(path: Path, lines: Iterable[str]) -> None:
+    """Write a page in Markdown; names of runs are text there, and lines that begin with ``![`` are its pictures."""
+    shown = (line if line.startswith("![") else inert(line) for line in lines)
+    write_text(path, "\n".join(shown) + "\n")

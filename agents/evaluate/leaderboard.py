@@ -23,6 +23,8 @@ from pydantic import BaseModel, ConfigDict, Field
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import validated
 from chemlab.config.files import write_text
+from chemlab.config.inherit import shipped_file
+from chemlab.config.loading import load_scenario
 from chemlab.config.parts import may_run
 from chemlab.kernels.arrays import FloatArray
 from chemlab.record import RecordError, read_record, recorded_scenario, scenario_hash, verify_record
@@ -33,6 +35,8 @@ from .scale import Scale, interval
 _FILE_BYTES = 50_000_000
 _TOLERANCE = 1e-9
 """Largest accepted error of recomputed numbers, in units of a score."""
+_ROUNDING = 1e-5
+"""The same for the score of a record that another version or platform has made."""
 _ESTIMATES = ("over_baseline", "generalization")
 _NUMBERS = re.compile(r"\[[\s\d.,eE+\-nul]*\]")
 
@@ -194,13 +198,23 @@ def _merged(stored: Sequence[Line], new: Sequence[Line]) -> list[Line]:
     lines = {_key(line): line for line in stored}
     for line in new:
         old = lines.get(_key(line), line)
-        if line["policy"] != "oracle" or _episodes(old) != _episodes(line) or _end(old) <= _end(line):
-            lines[_key(line)] = line
+        foreseen = line["policy"] == "oracle" and _episodes(old) == _episodes(line)
+        lines[_key(line)] = _best(old, line) if foreseen else line
     ends: dict[Any, float] = {}
     for line in lines.values():
         ends[_episodes(line)] = max(_end(line), ends.get(_episodes(line), -np.inf))
     rescaled = {key: _rescaled(line, ends[_episodes(line)]) for key, line in lines.items()}
     return [line | (_recomputed(line, rescaled) or {}) for line in rescaled.values()]
+
+
+def _best(old: Line, line: Line) -> Line:
+    """Return the oracle's line with the higher score in each episode, or the higher line if one has no scores."""
+    scores = _scores(old, line) if line.get("scores") else None
+    if scores is None:
+        return old if _end(old) > _end(line) else line
+    scores = np.fmax(scores, line["scores"])
+    mean = float(scores.mean())
+    return line | {"scores": scores.tolist(), "score": mean, "scale": {**line["scale"], "oracle": mean}}
 
 
 def _episodes(line: Line) -> tuple[Any, ...]:
@@ -295,7 +309,10 @@ def check_leaderboard(path: Path, watch: Callable[[LineCheck], None] | None = No
         if by_key[_key(line)] is not line:
             check.faults.append("there are two lines of this row")
         _check_numbers(check, line, by_key)
-        for entry in line.get("records") or ():
+        entries = line.get("records") or ()
+        if len({entry["seed"] for entry in entries}) < len(entries):
+            check.faults.append("records: two are of one episode")
+        for entry in entries:
             _check_record(check, line, entry, path.parent)
         found.append(check)
         if watch is not None:
@@ -341,6 +358,9 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
     if random is not None and scale:
         rows = [score is not None for score in line["scores"]]
         _compare(check, "scale.random", scale["random"], float(random[rows].mean()))
+    oracle = _scores(lines.get(_key(line, "oracle")), line)
+    if oracle is not None and (np.array(line["scores"], dtype=np.float64) > oracle + _TOLERANCE).any():
+        check.faults.append("scores: one is above the oracle's, with which the scale ends")
     computed = _recomputed(line, lines)
     if computed is None:
         return
@@ -358,11 +378,11 @@ def _check_numbers(check: LineCheck, line: Line, lines: Mapping[tuple[str, str, 
             _compare(check, f"{name}.{key}", line[name].get(key), computed[name][key])
 
 
-def _equal(stored: float | None, computed: float | None) -> bool:
+def _equal(stored: float | None, computed: float | None, tolerance: float = _TOLERANCE) -> bool:
     """Return True if two numbers are equal within the tolerance, or both are None."""
     if stored is None or computed is None:
         return stored is computed
-    return abs(stored - computed) <= _TOLERANCE
+    return abs(stored - computed) <= tolerance
 
 
 def _compare(check: LineCheck, what: str, stored: float | None, computed: float | None) -> None:
@@ -395,14 +415,18 @@ def _check_record(check: LineCheck, line: Line, entry: Line, folder: Path) -> No
         fault(f"is of {spec.name}, seed {header.seed}{', with options' * bool(header.options)}")
     if header.split not in (None, line["split"].partition(":")[0]):
         fault(f"is of the split {header.split}")
-    if line.get("scenario_hash") not in (None, scenario_hash(spec)):
+    own = scenario_hash(spec)
+    if line.get("scenario_hash") not in (None, own):
         fault("is of a scenario with other prices or rules")
+    elif shipped_file(spec.name) and own != scenario_hash(load_scenario(spec.name)):
+        fault(f"is of another {spec.name} than the bundled one: prices or rules differ")
     private = line["split"] if ":" in line["split"] else None
     proof = verify_record(record, None, may_run(otherwise=False), split=private)
     check.records += 1
-    # Episodes of seats may end without calls left; they count with the score at that time.
-    if proof.status not in ("ok", "other", "foreign", *(["torn"] if line.get("seats") else [])):
+    # A record of another version, or of a platform that rounds differently, may still be right. Episodes of seats may
+    # end without calls left; they count with the score at that time.
+    unfinished = record.torn and not line.get("seats")
+    if proof.status not in ("ok", "other", "foreign", "torn") or proof.where or proof.score is None or unfinished:
         fault(f"{proof.status}: {proof.message}")
-    # Another version or platform may round differently.
-    elif proof.status != "other" and (proof.score is None or not _equal(proof.score, entry.get("score"))):
+    elif not _equal(proof.score, entry.get("score"), _ROUNDING if proof.status == "other" else _TOLERANCE):
         fault(f"its replay gives a score of {proof.score}, and the line has {entry.get('score')}")

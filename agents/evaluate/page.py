@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from chemlab.config.files import write_text
-
+from .csv_tables import write_lines
 from .curves import group_tasks, save_curves
 from .results import cells_of, cells_table, read_runs
 from .trained_managers import has_manager
@@ -50,5 +49,5 @@ def write_page(folder: Path, out: Path, formats: Sequence[str] = ("png",)) -> tu
         lines += ["", "## Learning curves", "", f"![learning curves]({pictures[0].name})"]
     if left_out:
         lines += ["", "## Left out", "", *(f"- {line}" for line in left_out)]
-    write_text(page, "\n".join(lines) + "\n")
+    write_lines(page, lines)
     return page, left_out

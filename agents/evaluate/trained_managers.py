@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 import chemlab
-from chemlab.config.files import write_text
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
@@ -29,7 +28,7 @@ from ..roles import MANAGER_ROLE, role_of
 from ..runs import RESULT_SEED
 from ..saved import find_saved
 from . import statistics
-from .csv_tables import markdown_table, number, read_table, write_table
+from .csv_tables import markdown_table, number, read_table, write_lines, write_table
 from .curves import Tasks, save_curves
 from .play import Target
 from .results import TrainedRun, display_name, read_runs, settings_of, write_runs
@@ -302,7 +301,7 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
         if not group.of(_LEARNED, run.name)
     ]
     picture = pictures[0].name if tasks else None
-    write_text(page, "\n".join(_markdown(groups, left_out, picture)) + "\n")
+    write_lines(page, _markdown(groups, left_out, picture))
     return page, left_out
 
 

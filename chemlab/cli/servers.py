@@ -110,7 +110,8 @@ def _taken_salt() -> str | None:
         os.close(writing)
         os.set_inheritable(reading, True)
         os.environ["CHEMLAB_SALT_PIPE"] = str(reading)
-        os.execv(sys.executable, [sys.executable, "-m", "chemlab", *sys.argv[1:]])
+        # The words of the first start: `-m` instead of the script would import modules from the current folder.
+        os.execv(sys.executable, [sys.executable, *sys.orig_argv[1:]])
     if pipe is None:
         return given
     with open(int(pipe), encoding="utf-8") as file:

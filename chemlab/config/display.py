@@ -1,4 +1,4 @@
-"""Facts about an object as HTML, for notebooks."""
+"""Facts about an object as HTML, for notebooks; names in Markdown."""
 
 from __future__ import annotations
 
@@ -15,3 +15,8 @@ def facts_html(title: str, facts: Mapping[str, object]) -> str:
         if value not in ("", None)
     )
     return f"<b>{html.escape(title)}</b><table>{rows}</table>"
+
+
+def inert(line: str) -> str:
+    """Return a line of Markdown without the HTML and links that names in files of other people may hold."""
+    return " ".join(line.splitlines()).replace("<", "&lt;").replace("](", "]\\(")

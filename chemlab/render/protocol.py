@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..config.display import inert
 from ..lab.describe import amount_words
 from ..lab.engine import Laboratories
 from ..lab.text import action_words, reading_words
@@ -75,8 +76,7 @@ def protocol(record: Record, trust: bool = False) -> str:
     lines += ["", "## Procedure", "", *(step.line() for step in steps), "", "## Result", ""]
     lines += [f"- score {float(labs.result(labs.members)[0]):.4f}, after {int(labs.state.ticks[0])} ticks"]
     lines += [f"- cost of {item}: {cost:.4g}" for item, cost in labs.costs().items() if cost]
-    # Escape HTML and links in names and texts of the record, which a viewer of Markdown would interpret.
-    return "\n".join(lines).replace("<", "&lt;").replace("](", "]\\(") + "\n"
+    return "\n".join(map(inert, lines)) + "\n"
 
 
 def _after(labs: Laboratories, move: Move, agent: str) -> str:

@@ -14,7 +14,8 @@ from helpers import command, refused
 from run_files import trained, write_run
 from scipy import stats
 
-from chemlab.agents.episodes import play_episode, play_laboratory
+from chemlab import __version__
+from chemlab.agents.episodes import play_episode, play_laboratory, record_episode
 from chemlab.agents.evaluate import statistics
 from chemlab.agents.evaluate.benchmark import Row, benchmark, check_rows, find_rows, part_count, write_benchmark
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, BUDGETS, AuditBudget, Job, JobRunner
@@ -223,6 +224,35 @@ def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path
     assert {check.policy: check.proof for check in check_leaderboard(path)}["scripted:unsafe"] == "score"
 
 
+def test_what_a_record_claims_does_not_prove_a_line(tmp_path: Path) -> None:
+    """Another version with numbers of its own, the best part of an episode, a scenario with the bundled one's name."""
+    bundled = load_scenario("unlabelled")
+    easier = bundled.model_copy(update={"costs": bundled.costs.model_copy(update={"tick": 0.0})})
+    texts, scores = [], []
+    for spec in (bundled, easier):
+        env = raw_env(spec, split="test")
+        policies = make_policies("scripted:unsafe", env.laboratories)
+        scores.append(record_episode(tmp_path / "a.jsonl", env, policies, AUDIT_SEED, force=True).score)
+        texts.append((tmp_path / "a.jsonl").read_text())
+    elsewhere = texts[0].replace(f'"chemlab":"{__version__}"', '"chemlab":"9.9"', 1)
+    begun = "".join(elsewhere.splitlines(keepends=True)[:2])
+    (tmp_path / "a.jsonl").write_text(begun)
+    so_far = verify_record(tmp_path / "a.jsonl").score
+    line: dict[str, Any] = {"scenario": "unlabelled", "policy": "a", "split": "test"}
+    for text, score, count, what in (
+        (elsewhere, scores[0], 1, ""),
+        (elsewhere.replace(f'"score":{scores[0]!r}', '"score":5.0'), 5.0, 1, "other: made by chemlab 9.9"),
+        (begun, so_far, 1, "other: made by chemlab 9.9"),
+        (texts[1], scores[1], 1, "is of another unlabelled than the bundled one"),
+        (texts[0], scores[0], 2, "two are of one episode"),
+    ):
+        (tmp_path / "a.jsonl").write_text(text)
+        records = [{"file": "a.jsonl", "seed": AUDIT_SEED, "score": score}] * count
+        (tmp_path / "board.json").write_text(json.dumps({"lines": [{**line, "value": score, "records": records}]}))
+        (check,) = check_leaderboard(tmp_path / "board.json")
+        assert (bool(check.faults), what in "".join(check.faults)) == (bool(what), True), (what, check.faults)
+
+
 def test_a_longer_scale_is_computed_from_its_scores(played: Played, tmp_path: Path) -> None:
     """A planner that comes to more in each episode, not to a constant more: intervals are those of its own scale."""
     write_benchmark(tmp_path, played[0], [load_scenario("unlabelled")], ROWS, records=0)
@@ -238,6 +268,16 @@ def test_a_longer_scale_is_computed_from_its_scores(played: Played, tmp_path: Pa
     assert hasty["value"] == pytest.approx((hasty["score"] - ends["random"]) / (score - ends["random"]))
     factor = hasty["value"] / lines["scripted:unsafe"]["value"]
     assert hasty["high"] != pytest.approx(lines["scripted:unsafe"]["high"] * factor, rel=1e-6)
+    # One that comes to more in a single episode, and to less in all: the planner's score is the higher one in each.
+    other = [more[0] + 1.0, *planner["scores"][1:]]
+    write_leaderboard(path, [{**planner, "scores": other, "score": float(np.mean(other)), "scale": ends}])
+    lines = {line["policy"]: line for line in leaderboard_lines(path)}
+    assert lines["oracle"]["scores"] == [other[0], *more[1:]]
+    assert [check.faults for check in check_leaderboard(path)] == [[]] * 6
+    # Nobody is above the planner, however well the rest follows from such scores.
+    above = {**lines["scripted"], "policy": "a", "scores": [other[0] + 0.1, *other[1:]]}
+    path.write_text(json.dumps({"lines": [*lines.values(), above]}))
+    assert any("above the oracle's" in fault for fault in check_leaderboard(path)[-1].faults)
 
 
 def test_the_interval_of_a_row_of_several_runs_is_over_runs() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 from pathlib import Path
 
@@ -14,7 +15,9 @@ from scipy import stats
 
 from chemlab.agents.evaluate.csv_tables import read_table, write_table
 from chemlab.agents.evaluate.curves import algorithm_style, average_curves
+from chemlab.agents.evaluate.page import write_page
 from chemlab.agents.evaluate.results import cells_of, cells_table, read_runs, write_runs
+from chemlab.agents.evaluate.trained_managers import write_laboratory
 
 
 @pytest.fixture
@@ -164,6 +167,18 @@ def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: 
     ours, theirs = ((tmp_path / name / "runs.md").read_text() for name in "ab")
     assert "- z: not finished" in theirs
     assert ours == theirs.replace(".svg", ".png").replace("- z: not finished\n", "")
+
+
+def test_names_of_runs_are_text_on_pages(tmp_path: Path) -> None:
+    """Runs may be of other people, and readers of Markdown follow its HTML and links."""
+    for bench in ("rxn", "manager"):
+        write_run(tmp_path / "[a](b)" / bench, "<i>lab", bench, {"a": 1.0}, label="x\n\n[x]: y")
+    for write, shown in ((write_page, "&lt;i>lab"), (write_laboratory, "[a]\\(b)")):
+        page, _ = write(tmp_path, tmp_path / "pages")
+        assert page is not None
+        text = page.read_text()
+        assert shown in text
+        assert not re.search(r"<|^\[|[^!]\[a\]\(", text, re.MULTILINE)
 
 
 def test_what_is_wrong_is_said_before_anything_is_made(

@@ -102,6 +102,9 @@ def bait(strangers: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
+CONSOLE_SCRIPT = "import sys; sys.path[:] = [p for p in sys.path if p]; from chemlab.cli import main; main()"
+
+
 def no_end(run: Path) -> Path:
     """A run that has not finished: training it again goes on from its checkpoint."""
     (run / "result.json").unlink()
@@ -289,14 +292,24 @@ def test_children_of_a_sweep_import_nothing_from_where_it_is_started(bait: Path)
     for module in ("typer", "json", "chemlab", "numpy"):
         (bait / f"{module}.py").write_text(PARTS.format(marker=str(bait / "ran")))
     # Not imported by the parent either, which the console script starts with a safe path.
-    code = "import sys; sys.path[:] = [p for p in sys.path if p]; from chemlab.cli import main; main()"
-    words = [sys.executable, "-c", code, "sweep", "sweep.toml", "--out", "results"]
+    words = [sys.executable, "-c", CONSOLE_SCRIPT, "sweep", "sweep.toml", "--out", "results"]
     done = subprocess.run(words, cwd=bait, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
     assert (bait / "results/WurtzDistillation/ppo/seed-0/result.json").exists()
     assert not (bait / "ran").exists()
     subprocess.run([sys.executable, "-c", "import json"], cwd=bait, check=True)
     assert (bait / "ran").exists(), "they would be imported by a process that looks there"
+
+
+@pytest.mark.skipif(os.name != "posix", reason="only there a process is replaced")
+def test_a_server_that_starts_anew_imports_nothing_from_where_it_is_started(tmp_path: Path) -> None:
+    """It does so to hide its salt; agents may write to the folder where it is started."""
+    (tmp_path / "typer.py").write_text(PARTS.format(marker=str(tmp_path / "ran")))
+    words = [sys.executable, "-c", CONSOLE_SCRIPT, "mcp", "no-scenario"]
+    environment = {**os.environ, "CHEMLAB_SALT": "0" * 32}
+    done = subprocess.run(words, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert "error: " in done.stderr, done.stdout + done.stderr
+    assert not (tmp_path / "ran").exists()
 
 
 def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
