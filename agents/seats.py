@@ -648,7 +648,7 @@ class LabTools:
         self._room, self._agent = room, agent
 
     def reset(self, **row: Any) -> str:
-        """Begin an episode.
+        """Begin an episode; without a goal, one that runs is kept if this seat has not called in it.
 
         Args:
             row: a row of a data set; ``goal`` is the goal of the episode, other keys are ignored.
@@ -657,7 +657,9 @@ class LabTools:
             The introduction, and the seat's complete observation.
         """
         goal = row.get("goal")
-        self._room.begin(goal if isinstance(goal, str) else None)
+        goal = goal if isinstance(goal, str) else None
+        if goal is not None or self._room.over or self._room.report()["seats"][self._agent]["calls"]:
+            self._room.begin(goal)
         return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
 
     def get_reward(self) -> float:

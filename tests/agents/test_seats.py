@@ -331,12 +331,18 @@ def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
     refused("goal", r"goal: .* given 'gold'", room.begin, "gold")
     assert not room.over, "an unknown goal does not end the episode"
     tools = LabTools(room, "manager_0")
+    tools.reset()  # plays the episode that the room has begun
     tools.reset()
     tools.reset(goal="dodecane", prompt="ignored")
     room.close()
     entries = read_ledger(tmp_path / "ledger.jsonl")
     assert [entry["event"] for entry in entries] == ["begun", "ended"] * 3
     assert len({entry["split"] for entry in entries if entry["event"] == "ended"}) == 3
+    two = Room("unlabelled", ("manager_0", "rxn_0"))
+    world = two.laboratories
+    for seat in two.seats:
+        LabTools(two, seat).reset()
+    assert two.laboratories is world, "the second seat joins the episode of the first"
     lines = (tmp_path / "ledger.jsonl").read_text().splitlines()
     for changed in ([*lines[:2], *lines[4:]], [lines[0].replace("unlabelled", "crude"), *lines[1:]]):
         (tmp_path / "ledger.jsonl").write_text("\n".join(changed) + "\n")

@@ -171,6 +171,8 @@ def test_nothing_is_cut_or_overlaps(tmp_path: Path, visitor: Any, width: int) ->
                 }).map(e => e.textContent.slice(0, 40))"""
             )
             assert cut == [], address
+        assert "change of the temperature in K, -15 to 15" in page.inner_text("#verbs")
+        assert "All other agents: policies or people" in page.inner_text("#brief")
 
 
 def test_two_laboratories_stand_side_by_side(tmp_path: Path, visitor: Any) -> None:
