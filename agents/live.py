@@ -140,7 +140,7 @@ class Live:
         with self._lock:
             data = {
                 **self.film.still(),
-                "seed": self.seed,
+                "seed": str(self.seed),  # JavaScript's numbers have 53 bits
                 "version": __version__,
                 "policies": {},
                 "verified": {"status": "live", "message": ""},

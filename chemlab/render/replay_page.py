@@ -324,10 +324,10 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
             stopped = str(error)
             break
         film.add(tick, plays)  # consequences are those of the replay, not of the file
-    verified = verify_record(record, trust=trust)
+    verified, seed = verify_record(record, trust=trust), record.header.get("seed")
     return {
         **film.still(),
-        "seed": record.header.get("seed"),
+        "seed": None if seed is None else str(seed),  # JavaScript's numbers have 53 bits
         "version": record.header.get("chemlab"),
         "policies": record.header.get("policies"),
         "verified": {"status": verified.status, "message": verified.message},

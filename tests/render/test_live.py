@@ -185,6 +185,8 @@ def test_two_laboratories_stand_side_by_side(tmp_path: Path, visitor: Any) -> No
         page.frame_locator("iframe").nth(0).locator("#forward").click()
         until(lambda: [one.film.turns for one in lab.lives] == [1, 1])
         assert [one.seed for one in lab.lives] == [0, 0]
+        lab.lives[0].seed = 2**60 + 1
+        assert visitor(f"{lab.url}/lab/0").get_by_text(f"seed {2**60 + 1} ").count() == 1, "all its digits"
 
 
 _HIDE = """Object.defineProperty(document, 'hidden', {value: %s, configurable: true});

@@ -84,7 +84,8 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
 
 
 def test_the_score_now_counts_submissions_that_agents_hear_of_later(tmp_path: Path) -> None:
-    data = replay_data(read_record(record_episode(tmp_path / "rush.jsonl", "rush")))
+    data = replay_data(read_record(record_episode(tmp_path / "rush.jsonl", "rush", seed=2**60 + 1)))
+    assert data["seed"] == str(2**60 + 1), "JavaScript would round it"
     first = next(t for t, turn in enumerate(data["turns"], start=1) if turn["kind"] == "submit")
     assert first < len(data["turns"])
     assert data["results"][first] > data["results"][first - 1] + 0.01
