@@ -442,6 +442,12 @@ def test_signs_and_names_are_whole(page: Any) -> None:
         "4-ethyl-5-methylnonane, 14/20"; return button.querySelector("b").getBoundingClientRect().height; })"""
     )
     assert max(lines) < 30
+    parts = page.evaluate(
+        """() => { $("hidden-card").hidden = false; const table = add($("hidden"), "table");
+        for (let i = 0; i < 5; i++) add(add(table, "tr"), "th", {}, "the name of a hidden parameter ".repeat(9));
+        return [...table.querySelectorAll("th")].map(row => row.getClientRects().length); }"""
+    )
+    assert parts == [1] * 5, "no row is divided between columns"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
