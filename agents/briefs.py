@@ -163,7 +163,7 @@ def _order_lines(spec: Scenario, maxima: Mapping[str, float]) -> list[str]:
     wanted = ["a product with its maximum (mol) behind it"] if maxima else []
     for goal in (goal for goal in spec.lab_goals if goal not in maxima):
         needs = spec.specifications.get(goal)
-        needed = f"; needs {needed_words(goal, needs)}, or is worth nothing" if needs is not None else ""
+        needed = f"; {needed_words(goal, needs)}" if needs is not None else ""
         wanted.append(f"`{goal}` (at most {spec.theoretical_maximum_mol.get(goal, 1.0):.3g} mol{needed})")
     lines = [f"{f'{spec.orders} orders, each' if spec.orders > 1 else 'One order'} for {' or '.join(wanted)}."]
     demand = spec.demand
