@@ -421,7 +421,8 @@ class Room:
     def _answer(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
         """Carry out a call, and return the reply; ToolError if it is refused."""
         if not _is_small(arguments):
-            raise ToolError(f"{plain(verb)}: arguments must be at most {_MOST_ARGUMENTS}, given by name")
+            example = f'an object of at most {_MOST_ARGUMENTS} values by name, such as {{"slot": 0}}'
+            raise ToolError(f"{plain(verb)}: arguments must be {example}")
         verbs = self._verbs[agent]
         if not isinstance(verb, str) or verb not in verbs:
             raise ToolError(f"unknown verb {plain(verb)}; verbs: {', '.join(verbs)}")

@@ -208,6 +208,7 @@ def test_messages_are_quoted_and_counted() -> None:
     assert "given 21 characters" in room.call("dit_0", "say", {"to": "manager_0", "text": "x" * 21}).text
     assert "given 201 characters" in room.call("dit_0", "look", {"reason": "x" * 201}).text
     assert "at most 64" in room.call("dit_0", "look", {str(i): i for i in range(65)}).text
+    assert 'must be an object of at most 64 values by name, such as {"slot": 0}' in room.call("dit_0", "look", [1]).text
     room.call("dit_0", "say", {"to": "manager_0", "text": "heiß"})
     assert 'says: "heiß"' in room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"}).text
     assert "say" not in [verb.name for verb in Room("unlabelled", TWO).verbs("dit_0")]
@@ -374,7 +375,9 @@ def test_introductions_have_prices_and_names_of_what_is_observed() -> None:
     assert "revealed to fin as second_limit" in relay.brief("fin_0")
     refine = "each for F (at most 3 mol; is judged by its purity among A, D, G, J and itself)."
     assert refine in Room("refine").brief("manager_0"), "no purity is needed"
-    assert "an extraction bench" in Room("salt_from_oil", ("ext_0",)).brief("ext_0")
+    salt = Room("salt_from_oil", ("ext_0",))
+    assert "an extraction bench" in salt.brief("ext_0")
+    assert "how much (units of settling time)" in json.dumps(salt.tools("ext_0"))
 
 
 def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:
