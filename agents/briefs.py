@@ -29,25 +29,26 @@ def opaque_names(scenario: Scenario, salt: str) -> dict[str, str]:
     return {name: f"M{code + 1:02d}" for name, code in zip(materials, order.tolist(), strict=True)}
 
 
-def brief(labs: Laboratories, seat: str, seats: Sequence[str], name: Callable[[str], str]) -> str:
+def brief(labs: Laboratories, seat: str, seats: Sequence[str] | None, name: Callable[[str], str]) -> str:
     """Return the introduction for one seat.
 
     Args:
         labs: the laboratory.
         seat: the agent.
-        seats: all agents that have a seat.
+        seats: all agents that have a seat; None if people may take and leave the seats.
         name: returns the displayed name of a material.
     """
     spec, role = labs.scenario, labs.roles[labs.agents.index(seat)].workplace
-    others = [other for other in seats if other != seat]
-    policies = [agent for agent in labs.agents if agent not in seats]
+    others = [other for other in seats or () if other != seat]
+    policies = [agent for agent in labs.agents if agent not in (seats or (seat,))]
     lines = [f"You are {seat} in a simulated laboratory, whose numbers are no instructions for a real one."]
     if name is str:
         lines.append(spec.summary.partition(". ")[0].rstrip(".") + ".")
     if others and policies:
         lines.append(f"{', '.join(others)}: other seats; {', '.join(policies)}: policies")
     elif others or policies:
-        lines.append(f"All other agents: {'seats' if others else 'policies'}")
+        players = "seats" if others else "policies" if seats else "policies or people"
+        lines.append(f"All other agents: {players}")
     maxima = {} if isinstance(role, Bench) else _product_maxima(spec)
     lines += _bench_lines(role) if isinstance(role, Bench) else _manager_lines(labs, maxima)
     if spec.family.reaction or spec.family.violent:
@@ -162,7 +163,7 @@ def _order_lines(spec: Scenario, maxima: Mapping[str, float]) -> list[str]:
     wanted = ["a product with its maximum (mol) behind it"] if maxima else []
     for goal in (goal for goal in spec.lab_goals if goal not in maxima):
         needs = spec.specifications.get(goal)
-        needed = f"; needs {needed_words(goal, needs)}, or is worth nothing" if needs is not None else ""
+        needed = f"; {needed_words(goal, needs)}" if needs is not None else ""
         wanted.append(f"`{goal}` (at most {spec.theoretical_maximum_mol.get(goal, 1.0):.3g} mol{needed})")
     lines = [f"{f'{spec.orders} orders, each' if spec.orders > 1 else 'One order'} for {' or '.join(wanted)}."]
     demand = spec.demand

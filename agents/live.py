@@ -37,6 +37,7 @@ from chemlab.record import verify_record
 from chemlab.render.replay_page import MOST_TURNS, Film, filled_page, side_by_side
 from chemlab.roles.bench import channel_slices
 
+from .briefs import brief
 from .policies import agent_policy
 from .seats import Reply, Room
 from .verbs import ToolError, Verb
@@ -139,7 +140,7 @@ class Live:
         with self._lock:
             data = {
                 **self.film.still(),
-                "seed": self.seed,
+                "seed": str(self.seed),  # JavaScript's numbers have 53 bits
                 "version": __version__,
                 "policies": {},
                 "verified": {"status": "live", "message": ""},
@@ -490,7 +491,7 @@ class _Pages:
         data = {
             "title": f"{agent}: {live.room.scenario.title}",
             "agent": agent,
-            "brief": live.room.brief(agent),
+            "brief": brief(live.room.laboratories, agent, None, str),
             "verbs": verbs,
             "seat": request.url.path,
         }

@@ -154,6 +154,8 @@ def _name_for(name: str, agent: str, agents: Sequence[str]) -> str:
     """Return the part of a policy's name that applies to an agent."""
     general, *exceptions = name.split(",")
     known = {*agents, *map(role_of, agents)}
+    if general.partition("=")[0] in known:
+        raise ValueError(f"policy: {name!r}: begin with the policy of the other agents, as in 'scripted,{name}'")
     for exception in exceptions:
         role, _, policy = exception.partition("=")
         if role not in known or not policy:

@@ -423,7 +423,8 @@ class Room:
     def _answer(self, agent: str, verb: str, arguments: Mapping[str, Any]) -> Reply:
         """Carry out a call, and return the reply; ToolError if it is refused."""
         if not _is_small(arguments):
-            raise ToolError(f"{plain(verb)}: arguments must be at most {_MOST_ARGUMENTS}, given by name")
+            example = f'an object of at most {_MOST_ARGUMENTS} values by name, such as {{"slot": 0}}'
+            raise ToolError(f"{plain(verb)}: arguments must be {example}")
         verbs = self._verbs[agent]
         if not isinstance(verb, str) or verb not in verbs:
             raise ToolError(f"unknown verb {plain(verb)}; verbs: {', '.join(verbs)}")
@@ -650,7 +651,7 @@ class LabTools:
         self._room, self._agent = room, agent
 
     def reset(self, **row: Any) -> str:
-        """Begin an episode.
+        """Begin an episode; without a goal, one that runs is kept if this seat has not called in it.
 
         Args:
             row: a row of a data set; ``goal`` is the goal of the episode, other keys are ignored.
@@ -659,7 +660,9 @@ class LabTools:
             The introduction, and the seat's complete observation.
         """
         goal = row.get("goal")
-        self._room.begin(goal if isinstance(goal, str) else None)
+        goal = goal if isinstance(goal, str) else None
+        if goal is not None or self._room.over or self._room.report()["seats"][self._agent]["calls"]:
+            self._room.begin(goal)
         return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
 
     def get_reward(self) -> float:

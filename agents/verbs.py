@@ -252,7 +252,8 @@ def _operation_verbs(bench: OperationBench, name: Callable[[str], str]) -> list[
         kind = process.kind.rpartition(":")[2].lower()
         material = process.material and name(process.material)
         rows.setdefault(kind, {})[process.vessel, process.target, material, f"{magnitude:.15g}"] = index
-        units[kind] = OPERATIONS[kind].unit if kind in OPERATIONS else words.rpartition(" ")[2]
+        unit = OPERATIONS[kind].unit if kind in OPERATIONS else words.rpartition(" ")[2]
+        units[kind] = "units of settling time" if unit == "clock" else unit
     verbs = [_operation_verb(kind, table, units[kind]) for kind, table in rows.items()]
     return [*verbs, Verb("end", "End the experiment.", (), lambda given: bench.end_action)]
 
@@ -286,8 +287,8 @@ def _continuous_verb(bench: Bench, name: Callable[[str], str]) -> Verb:
         return Verb("step", "Take one step.", tuple(numbers), lambda given: np.array([given[n.name] for n in numbers]))
     steps = [bench.options.temperature_k.step, bench.options.volume_l.step]
     changes = [
-        Argument("temperature_change", f"K, from {-steps[0]:g} to {steps[0]:g}", (), -steps[0], steps[0], 0.0),
-        Argument("volume_change", f"L, from {-steps[1]:g} to {steps[1]:g}", (), -steps[1], steps[1], 0.0),
+        Argument(f"{what}_change", f"change of the {what} in {unit}, {-most:g} to {most:g}", (), -most, most, 0.0)
+        for what, unit, most in zip(("temperature", "volume"), "KL", steps, strict=True)
     ]
     additions = [
         Argument("add_" + re.sub(r"\W", "_", name(one)), f"share of the {name(one)} that is left, 0 to 1", default=0.0)

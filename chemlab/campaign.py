@@ -222,9 +222,13 @@ class Campaign:
         for name, allowed in self.space.items():
             value = recipe[name]
             if isinstance(allowed, Choice):
-                if value not in allowed.options:
+                if not isinstance(value, str) or value not in allowed.options:
                     raise ValueError(f"{where}{name}: choose from {', '.join(allowed.options)}; given {value!r}")
-            elif not isinstance(value, Real) or not allowed.low - _TRACE <= value <= allowed.high + _TRACE:
+            elif (
+                not isinstance(value, Real)
+                or isinstance(value, bool)
+                or not allowed.low - _TRACE <= value <= allowed.high + _TRACE
+            ):
                 raise ValueError(f"{where}{name}: from {allowed.low:g} to {allowed.high:g}; given {value!r}")
             elif allowed.step and value != round(value):
                 raise ValueError(f"{where}{name}: a whole number; given {value!r}")

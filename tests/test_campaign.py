@@ -129,6 +129,8 @@ def test_what_cannot_be_is_refused() -> None:
 
 WRONG: list[tuple[dict[str, Any], str]] = [
     ({"catalyst": "platinum"}, "catalyst: choose from catalyst_a, .*; given 'platinum'"),
+    ({"catalyst": np.array(["catalyst_a", "catalyst_b"])}, "catalyst: choose from catalyst_a, .*; given array"),
+    ({"percent": True}, "percent: from 0.5 to 2.5; given True"),
     ({"temperature_k": 500.0}, "temperature_k: from 303.15 to 403.15; given 500.0"),
     ({"percent": float("nan")}, "percent: from 0.5 to 2.5; given nan"),
     ({"percent": [1.0]}, r"percent: from 0.5 to 2.5; given \[1.0\]"),

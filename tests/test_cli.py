@@ -18,7 +18,7 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from unittest.mock import Mock
+from unittest.mock import MagicMock, Mock
 
 import pytest
 from helpers import FEATURED, command, mapping
@@ -717,6 +717,15 @@ def test_addresses_that_cannot_be_had(server: str, option: str) -> None:
         said = command("serve", "wurtz_dodecane_direct", "--host", host, "--port", 0, code=2)
         assert f"--host: cannot listen on {host}" in said
     assert (_origin("::1", 80), _origin("a.b", 80)) == ("http://[::1]:80", "http://a.b:80")
+
+
+def test_addresses_are_those_that_others_can_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    probe = MagicMock()
+    probe.return_value.__enter__.return_value.getsockname.return_value = ("10.1.2.3", 5)
+    monkeypatch.setattr(socket, "socket", probe)
+    assert _origin("0.0.0.0", 80) == "http://10.1.2.3:80"
+    probe.side_effect = OSError  # without a network
+    assert _origin("0.0.0.0", 80) == "http://0.0.0.0:80"
 
 
 @pytest.mark.skipif(os.name != "posix", reason="needs signals of POSIX")

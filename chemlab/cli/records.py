@@ -141,6 +141,6 @@ def replay(
         content = page.encode()
     write_bytes(path, content)
     turns = " and ".join(str(len(record.turns)) for record in records)
-    out.print(f"{plain(path)}: {turns} turns, {len(content) / 1e6:.2f} MB")
+    out.print(f"{plain(path)}: {turns} turns, {len(content) / 1e3:,.1f} kB")
     if show:
         typer.launch(path.resolve().as_uri())

@@ -8,6 +8,7 @@ import signal
 import sys
 import tempfile
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -219,5 +220,15 @@ def _free_port(host: str, port: int = 0, option: str = "--port") -> int:
 
 
 def _origin(host: str, port: int) -> str:
-    """Return the beginning of an address; IPv6 hosts stand in brackets there."""
+    """Return the beginning of an address for others: of all addresses of this machine, the one in its network.
+
+    IPv6 hosts stand in brackets there.
+    """
+    import socket
+
+    if host in ("0.0.0.0", "::"):
+        v6 = ":" in host
+        with suppress(OSError), socket.socket(socket.AF_INET6 if v6 else socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.connect(("2001:db8::1" if v6 else "192.0.2.1", 9))  # documentation's addresses; nothing is sent
+            host = probe.getsockname()[0]
     return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"

@@ -133,12 +133,7 @@ def goal_words(spec: Scenario) -> list[str]:
         f"An episode has {orders}, for {several}{codes(spec.lab_goals)}.",
         f"Experiments may be run for {codes(spec.goals)}.",
         f"Theoretical maximum: {amount_words(spec.theoretical_maximum_mol)}.",
-        *(
-            f"`{goal}` needs {needed_words(goal, wanted)}, or is worth nothing."
-            if wanted.amount_at_least_mol or wanted.purity_at_least
-            else f"The purity of `{goal}` is its share{_among(goal, wanted)}."
-            for goal, wanted in spec.specifications.items()
-        ),
+        *(f"`{goal}` {needed_words(goal, wanted)}." for goal, wanted in spec.specifications.items()),
         *_demand_words(spec.demand),
     ]
 
@@ -182,14 +177,15 @@ def order_table(spec: Scenario) -> FactTable:
 
 
 def needed_words(goal: str, wanted: ProductSpec) -> str:
-    """Describe the amount and the purity that a goal needs in order to be worth anything."""
-    amount = f"{wanted.amount_at_least_mol:g} mol and " if wanted.amount_at_least_mol else ""
-    return f"at least {amount}a purity of {wanted.purity_at_least:g}{_among(goal, wanted)}"
-
-
-def _among(goal: str, wanted: ProductSpec) -> str:
+    """Describe what a goal needs in order to be worth anything, and its purity, as the predicate of a sentence."""
     others = [one for one in wanted.purity_among if one != goal]
-    return f" among {codes(others)} and itself" if others else ""
+    among = f" among {codes(others)} and itself" if others else ""
+    least = [f"{wanted.amount_at_least_mol:g} mol"] if wanted.amount_at_least_mol else []
+    least += [f"a purity of {wanted.purity_at_least:g}{among}"] if wanted.purity_at_least else []
+    words = [f"needs at least {' and '.join(least)}, or is worth nothing"] if least else []
+    if not wanted.purity_at_least and (among or not least):
+        words.append(f"is judged by its purity{among}")
+    return ", and ".join(words)
 
 
 def vessel_table(spec: Scenario) -> FactTable:

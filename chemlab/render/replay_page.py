@@ -211,8 +211,9 @@ class Film:
         # determine it.
         frame["liquid_l"] = tuple(liquid_volume(row, chem) for row in labs.shelf.vessels[0])
         self._frames.append(self._pool.frame({key: part for key, part in frame.items() if key not in _STATIC}))
-        self._costs.append([_rounded(cost) for cost in labs.costs().values()])
-        self._results.append(_rounded(scene.result))
+        # With more digits than are shown: a number that is rounded twice may differ from that of the record.
+        self._costs.append([float(f"{cost:.7g}") for cost in labs.costs().values()])
+        self._results.append(float(f"{labs.result(labs.members)[0]:.7g}"))  # also where agents do not know it yet
 
     def add(self, tick: int, plays: Sequence[Play]) -> None:
         """Add the scene after a turn.
@@ -323,10 +324,10 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
             stopped = str(error)
             break
         film.add(tick, plays)  # consequences are those of the replay, not of the file
-    verified = verify_record(record, trust=trust)
+    verified, seed = verify_record(record, trust=trust), record.header.get("seed")
     return {
         **film.still(),
-        "seed": record.header.get("seed"),
+        "seed": None if seed is None else str(seed),  # JavaScript's numbers have 53 bits
         "version": record.header.get("chemlab"),
         "policies": record.header.get("policies"),
         "verified": {"status": verified.status, "message": verified.message},

@@ -282,6 +282,7 @@ def test_exceptions_are_for_roles_and_agents() -> None:
 
     for name in ("scripted,oven=random", "scripted,ext", "scripted,ext="):
         refused(name, r"must be ROLE=POLICY; roles: .*manager", make_policies, name, labs)
+    refused("no general one", r"begin with .*'scripted,ext=random'", make_policies, "ext=random", labs)
 
 
 def test_a_lapse_is_a_random_legal_action_now_and_then() -> None:

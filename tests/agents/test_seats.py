@@ -220,6 +220,7 @@ def test_messages_are_quoted_and_counted() -> None:
     assert "given 21 characters" in room.call("dit_0", "say", {"to": "manager_0", "text": "x" * 21}).text
     assert "given 201 characters" in room.call("dit_0", "look", {"reason": "x" * 201}).text
     assert "at most 64" in room.call("dit_0", "look", {str(i): i for i in range(65)}).text
+    assert 'must be an object of at most 64 values by name, such as {"slot": 0}' in room.call("dit_0", "look", [1]).text
     room.call("dit_0", "say", {"to": "manager_0", "text": "heiß"})
     assert 'says: "heiß"' in room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"}).text
     assert "say" not in [verb.name for verb in Room("unlabelled", TWO).verbs("dit_0")]
@@ -343,12 +344,18 @@ def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
     refused("goal", r"goal: .* given 'gold'", room.begin, "gold")
     assert not room.over, "an unknown goal does not end the episode"
     tools = LabTools(room, "manager_0")
+    tools.reset()  # plays the episode that the room has begun
     tools.reset()
     tools.reset(goal="dodecane", prompt="ignored")
     room.close()
     entries = read_ledger(tmp_path / "ledger.jsonl")
     assert [entry["event"] for entry in entries] == ["begun", "ended"] * 3
     assert len({entry["split"] for entry in entries if entry["event"] == "ended"}) == 3
+    two = Room("unlabelled", ("manager_0", "rxn_0"))
+    world = two.laboratories
+    for seat in two.seats:
+        LabTools(two, seat).reset()
+    assert two.laboratories is world, "the second seat joins the episode of the first"
     lines = (tmp_path / "ledger.jsonl").read_text().splitlines()
     for changed in ([*lines[:2], *lines[4:]], [lines[0].replace("unlabelled", "crude"), *lines[1:]]):
         (tmp_path / "ledger.jsonl").write_text("\n".join(changed) + "\n")
@@ -378,7 +385,11 @@ def test_introductions_have_prices_and_names_of_what_is_observed() -> None:
     relay = Room("relay", RELAY)
     assert "An order not met costs 0.1 of its price." in relay.brief("manager_0")
     assert "revealed to fin as second_limit" in relay.brief("fin_0")
-    assert "an extraction bench" in Room("salt_from_oil", ("ext_0",)).brief("ext_0")
+    refine = "each for F (at most 3 mol; is judged by its purity among A, D, G, J and itself)."
+    assert refine in Room("refine").brief("manager_0"), "no purity is needed"
+    salt = Room("salt_from_oil", ("ext_0",))
+    assert "an extraction bench" in salt.brief("ext_0")
+    assert "how much (units of settling time)" in json.dumps(salt.tools("ext_0"))
 
 
 def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:

@@ -147,10 +147,20 @@ def test_an_episode_is_played_by_keys(tmp_path: Path, visitor: Any) -> None:
             until(lambda turns=turns: lab.lives[0].film.turns > turns)
             until(lambda: lab.lives[0].turn in ("", "manager_0"))
         seat.get_by_text("The episode is over.").first.wait_for()
+        press("Give the seat back")  # before another episode begins
+        until(lambda: not lab.lives[0].taken)
         until(lambda: lab.lives[0].verdict[0] != "")
         assert lab.lives[0].verdict[0] == "ok"
         assert read_record(lab.lives[0].room.record).end is not None
         assert lab.lives[0].room.report()["seats"]["manager_0"]["wrong"] == 0
+
+
+def test_a_seat_shows_the_verbs_that_are_possible(tmp_path: Path, visitor: Any) -> None:
+    with served(tmp_path, paused=True) as lab:
+        lab.order("/lab/0/seat/manager_0", do="take")
+        seat = visitor(f"{lab.url}/lab/0/seat/manager_0")
+        seat.get_by_text("It is your turn.").wait_for()
+        assert seat.locator("#verbs button:visible").all_inner_texts() == ["start", "measure", "discard", "submit"]
 
 
 @pytest.mark.parametrize("width", [1280, 390])
@@ -171,6 +181,8 @@ def test_nothing_is_cut_or_overlaps(tmp_path: Path, visitor: Any, width: int) ->
                 }).map(e => e.textContent.slice(0, 40))"""
             )
             assert cut == [], address
+        assert "change of the temperature in K, -15 to 15" in page.inner_text("#verbs")
+        assert "All other agents: policies or people" in page.inner_text("#brief")
 
 
 def test_two_laboratories_stand_side_by_side(tmp_path: Path, visitor: Any) -> None:
@@ -183,6 +195,8 @@ def test_two_laboratories_stand_side_by_side(tmp_path: Path, visitor: Any) -> No
         page.frame_locator("iframe").nth(0).locator("#forward").click()
         until(lambda: [one.film.turns for one in lab.lives] == [1, 1])
         assert [one.seed for one in lab.lives] == [0, 0]
+        lab.lives[0].seed = 2**60 + 1
+        assert visitor(f"{lab.url}/lab/0").get_by_text(f"seed {2**60 + 1} ").count() == 1, "all its digits"
 
 
 _HIDE = """Object.defineProperty(document, 'hidden', {value: %s, configurable: true});

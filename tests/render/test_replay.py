@@ -68,7 +68,7 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
             replay.play(turn)
         frame = unpack(data, data["frames"][i])
         assert frame["ticks"] == labs.state.ticks[0]
-        assert data["costs"][i] == pytest.approx(list(labs.costs().values()), rel=1e-3, abs=1e-9)
+        assert data["costs"][i] == pytest.approx(list(labs.costs().values()), rel=1e-6, abs=1e-9)
         for slot, picture in enumerate(frame["shelf"]):
             vessel = labs.shelf.vessel(0, slot)
             assert (picture["vessel"] is not None) == vessel.present
@@ -76,11 +76,19 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
                 assert dict(picture["vessel"]["contents"]) == pytest.approx(vessel.amounts(5e-6), rel=1e-3)
         for bench, experiments in zip(frame["benches"], labs.experiments, strict=True):
             assert bench["busy"] == experiments.busy[0]
-    assert data["results"][-1] == pytest.approx(found.end["end"]["score"], rel=1e-3)
+    assert data["results"][-1] == pytest.approx(found.end["end"]["score"], rel=1e-6)
     # Each experiment once, with its score; the scores are the benches' rewards.
     for agent, total in found.end["end"]["rewards"].items():
         scores = [e["score"] for e in data["experiments"] if e["agent"] == agent]
         assert agent == "manager_0" or sum(scores) == pytest.approx(total, abs=1e-5)
+
+
+def test_the_score_now_counts_submissions_that_agents_hear_of_later(tmp_path: Path) -> None:
+    data = replay_data(read_record(record_episode(tmp_path / "rush.jsonl", "rush", seed=2**60 + 1)))
+    assert data["seed"] == str(2**60 + 1), "JavaScript would round it"
+    first = next(t for t, turn in enumerate(data["turns"], start=1) if turn["kind"] == "submit")
+    assert first < len(data["turns"])
+    assert data["results"][first] > data["results"][first - 1] + 0.01
 
 
 def test_every_decision_of_the_manager_is_in_words(episode: Path) -> None:
@@ -147,7 +155,8 @@ def test_an_unfinished_record_has_a_page(episode: Path, tmp_path: Path) -> None:
 def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     """Every action is in it, and all that was taken from the stock."""
     output = tmp_path / "protocol.md"
-    command("replay", episode, "-o", output)
+    said = command("replay", episode, "-o", output)
+    assert f" turns, {output.stat().st_size / 1000:.1f} kB" in said
     text = output.read_text(encoding="utf-8")
     steps = [line for line in text.splitlines() if line.startswith("- tick ")]
     times = [int(found[1]) if (found := re.search(r" \((\d+) times\)\.", line)) else 1 for line in steps]
@@ -420,6 +429,27 @@ def test_it_fits_windows(page: Any, width: int, height: int, episode: Path) -> N
                 .map(e => e.outerHTML.slice(0, 80))"""
             )
             assert cut == []
+
+
+def test_signs_and_names_are_whole(page: Any) -> None:
+    """The minus sign of a long number at an axis is inside the chart, and a bench's name is on one line."""
+    cut = page.evaluate(
+        """() => { const { svg } = plot($("spectrum"), [], { x: [0, 1], y: [-0.015, 0], yTicks: [-0.015, 0],
+        yText: value => fixed(value, 3), xTicks: [], label: "" });
+        return svg.getBoundingClientRect().left - svg.querySelector("text").getBoundingClientRect().left; }"""
+    )
+    assert cut <= 0.0
+    lines = page.evaluate(
+        """() => [...document.querySelectorAll(".bench > button")].map(button => { button.lastChild.textContent =
+        "4-ethyl-5-methylnonane, 14/20"; return button.querySelector("b").getBoundingClientRect().height; })"""
+    )
+    assert max(lines) < 30
+    parts = page.evaluate(
+        """() => { $("hidden-card").hidden = false; const table = add($("hidden"), "table");
+        for (let i = 0; i < 5; i++) add(add(table, "tr"), "th", {}, "the name of a hidden parameter ".repeat(9));
+        return [...table.querySelectorAll("th")].map(row => row.getClientRects().length); }"""
+    )
+    assert parts == [1] * 5, "no row is divided between columns"
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
