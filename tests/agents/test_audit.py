@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
 import subprocess
 import sys
 import time
@@ -13,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import children, running, until
 from scipy import stats
 
 from chemlab.agents.episodes import play_laboratory
@@ -166,22 +165,10 @@ def killed(words: list[str], parts: Path, least: int) -> None:
         while len(list(parts.rglob("*.json"))) < least:
             assert process.poll() is None, "it was over before it could be killed"
             time.sleep(0.005)
-        children = [pid for pid in map(int, filter(str.isdigit, os.listdir("/proc"))) if _parent(pid) == process.pid]
-        process.send_signal(signal.SIGKILL)
-    assert children
-    until = time.monotonic() + 60.0
-    while any(map(_parent, children)):
-        assert time.monotonic() < until, "a process that nobody waits for goes on"
-        time.sleep(0.05)
-
-
-def _parent(pid: int) -> int:
-    """Number of the process that started one; 0 where that has ended."""
-    try:
-        state, parent = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[:2]
-    except OSError:
-        return 0
-    return 0 if state == "Z" else int(parent)
+        workers = children(process.pid)
+        process.kill()
+    assert workers
+    until(lambda: not any(map(running, workers)), 60.0)
 
 
 @pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="looks for processes as Linux shows them")

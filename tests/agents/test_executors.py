@@ -12,7 +12,7 @@ from typing import Any
 
 import job_functions
 import pytest
-from helpers import until
+from helpers import running, until
 from job_functions import asked, held, killed_at_first, refused, trains_for_long, waits
 
 from chemlab.agents import executors
@@ -70,14 +70,6 @@ def jobs(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Executor]:
             yield left.enter_context(slurm(tmp_path / "slurm"))
         else:
             yield left.enter_context(executor(request.getfixturevalue("ray_address")))
-
-
-def gone(pid: int) -> bool:
-    """Whether a process has ended (one that nobody waited for has, too)."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
 
 
 # -- results ----------------------------------------------------------------------------------------------------------
@@ -177,7 +169,7 @@ def test_ctrl_c_ends_the_jobs_that_run(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         interrupted(waits, tmp_path, lambda: list(tmp_path.iterdir()))
     (worker,) = (int(path.name) for path in tmp_path.iterdir())
-    until(lambda: gone(worker))
+    until(lambda: not running(worker))
 
 
 def test_ctrl_c_ends_the_commands_that_jobs_have_started(tmp_path: Path) -> None:
