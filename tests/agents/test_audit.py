@@ -15,6 +15,7 @@ from helpers import children, running, until
 from scipy import stats
 
 from chemlab.agents.episodes import play_laboratory
+from chemlab.agents.evaluate import jobs
 from chemlab.agents.evaluate.audit import audit, choosing_jobs, measure_rows, verdict
 from chemlab.agents.evaluate.jobs import AuditBudget, Job, JobRunner, foreseen
 from chemlab.agents.evaluate.scale import Scale, interval
@@ -24,7 +25,7 @@ from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 from chemlab.record import scenario_hash
 
-TINY = AuditBudget(episodes=12, plans=60, fewer=20, donors=3, planned=20)
+TINY = AuditBudget(episodes=12, plans=20, fewer=5, donors=2, planned=6)
 MEASURES = (
     "random reference best strongest open_loop oracle value_of_information value_of_bench value_of_role "
     "value_of_memory coordination_gain contention value_of_reports headroom generalization open_loop_deviation criteria"
@@ -86,9 +87,17 @@ def test_constant_actions_of_benches_are_searched() -> None:
 
 
 @pytest.mark.slow
-def test_a_scenario_that_needs_memory_is_said_to_be_one() -> None:
-    """What the first batches of a campaign tell holds for the later ones, and every measurement has a price."""
-    found = audit("campaign", AuditBudget(episodes=20, plans=20, fewer=5, donors=2, planned=4))
+def test_a_scenario_that_needs_memory_is_said_to_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the first batches of a campaign tell holds for the later ones, and every measurement has a price.
+
+    Both policies are scripted: searches, whose plans would come to less, are left out.
+    """
+    searched = {"scores": [-1.0] * 20, "everybody": [-1.0] * 20, "chosen": [-1.0], "plans": [], "teams": []}
+    for kind in ("plan", "everybody", "replay"):
+        monkeypatch.setitem(jobs._KINDS, kind, lambda *_, **__: searched)
+    planned = {"scores": [-1.0] * 10, "curves": [[-1.0] * 10] * 10}
+    monkeypatch.setitem(jobs._KINDS, "foresee", lambda *_, **__: planned)
+    found = audit("campaign", AuditBudget(episodes=20, plans=1, fewer=1, donors=1, planned=1))
     assert found["value_of_memory"]["low"] > 0.0
 
 
