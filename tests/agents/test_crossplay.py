@@ -122,7 +122,7 @@ def test_runs_are_known_by_their_folders(played: Played, tmp_path: Path) -> None
     manager = {"roles": "manager", "algo": "maskable-ppo"}
     for seed in (0, 1):
         trained(tmp_path / "runs" / f"seed-{seed}", scenario="unlabelled", seed=seed, **manager)
-    trained(tmp_path / "team", scenario="unlabelled", algo="ippo")
+    trained(tmp_path / "team", scenario="unlabelled", algo="ippo", net_arch=(8,), practice=0.0)
     spec, team = load_scenario("unlabelled"), str(tmp_path / "team")
     managers, benches = find_players(spec, [str(tmp_path / "runs"), team], ["scripted:unsafe", team])
     first = tmp_path / "runs" / "seed-0"

@@ -128,7 +128,7 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
 def test_a_run_that_is_killed_and_a_sweep_that_is_stopped_go_on(tmp_path: Path) -> None:
     """At moments nobody chose; the run comes to what one comes to that nobody has disturbed."""
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, PPO + "steps = 1280\ncheckpoints = 40\n")
+    file = sweep_file(tmp_path, PPO + "steps = 640\ncheckpoints = 20\n")
     (one,), other = plan(file, tmp_path / "out"), Run(tmp_path / "other")
     assert status_of(one).state == "waiting"
     words = ["sweep", str(file), "--out", str(tmp_path / "out")]
