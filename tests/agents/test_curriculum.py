@@ -192,8 +192,9 @@ def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_clone_that_has_to_remember(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is to be played all the time is seen in the first turn alone: a learner without memory hits half of it."""
-    monkeypatch.setattr(imitation, "_UPDATES", 400)
-    draw, episodes, turns = np.random.default_rng(0), 40, 6
+    monkeypatch.setattr(imitation, "_UPDATES", 250)
+    monkeypatch.setattr(imitation, "_SEQUENCES_LEARNING_RATE", 0.01)
+    draw, episodes, turns = np.random.default_rng(0), 40, 4
     venv = ChemlabVecEnv(2, bench="dit", show_masks=True)
     first = draw.integers(2, size=episodes)
     actions = np.repeat(first, turns)
