@@ -149,9 +149,9 @@ def test_what_the_first_batch_has_taught_is_not_measured_again() -> None:
 @pytest.mark.slow
 def test_earlier_looks_are_worth_remembering() -> None:
     """What a vessel showed before the last portion tells more of its kinetics than what it shows after it."""
-    one, other = (played("selectivity", name, 200)[0] for name in ("scripted", "scripted:memoryless"))
+    one, other = (played("selectivity", name, 120)[0] for name in ("scripted", "scripted:memoryless"))
     gained = one.result(one.members) - other.result(other.members)
-    assert gained.mean() > 2.0 * gained.std() / np.sqrt(200.0)
+    assert gained.mean() > 2.0 * gained.std() / np.sqrt(120.0)
 
 
 @pytest.mark.slow
