@@ -9,6 +9,7 @@ import functools
 import hashlib
 import importlib.util
 import json
+import os
 import re
 import time
 from collections.abc import Callable, Iterable, Mapping
@@ -159,6 +160,25 @@ def until(met: Callable[[], Any], seconds: float = 600.0) -> None:
     while not met():
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+def _parent(pid: int) -> int:
+    """Number of the process that started one; 0 where that has ended."""
+    try:
+        state, parent = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[:2]
+    except OSError:
+        return 0
+    return 0 if state == "Z" else int(parent)
+
+
+def running(pid: int) -> bool:
+    """Whether a process goes on, as Linux shows it; one that has ended and that nobody waited for does not."""
+    return _parent(pid) != 0
+
+
+def children(pid: int) -> list[int]:
+    """Processes that one has started and that go on, as Linux shows them."""
+    return [other for other in map(int, filter(str.isdigit, os.listdir("/proc"))) if _parent(other) == pid]
 
 
 def said(name: str) -> str:

@@ -44,13 +44,15 @@ def test_controllers_are_scored(opening: str) -> None:
 
 
 @pytest.mark.slow
-def test_a_learner_begins_with_an_open_loop_policy() -> None:
+def test_a_learner_begins_with_an_open_loop_policy(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without any learning, the clone plays what it was shown: its episodes cost as many ticks."""
     pytest.importorskip("torch")
+    monkeypatch.setattr("chemlab.agents.train.imitate._UPDATES", 300)
+    monkeypatch.setattr("chemlab.agents.evaluate.adversary._DONORS", 4)
     limits = CAMPAIGN.limits.model_copy(update={"manager_actions": 40, "ticks": 120})
     short = CAMPAIGN.model_copy(update={"limits": limits})
     found = PlanSearch(short, "scripted", [FoundPlan(CONTEXT, TEAM, 0.0)], 0)
-    expected = found.play(20, 5, "test").mean()
+    expected = found.play(8, 5, "test").mean()
     assert expected != 0.0
-    assert np.mean(learned_scores(short, 0, 20, 5, {CONTEXT: TEAM})) == pytest.approx(expected, abs=1e-9)
-    assert np.isfinite(learned_scores(short, 1, 20, 5)).all()
+    assert np.mean(learned_scores(short, 0, 8, 5, {CONTEXT: TEAM})) == pytest.approx(expected, abs=1e-9)
+    assert np.isfinite(learned_scores(short, 1, 8, 5)).all()

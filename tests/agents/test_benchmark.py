@@ -39,12 +39,14 @@ from studies.tools.seats import play_scripted
 
 TINY = AuditBudget(episodes=5, plans=20, fewer=5, donors=2, planned=5)
 Played = tuple[dict[str, Any], Path]
+DIRECT = "wurtz_dodecane_direct"
 ROWS = [Row(name, (name,)) for name in ("scripted", "scripted:unsafe", "scripted:fifo")]
 
 
 @pytest.fixture(scope="module")
 def played(tmp_path_factory: pytest.TempPathFactory) -> Played:
     folder = tmp_path_factory.mktemp("benchmark")
+    benchmark([DIRECT], ROWS[:1], TINY, 2, keep=folder / "parts")
     return benchmark(["unlabelled"], ROWS, TINY, 2, keep=folder / "parts"), folder
 
 
@@ -349,8 +351,8 @@ def test_what_people_have_played_is_entered_like_any_other(tmp_path: Path, playe
     for entry in line["records"]:
         assert verify_record(keep / entry["file"]).status == "ok"
     assert str(games) not in json.loads((keep / "marl_eval.json").read_text())["chemlab"]["unlabelled"]
-    other = "wurtz_dodecane_direct"
-    nobody = benchmark([other], [ROWS[0], row], TINY, 2)["scenarios"][other]["cells"][str(games)]
+    elsewhere = benchmark([DIRECT], [ROWS[0], row], TINY, 2, keep=keep / "parts")
+    nobody = elsewhere["scenarios"][DIRECT]["cells"][str(games)]
     assert (nobody["value"], nobody["reason"]) == (None, "has not been played yet")
 
 
@@ -445,7 +447,7 @@ def test_what_is_no_leaderboard_is_said_before_anything_is_played(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> None:
+def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(played: Played, tmp_path: Path) -> None:
     manager = {"scenario": "unlabelled", "roles": "manager", "algo": "maskable-ppo"}
     for seed in (0, 1):
         trained(tmp_path / "runs" / f"seed-{seed}", seed=seed, **manager)
@@ -453,7 +455,8 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> 
     assert [row.name.rpartition(" ")[2] for row in rows] == ["(best)", "(last)"]
     for seed in (0, 1):
         assert rows[1].policies[seed] == str(Run(tmp_path / "runs" / f"seed-{seed}").checkpoint("last"))
-    found = benchmark(["unlabelled", "wurtz_dodecane_direct"], rows, TINY, 2, baseline=rows[0].name)
+    shutil.copytree(played[1] / "parts", tmp_path / "parts")
+    found = benchmark(["unlabelled", DIRECT], rows, TINY, 2, baseline=rows[0].name, keep=tmp_path / "parts")
     cells = found["scenarios"]["unlabelled"]["cells"]
     labs = Laboratories("unlabelled", 5, split="test")
     scores = [
@@ -461,7 +464,7 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(tmp_path: Path) -> 
     ]
     # The first replication is the first run's, the second the second's, each in worlds of its own.
     assert cells[rows[1].name]["score"] == pytest.approx(np.concatenate([scores[0][:3], scores[1][3:]]).mean())
-    assert found["scenarios"]["wurtz_dodecane_direct"]["cells"][rows[0].name]["reason"] == "was trained in unlabelled"
+    assert found["scenarios"][DIRECT]["cells"][rows[0].name]["reason"] == "was trained in unlabelled"
     assert found["rows"][2]["hours"] > 0.0
     assert found["rows"][2]["steps"] == 32
     refused("given", "given twice", find_rows, ["scripted", "scripted"])

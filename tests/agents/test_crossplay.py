@@ -51,9 +51,7 @@ def cell(found: dict[str, Any], manager: str, benches: str) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-def test_who_plays_with_their_own_is_the_row_of_the_benchmark(
-    played: Played,
-) -> None:
+def test_who_plays_with_their_own_is_the_row_of_the_benchmark(played: Played) -> None:
     scored, found, _ = played
     row = scored["cells"]["scripted"]
     assert cell(found, "scripted", "scripted")["score"] == pytest.approx(row["score"], rel=1e-12)
@@ -81,9 +79,7 @@ def test_a_cell_can_be_played_and_proved(played: Played, tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_a_gap_is_the_partners_score_less_the_mean_of_strangers(
-    played: Played,
-) -> None:
+def test_a_gap_is_the_partners_score_less_the_mean_of_strangers(played: Played) -> None:
     found = played[1]
     gaps = {(one["side"], one["policy"]): one for one in found["gaps"]}
     assert set(gaps) == {("manager", "scripted"), ("benches", "scripted")}
@@ -121,12 +117,12 @@ def partners(scenario: str, *names: list[str]) -> list[list[tuple[str, str | Non
 
 
 @pytest.mark.slow
-def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
+def test_runs_are_known_by_their_folders(played: Played, tmp_path: Path) -> None:
     """Two managers with scripted benches behind them, and a run in which everybody has learned."""
     manager = {"roles": "manager", "algo": "maskable-ppo"}
     for seed in (0, 1):
         trained(tmp_path / "runs" / f"seed-{seed}", scenario="unlabelled", seed=seed, **manager)
-    trained(tmp_path / "team", scenario="unlabelled", algo="ippo")
+    trained(tmp_path / "team", scenario="unlabelled", algo="ippo", net_arch=(8,), practice=0.0)
     spec, team = load_scenario("unlabelled"), str(tmp_path / "team")
     managers, benches = find_players(spec, [str(tmp_path / "runs"), team], ["scripted:unsafe", team])
     first = tmp_path / "runs" / "seed-0"
@@ -135,7 +131,8 @@ def test_runs_are_known_by_their_folders(tmp_path: Path) -> None:
     assert [player.partner for player in managers] == ["scripted", "scripted", team, "scripted"]
     expected = [("scripted:unsafe", None), (team, team), ("scripted", "scripted")]
     assert [(player.name, player.partner) for player in benches] == expected
-    found = crossplay(spec, managers, benches, TINY)
+    shutil.copytree(played[2], tmp_path / "parts")  # what the scale needs has been played
+    found = crossplay(spec, managers, benches, TINY, keep=tmp_path / "parts")
     labs = Laboratories(spec, 5, split="test")
     scores = play_laboratory(labs, make_policies(team, labs, AUDIT_SEED), None, AUDIT_SEED).returns
     assert cell(found, team, team)["score"] == pytest.approx(scores.mean(), rel=1e-12)

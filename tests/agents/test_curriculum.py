@@ -190,20 +190,22 @@ def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_clone_that_has_to_remember() -> None:
+def test_a_clone_that_has_to_remember(monkeypatch: pytest.MonkeyPatch) -> None:
     """What is to be played all the time is seen in the first turn alone: a learner without memory hits half of it."""
-    draw, episodes, turns = np.random.default_rng(0), 80, 6
+    monkeypatch.setattr(imitation, "_UPDATES", 250)
+    monkeypatch.setattr(imitation, "_SEQUENCES_LEARNING_RATE", 0.01)
+    draw, episodes, turns = np.random.default_rng(0), 40, 4
     venv = ChemlabVecEnv(2, bench="dit", show_masks=True)
     first = draw.integers(2, size=episodes)
     actions = np.repeat(first, turns)
     lengths = draw.integers(2, turns + 1, size=episodes)  # and episodes are not equally long
     kept = (np.arange(turns) < lengths[:, None]).ravel()
     seen = np.zeros((episodes, turns, RoleEnv(bench="dit").observation_space.shape[0]), dtype=np.float32)
-    seen[:, 0, 0] = first
+    seen[:, 0] = first[:, None]
     shown = (seen.reshape(len(actions), -1)[kept], np.ones((kept.sum(), venv.action_space.n), dtype=np.int8))
     returns = actions[kept].astype(np.float32)
-    small = {"policy_kwargs": {"lstm_hidden_size": 32}, "device": "cpu", "seed": 0}
-    model = RecurrentPPO(MaskedLstmPolicy, venv, **small)
+    small: dict[str, Any] = {"lstm_hidden_size": 16, "net_arch": [16]}
+    model = RecurrentPPO(MaskedLstmPolicy, venv, policy_kwargs=small, device="cpu", seed=0)
     assert fit(model, *shown, actions[kept], returns, 0, lengths) > 0.99
     forgetful = MaskablePPO("MlpPolicy", ChemlabVecEnv(2, bench="dit"), device="cpu", seed=0)
     assert fit(forgetful, *shown, actions[kept], returns, 0) < 0.75

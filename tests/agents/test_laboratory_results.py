@@ -102,11 +102,12 @@ def test_runs_are_grouped_by_who_learned_background_and_folder(tmp_path: Path) -
     assert found == {"clone": 1, "first": 1, "on-0": 2, "team": 1}
 
 
+@pytest.mark.usefixtures("hasty")
 def test_runs_with_different_arguments_have_rows_of_their_own(tmp_path: Path) -> None:
     """Those of a run's own file, and also after a round trip through tables."""
     kinds: Any = {"first": {}, "clone": {"bc": "scripted", "bc_steps": 20}, "far": {"gamma": 0.5}, "other": {"seed": 1}}
     for name, more in kinds.items():
-        run_files.trained(tmp_path / name, scenario="wurtz_dodecane_direct", roles="manager", **more)
+        run_files.trained(tmp_path / name, scenario="wurtz_dodecane_direct", roles="manager", net_arch=(8,), **more)
     found = labels(tmp_path)
     assert {label: len(seeds) for (_, label), seeds in found.items()} == {"clone": 1, "far": 1, "first": 2}
     write_runs(tmp_path / "tables", read_runs(tmp_path))

@@ -68,7 +68,7 @@ def small(algo: str, **more: Any) -> Single:
         # A memory of 150 rows of 2 is written over before the run's 192 rows are through.
         values = {"gradient_steps": 2, "batch_size": 8, "buffer_size": 300, **values}
     if "recurrent" in algo:
-        values = {"memory": 16, **values}
+        values = {"memory": 16, "epochs": 2, **values}
     made = training_arguments(values)
     assert isinstance(made, Single)
     return made

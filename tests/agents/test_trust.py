@@ -138,6 +138,7 @@ WEIGHTS: dict[str, Any] = {
 """The same of weights alone: of roles that have learned together, and of what is exported."""
 
 
+@pytest.mark.usefixtures("hasty")
 @pytest.mark.parametrize("way", [*PICKLES, *WEIGHTS])
 def test_a_strangers_run_is_played_from_its_weights(way: str, bait: Path) -> None:
     command(*(PICKLES | WEIGHTS)[way](bait))
@@ -259,7 +260,7 @@ SCENARIOS = {
     "starts": ["export", "starts", "bait.toml", "--episodes", 1, "--out", "starts.json"],
     "evaluate": ["evaluate", "bait.toml", "--episodes", 1],
     "plan": ["audit", "plan", "bait.toml", "--budget", 1, "--episodes", 1],
-    "audit": ["audit", "bait.toml"],
+    "audit": ["audit", "bait.toml", "--processes", 1],
     "difficulty": ["audit", "difficulty", "bait.toml", "--episodes", 1, "--plans", 0, "--explored", 1],
     "warm": ["warm", "bait.toml"],
     "serve": ["serve", "bait.toml", "--speed", 7],

@@ -30,12 +30,6 @@ def chosen(background: Any, scenario: str = LINES) -> dict[str, Any]:
     return dict(given(Laboratories(scenario)))
 
 
-# -- by id ----------------------------------------------------------------------------------------------------------
-
-
-# -- who plays ------------------------------------------------------------------------------------------------------
-
-
 def test_an_agents_own_policy_beats_its_kinds_and_that_beats_the_default() -> None:
     mine, ours = constant(40), constant(40)
     policies = chosen({"ext_1": mine, "ext": ours, "rxn": "random", "manager": "scripted:unsafe"})
