@@ -180,7 +180,7 @@ def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
         ("Sodium to salt", "Sodium to salt."),  # ends with a full stop
         ("<script>a</script>", "&lt;script>a&lt;/script>."),
         ("[here](javascript:a)", r"[here]\(javascript:a)."),
-        ("[here]\n\n[here]: javascript:a", "[here]  [here]: javascript:a."),  # a reference stands at the start of a line
+        ("[here]\n\n[here]: javascript:a", "[here]  [here]: javascript:a."),  # a reference begins a line
     ],
 )
 def test_the_summary_of_a_protocol_is_a_text(summary: str, shown: str, tmp_path: Path) -> None:
