@@ -167,6 +167,7 @@ def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: 
 
 def test_names_of_runs_are_text_on_pages(tmp_path: Path) -> None:
     """Runs may be of other people, and readers of Markdown follow its HTML and links."""
+    pytest.importorskip("matplotlib")
     for bench in ("rxn", "manager"):
         write_run(tmp_path / "[a](b)" / bench, "<i>lab", bench, {"a": 1.0}, label="x\n\n[x]: y")
     for write, shown in ((write_page, "&lt;i>lab"), (write_laboratory, "[a]\\(b)")):

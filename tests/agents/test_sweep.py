@@ -18,7 +18,6 @@ from typer.testing import CliRunner
 
 from chemlab.agents.executors import executor
 from chemlab.agents.runs import Run
-from chemlab.agents.train.learn import train
 from chemlab.agents.train.sweep import Status, plan, run_sweep, status_of
 from chemlab.cli import app
 from chemlab.config.datafile import DataError
@@ -90,6 +89,8 @@ def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:
 def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tmp_path: Path) -> None:
     """One run is finished, the next fails, the last failed earlier and is tried again."""
     pytest.importorskip("stable_baselines3")
+    from chemlab.agents.train.learn import train
+
     clone = '[[runs]]\nname = "clone"\nscenario = "chemlab/FictitiousReaction-v0"\nbc = "heuristc"\n'
     file = sweep_file(tmp_path, f"{PPO}{clone}{PPO}seeds = [1]\n")
     out, runner = tmp_path / "out", CliRunner()
@@ -128,6 +129,8 @@ def test_finished_runs_are_left_alone_failures_are_shown_and_the_rest_goes_on(tm
 def test_a_run_that_is_killed_and_a_sweep_that_is_stopped_go_on(tmp_path: Path) -> None:
     """At moments nobody chose; the run comes to what one comes to that nobody has disturbed."""
     pytest.importorskip("stable_baselines3")
+    from chemlab.agents.train.learn import train
+
     file = sweep_file(tmp_path, PPO + "steps = 640\ncheckpoints = 20\n")
     (one,), other = plan(file, tmp_path / "out"), Run(tmp_path / "other")
     assert status_of(one).state == "waiting"
@@ -183,6 +186,8 @@ def test_waiting_for_runs_of_another_process_takes_no_processor(
 @pytest.mark.slow
 def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("stable_baselines3")
+    from chemlab.agents.train.learn import train
+
     file = sweep_file(tmp_path, PPO)
     (one,) = plan(file, tmp_path / "out")
     # It was free when the sweep looked, and taken when its process came.
