@@ -12,7 +12,7 @@ True
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from typing import Any
@@ -144,15 +144,14 @@ class Campaign:
         """
         return self.run_batch([recipe])[0]
 
-    def run_batch(self, recipes: Sequence[Mapping[str, float | str]]) -> list[Result]:
+    def run_batch(self, recipes: Iterable[Mapping[str, float | str]]) -> list[Result]:
         """Run several recipes, as many at once as there are benches.
 
         Raises:
             ValueError: as for :meth:`run`.
         """
-        checked = [
-            self._checked(recipe, f"recipe {i}: " if len(recipes) > 1 else "") for i, recipe in enumerate(recipes)
-        ]
+        given = list(recipes)
+        checked = [self._checked(recipe, f"recipe {i}: " if len(given) > 1 else "") for i, recipe in enumerate(given)]
         if len(checked) > self.left:
             raise ValueError(f"campaign: {self.left} vessels are left, given {len(checked)} recipes; finish() ends it")
         results: list[Result] = []

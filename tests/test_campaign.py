@@ -86,7 +86,7 @@ def test_no_temperature_is_the_best_in_all_worlds() -> None:
 
 def test_two_at_once_take_the_time_of_one_and_cost_what_the_laboratory_charges() -> None:
     campaign = Campaign(seed=2)
-    pair = campaign.run_batch([GOOD, {**GOOD, "catalyst": "catalyst_d"}])
+    pair = campaign.run_batch(iter([GOOD, {**GOOD, "catalyst": "catalyst_d"}]))
     assert [result.ticks for result in pair] == [20, 20]
     assert [result.slot for result in pair] == [0, 1]
     assert campaign.left == 22
