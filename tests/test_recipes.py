@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import math
 import runpy
@@ -60,8 +59,7 @@ def test_recipes_run(
         monkeypatch.syspath_prepend(str(ROOT / "recipes"))
         monkeypatch.setattr(sys, "argv", words)
         monkeypatch.setenv("MINARI_DATASETS_PATH", "")  # which a recipe sets
-        with contextlib.suppress(SystemExit):
-            runpy.run_path(str(path), run_name="__main__")
+        runpy.run_path(str(path), run_name="__main__")
         printed = capsys.readouterr().out
     found = json.loads(out.read_text(encoding="utf-8"))
     assert found == json.loads(printed)

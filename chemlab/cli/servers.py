@@ -220,9 +220,9 @@ def _free_port(host: str, port: int = 0, option: str = "--port") -> int:
 
 
 def _origin(host: str, port: int) -> str:
-    """Return the beginning of an address for others: of all addresses of this machine, the one in its network.
+    """Return the beginning of a URL that other computers can open.
 
-    IPv6 hosts stand in brackets there.
+    If the host stands for all addresses of this machine, its address in the network takes its place.
     """
     import socket
 

@@ -42,8 +42,8 @@ MOST_TURNS = 20_000
 
 
 @functools.lru_cache(maxsize=4096)
-def _rounded(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
+def _rounded(value: float, digits: int = _DIGITS) -> float:
+    return float(f"{value:.{digits}g}")
 
 
 class _Pool:
@@ -211,9 +211,9 @@ class Film:
         # determine it.
         frame["liquid_l"] = tuple(liquid_volume(row, chem) for row in labs.shelf.vessels[0])
         self._frames.append(self._pool.frame({key: part for key, part in frame.items() if key not in _STATIC}))
-        # With more digits than are shown: a number that is rounded twice may differ from that of the record.
-        self._costs.append([float(f"{cost:.7g}") for cost in labs.costs().values()])
-        self._results.append(float(f"{labs.result(labs.members)[0]:.7g}"))  # also where agents do not know it yet
+        # With more digits than the page shows: a number that is rounded twice may differ from that of the record.
+        self._costs.append([_rounded(cost, 7) for cost in labs.costs().values()])
+        self._results.append(_rounded(labs.result(labs.members)[0], 7))  # also where agents do not know it yet
 
     def add(self, tick: int, plays: Sequence[Play]) -> None:
         """Add the scene after a turn.

@@ -111,7 +111,6 @@ def _activity(row: FloatArray, material: int, mol: float, chem: Handle) -> float
     return liquids.log_gamma[phase] + math.log(liquids.x[phase])
 
 
-@pytest.mark.slow  # compiles this part of a law once more
 @pytest.mark.parametrize(
     ("kelvin", "water", "other", "mol", "total"),
     [

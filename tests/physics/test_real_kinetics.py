@@ -19,7 +19,6 @@ from chemlab.kernels.tables import Table
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.physics.constants import GAS_CONSTANT
 
-pytestmark = pytest.mark.slow  # the integrator is compiled once more for these tests
 FloatArray = npt.NDArray[np.float64]
 Step = Mapping[str, Any]
 

@@ -88,7 +88,7 @@ class _Part(NamedTuple):
     shortest: float  # s, minimum duration of any part
     left: float  # s, from its beginning to the end of the time
     made: float  # J, heat of the reactions
-    drift: float  # as of :func:`.spans.drifted`
+    drift: float  # from :func:`.spans.drifted`
 
 
 class _Boiling(NamedTuple):
