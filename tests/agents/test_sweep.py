@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -83,6 +84,17 @@ def test_order_and_folders(tmp_path: Path) -> None:
 def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises((ValueError, DataError), match=message):
         plan(sweep_file(tmp_path, text), tmp_path)
+
+
+def test_runs_that_the_baselines_and_the_manual_go_on_with_are_runs_of_a_sweep() -> None:
+    root = Path(__file__).parents[2]
+    sweeps = [file for file in (root / "studies").rglob("*.toml") if "[[runs]]" in file.read_text(encoding="utf-8")]
+    trained = {one.name for file in sweeps for one in plan(file, Path("results"))}
+    pages = [*sweeps, *(root / "studies/baselines").glob("*.sh"), *(root / "docs").rglob("*.md")]
+    words = " ".join(page.read_text(encoding="utf-8") for page in pages).replace("seed-$seed", "seed-0")
+    named = set(re.findall(r"=\s*\"?\$?results/([^/\s\",]+/[\w-]+/seed-\d+)", words))
+    assert len(named) > 15
+    assert named <= trained
 
 
 @pytest.mark.slow
