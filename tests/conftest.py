@@ -52,7 +52,7 @@ def _all_tests(config: pytest.Config) -> bool:
 _WARM = "import sys; from chemlab.cli import main; sys.argv[1:] = ['warm', 'wurtz_dodecane']; main()"
 _LAWS = """
 from chemlab.physics import backends
-for law in {}:
+for law in {}([*backends.LAWS, *backends.SEPARATE]):
     backends.law_address(law, "real")
 """
 
@@ -71,8 +71,8 @@ def pytest_sessionstart(session: pytest.Session) -> None:
             # Not in a checkout, whose chemlab would be found before an installed one. What fails here fails in a test.
             return subprocess.Popen([sys.executable, "-c", program], cwd=_state.name, stdout=subprocess.DEVNULL)
 
-        beside = start(_LAWS.format("reversed(backends.LAWS)"))
-        for program in (_WARM, _LAWS.format("backends.LAWS")):
+        beside = start(_LAWS.format("reversed"))
+        for program in (_WARM, _LAWS.format("list")):
             start(program).wait()
         beside.wait()
 

@@ -116,14 +116,14 @@ class _Helper:
     numba spends about half of a small function's compilation on the conversion of Python's arguments.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
+    def __init__(self, function: Callable[..., Any], inside: Callable[..., Any]) -> None:
         functools.update_wrapper(self, function)
         self.py_func = function
-        self.inside = numba.njit(no_cpython_wrapper=True, **_INSIDE)(function)
+        self.inside = numba.njit(no_cpython_wrapper=True, **_INSIDE)(inside)
 
     @functools.cached_property
     def outside(self) -> Any:
-        return _cached(numba.njit, self.py_func, self.py_func.__module__, **_INSIDE)
+        return _cached(numba.njit, self.inside.py_func, self.py_func.__module__, **_INSIDE)
 
     def __call__(self, *arguments: Any) -> Any:
         return self.outside(*arguments)
@@ -137,12 +137,16 @@ def _typeof(value: _Helper, context: Any) -> Any:
     return types.Dispatcher(value.inside)
 
 
-def helper(function: F) -> F:
+def helper(function: F, inside: Callable[..., Any] | None = None) -> F:
     """Compile ``function`` once for all kernels that call it; Python may also call it.
 
-    A cached kernel contains it; only the version for Python is cached on its own.
+    A cached kernel contains it, and LLVM optimizes it again there; only the version for Python is cached on its own.
+
+    Args:
+        function: the function.
+        inside: what is compiled in its place, such as a call by its address.
     """
-    return cast(F, _Helper(function)) if COMPILED else function
+    return cast(F, _Helper(function, inside or function)) if COMPILED else function
 
 
 def inner(function: F) -> F:

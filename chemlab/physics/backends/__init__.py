@@ -12,10 +12,11 @@ from __future__ import annotations
 
 import importlib
 import inspect
-from typing import Any, TypeVar
+import typing
+from typing import Any, TypeVar, cast
 
-import numba
 import numpy as np
+from numba import types
 from numba.extending import overload
 
 from ...config.scenario import PHYSICS_TIERS as TIERS
@@ -30,12 +31,43 @@ R = TypeVar("R")
 
 LAWS: list[str] = []
 """Names of the laws, in the order of their addresses."""
+SEPARATE: dict[str, Any] = dict.fromkeys(
+    ("activities", "bubble_point", "flash_off", "integrate", "overhead", "saturate", "settle", "settle_acids", "split")
+)
+"""Large functions of the backend ``real``, in the order of their addresses, which follow those of the laws. None until
+the backend is imported.
+"""
+_KINDS: dict[Any, Any] = {
+    FloatArray: types.float64[::1],
+    IntArray: types.int64[::1],
+    Handle: types.int64,
+    float: types.float64,
+    int: types.int64,
+    bool: types.boolean,
+    type(None): types.none,
+}
+"""numba types of annotations."""
 
 
 def _law(declared: F) -> F:
     """Declare a law: a helper that calls the one of its name in the chemistry's backend."""
     LAWS.append(declared.__name__)
     return helper(declared)
+
+
+def separate(function: F) -> F:
+    """Compile one of the functions :data:`SEPARATE` once. Kernels call it by its address, as they call a law.
+
+    A helper is optimized again as a part of every kernel that contains it.
+    """
+    name, at = function.__name__, list(inspect.signature(function).parameters).index("chem")
+
+    def call(*arguments: Any) -> Any:
+        return _call(name, arguments[at], arguments)
+
+    call.__qualname__ = f"separate_{name}"
+    SEPARATE[name] = helper(function, call)
+    return cast(F, SEPARATE[name])
 
 
 def _backend(name: str) -> Any:
@@ -54,37 +86,36 @@ def most_steps(chemistry: ChemistryTable) -> int:
 
 
 def law_addresses(name: str) -> IntArray:
-    """Return the addresses [laws] of a backend's laws. Compiles them if necessary."""
+    """Return the addresses of a backend's laws and of :data:`SEPARATE` functions. Compiles them if necessary."""
     if not COMPILED:
         return np.zeros(0, dtype=np.int64)
     with told(name):
-        return np.array([law_address(law, name) for law in LAWS], dtype=np.int64)
+        laws = [law_address(law, name) for law in LAWS]
+        return np.array(laws + [law_address(one, name) if SEPARATE[one] else 0 for one in SEPARATE], dtype=np.int64)
 
 
 def law_address(law: str, name: str) -> int:
-    """Return the address of a backend's law. Compiles it if necessary."""
-    return jit.code_address(getattr(_backend(name), law), _signature(law), TIERS[name])
+    """Return the address of a backend's law, or of a :data:`SEPARATE` function. Compiles it if necessary."""
+    backend = _backend(name)  # fills SEPARATE
+    function = getattr(backend, law) if law in LAWS else SEPARATE[law]
+    own = not function.__module__.startswith("chemlab.")
+    return jit.code_address(function, _signature(law), TIERS[name] if own else __name__)
 
 
 def _signature(law: str) -> Any:
-    """Return the numba signature of a law from its annotations."""
-    types = numba.types
-    number, vector = types.float64, types.Array(types.float64, 1, "C")
-    kinds = {
-        "FloatArray": vector,
-        "IntArray": types.Array(types.int64, 1, "C"),
-        "Handle": types.int64,
-        "Surroundings": types.NamedUniTuple(number, len(Surroundings._fields), Surroundings),
-        "float": number,
-        "int": types.int64,
-        "bool": types.boolean,
-        "None": types.none,
-        "tuple[float, float]": types.UniTuple(number, 2),
-    }
-    signature = inspect.signature(globals()[law].py_func)
-    work = types.Array(number, 2, "C")
-    given = [work if name == "work" else kinds[p.annotation] for name, p in signature.parameters.items()]
-    return kinds[signature.return_annotation](*given)
+    """Return the numba signature of a law, or of a :data:`SEPARATE` function, from its annotations."""
+    hints = typing.get_type_hints((globals()[law] if law in LAWS else SEPARATE[law]).py_func)
+    given = {name: types.float64[:, ::1] if name == "work" else _kind(hint) for name, hint in hints.items()}
+    return given.pop("return")(*given.values())
+
+
+def _kind(hint: Any) -> Any:
+    """Return the numba type of an annotation, which may be a tuple or a NamedTuple."""
+    if hint in _KINDS:
+        return _KINDS[hint]
+    named = typing.get_origin(hint) is not tuple
+    parts = typing.get_type_hints(hint).values() if named else typing.get_args(hint)
+    return types.BaseTuple.from_types([_kind(part) for part in parts], hint if named else None)
 
 
 def _call(law: str, chem: Handle, arguments: Any) -> R:  # type: ignore[type-var]  # as its caller declares it
@@ -98,7 +129,7 @@ if COMPILED:
     @overload(_call, prefer_literal=True)
     def _called(law, chem, arguments):  # type: ignore[no-untyped-def]  # numba wants no types here
         name = law.literal_value
-        at, call = LAWS.index(name), jit.call_address(name, _signature(name))
+        at, call = [*LAWS, *SEPARATE].index(name), jit.call_address(name, _signature(name))
 
         def found(law, chem, arguments):  # type: ignore[no-untyped-def]
             return call(opened(Chemistry, chem).laws[at], arguments)

@@ -15,6 +15,7 @@ from ....kernels.jit import helper, inner, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
 from ...constants import GAS_CONSTANT, ROOM_K, TRACE_MOL
 from ...transfer import heat_capacity
+from .. import separate
 from .real_chemistry import RealChemistry
 
 _LN10 = math.log(10.0)
@@ -274,7 +275,7 @@ def _heat_released(chem: Handle, work: FloatArray, proton: float, hydroxide: flo
     return -heat, capacity
 
 
-@helper
+@separate
 def settle_acids(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Bring acids, bases and water of the aqueous layer to equilibrium; the heat changes the temperature.
 

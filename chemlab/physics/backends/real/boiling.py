@@ -237,7 +237,7 @@ def heat(
         if left <= _TRIFLE * joules:
             hottest = boiling
             break
-        spent, rise = _boil(row, n, boiling, left, boiled, still, chem, block)
+        spent, rise = _boil(row, n, boiling, left, bool(boiled), still, chem, block)
         for a in range(n):
             gone = before[a] - liquids.mol[a]
             distilled[a] += gone

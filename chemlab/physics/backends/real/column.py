@@ -13,6 +13,7 @@ import math
 from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened, scratch
 from ...constants import GAS_CONSTANT
+from .. import separate
 from .liquids import clear_liquids, dimer_root, liquids_in, nrtl, on_curve, prepare
 from .real_chemistry import MOST_FLUIDS, ORGANIC, RealChemistry
 
@@ -67,7 +68,7 @@ def _ratios(n: int, chem: Handle, block: FloatArray, guess: float, out: FloatArr
     return temperature
 
 
-@helper
+@separate
 def overhead(
     n: int,
     trays: int,

@@ -11,6 +11,7 @@ from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened
 from ...chemistry import AMOUNTS, TEMPERATURE
 from ...constants import GAS_CONSTANT, TRACE_MOL
+from .. import separate
 from .heats import crystals, dissolved
 from .kinetics import COLUMN, CRYSTALS, PLACE, SATURATED, SATURATION, SHARE, SHARES
 from .liquids import clear_liquids, gather, liquids_in, split
@@ -77,7 +78,7 @@ def _dissolved_at_saturation(n: int, at: int, row: FloatArray, chem: Handle, blo
     return math.exp(here)
 
 
-@helper
+@separate
 def saturate(row: FloatArray, chem: Handle, work: FloatArray) -> None:
     """Compute the mol of every fluid that saturate the liquids, and their share in the organic phase, into the scratch.
 

@@ -21,6 +21,7 @@ from ...constants import GAS_CONSTANT, ROOM_K, TRACE_MOL
 from ...mass_action import arrhenius as rate_constant
 from ...surroundings import Surroundings
 from ...transfer import heat_capacity, liquid_volume, within_range
+from .. import separate
 from .heats import dissolved
 from .real_chemistry import AQUEOUS, ORGANIC, RealChemistry
 
@@ -807,7 +808,7 @@ def _finish(row: FloatArray, chem: Handle, vessel: _Vessel) -> None:
         work[PREDICTED, j] = litres * work[_NOW, j]
 
 
-@helper
+@separate
 def integrate(
     row: FloatArray, dt: float, around: Surroundings, hottest: float, ways: Ways, chem: Handle, work: FloatArray
 ) -> tuple[int, float]:

@@ -14,6 +14,7 @@ from ....kernels.arrays import FloatArray, Handle
 from ....kernels.jit import helper, inner, opened, part, scratch
 from ...chemistry import AMOUNTS
 from ...constants import GAS_CONSTANT, TRACE_MOL
+from .. import separate
 from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
 
 _ROOM = MOST_FLUIDS * MOST_FLUIDS
@@ -181,7 +182,7 @@ def nrtl(n: int, phase: int, block: FloatArray) -> None:
         out[at + i] = total
 
 
-@helper
+@separate
 def activities(n: int, temperature: float, chem: Handle, block: FloatArray) -> None:
     """Compute mole fractions and activity coefficients in both current phases (an absent one has those of the
     other).
@@ -267,7 +268,7 @@ def _shares(n: int, block: FloatArray, ratio: FloatArray, total: float) -> float
     return beta
 
 
-@helper
+@separate
 def split(n: int, temperature: float, chem: Handle, block: FloatArray) -> None:
     """Distribute the molecules over water and the organic phase so that each has equal activities in both.
 

@@ -12,7 +12,7 @@ from ...constants import LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
 from ...surroundings import Surroundings
 from ...transfer import heat_capacity, spill, volume, within_range
-from .. import react
+from .. import react, separate
 from .acids import acid_work_size, settle_acids
 from .heats import enthalpy, set_enthalpy
 from .kinetics import react_work_size
@@ -75,7 +75,7 @@ def settle_phases(row: FloatArray, chem: Handle, waste: FloatArray, events: Floa
     settle(row, chem, row[AIR] > 0.0, waste, events, work)
 
 
-@helper
+@separate
 def settle(
     row: FloatArray, chem: Handle, sealed: bool, waste: FloatArray, events: FloatArray, work: FloatArray
 ) -> None:

@@ -10,6 +10,7 @@ from ...chemistry import AIR, AMOUNTS, CAPACITY, ROLE_GAS, TEMPERATURE
 from ...constants import GAS_CONSTANT, LEAST_CAPACITY, TRACE_MOL
 from ...events import RELIEF
 from ...transfer import heat_capacity, volume, within_range
+from .. import separate
 from .heats import add_heat
 from .liquids import activities, clear_liquids, gather, liquids_in, on_curve, partial_pressures, split, vapor_mol
 from .real_chemistry import AQUEOUS, MOST_FLUIDS, ORGANIC, RealChemistry
@@ -80,7 +81,7 @@ def _boils_at(n: int, pressure: float, at: float, chem: Handle, block: FloatArra
     return max(min(there, at + _LONGEST_K, _HOTTEST_K), at - _LONGEST_K, _COLDEST_K)
 
 
-@helper
+@separate
 def bubble_point(n: int, pressure: float, guess: float, chem: Handle, block: FloatArray, partial: FloatArray) -> float:
     """Return the bubble point in K at ``pressure`` (kPa); 10,000 if nothing boils.
 
@@ -154,7 +155,7 @@ def _flash(row: FloatArray, n: int, mol: float, partial: FloatArray, chem: Handl
     return taken
 
 
-@helper
+@separate
 def flash_off(
     row: FloatArray, pressure: float, heat: float, condenser: float, chem: Handle, waste: FloatArray
 ) -> float:
