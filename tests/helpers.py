@@ -255,7 +255,7 @@ def network_table(
     """A chemistry that is nothing but a reaction network; its handle is good as long as the table is there."""
     sizes = {axis: 0 for field in declared(Chemistry) for axis in field.axes}
     fields = network_fields(species, stoichiometry, orders, pre_exponential, activation_energy)
-    return Table(Table.empty(Chemistry, **sizes).arrays._replace(laws=law_addresses("paper"), **fields))
+    return Table(Table.empty(Chemistry, **sizes).arrays._replace(laws=law_addresses("paper", Chemistry), **fields))
 
 
 class Glassware:

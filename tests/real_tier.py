@@ -51,7 +51,7 @@ def real_table(materials: int, dissolved: Sequence[int] = (), layers: int = 1, *
     reactions = len(fields.get("stoichiometry", ()))
     nothing = np.zeros((reactions, 0))
     values: dict[str, Any] = {
-        "laws": law_addresses("real"),
+        "laws": law_addresses("real", RealChemistry),
         "role": np.full(materials, ROLE_SOLVENT),
         "solvents": np.arange(layers),
         "dissolved": np.array(dissolved, dtype=np.int64),

@@ -187,7 +187,7 @@ class ChemistryTable:
             seen = type(self._declaration.__name__, (self._declaration,), {"BACKEND": self.tier})
             return [seen(*self.world(w)) for w in range(self.worlds)]
         backends: Any = importlib.import_module(f"{__package__}.backends")
-        self.structure["laws"] = backends.law_addresses(self.tier)
+        self.structure["laws"] = backends.law_addresses(self.tier, self._declaration)
         self._addresses = np.stack([addresses(self._row(w)) for w in range(self.worlds)])
         return self._addresses.ctypes.data + np.arange(self.worlds) * self._addresses.strides[0]
 

@@ -34,9 +34,7 @@ LAWS: list[str] = []
 SEPARATE: dict[str, Any] = dict.fromkeys(
     ("activities", "bubble_point", "flash_off", "integrate", "overhead", "saturate", "settle", "settle_acids", "split")
 )
-"""Large functions of the backend ``real``, in the order of their addresses, which follow those of the laws. None until
-the backend is imported.
-"""
+"""Large functions of the backend ``real``, in the order of their addresses, which follow those of the laws."""
 _KINDS: dict[Any, Any] = {
     FloatArray: types.float64[::1],
     IntArray: types.int64[::1],
@@ -85,13 +83,19 @@ def most_steps(chemistry: ChemistryTable) -> int:
     return int(_backend(chemistry.tier).MOST_STEPS)
 
 
-def law_addresses(name: str) -> IntArray:
-    """Return the addresses of a backend's laws and of :data:`SEPARATE` functions. Compiles them if necessary."""
+def law_addresses(name: str, declaration: Any) -> IntArray:
+    """Return the addresses of a backend's laws. Compiles them if necessary.
+
+    Args:
+        name: the backend.
+        declaration: schema of its chemistry. If it has the fields of the backend ``real``, the addresses of the
+            :data:`SEPARATE` functions follow.
+    """
     if not COMPILED:
         return np.zeros(0, dtype=np.int64)
     with told(name):
-        laws = [law_address(law, name) for law in LAWS]
-        return np.array(laws + [law_address(one, name) if SEPARATE[one] else 0 for one in SEPARATE], dtype=np.int64)
+        called = [*LAWS, *SEPARATE] if hasattr(declaration, "nrtl") else LAWS
+        return np.array([law_address(law, name) for law in called], dtype=np.int64)
 
 
 def law_address(law: str, name: str) -> int:

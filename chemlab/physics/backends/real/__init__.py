@@ -11,6 +11,5 @@ from .layers import drain_layer, find_layers, layer_density, layer_shade, solid_
 from .partition import partition
 from .phases import elapse, settle_phases, work_size
 from .reacting import react
-from .real_chemistry import RealChemistry as DECLARATION
 from .real_chemistry import build
 from .vapor import headspace_gas, vapor_pressure, vent
