@@ -35,6 +35,10 @@ ROWS: dict[str, str] = {
     "SaltFromOilExtraction, 256": 'batched("SaltFromOilExtraction", 256, 1, SECONDS)',
     "WurtzDistillation, 256": 'batched("WurtzDistillation", 256, 1, SECONDS)',
     **{
+        f"Real{name}, 256": f'batched("Real{name}", 256, 1, SECONDS)'
+        for name in ("WurtzReaction", "WurtzExtraction", "WurtzDistillation")
+    },
+    **{
         f"crystallization in {scenario}, 64": f'batched("Bench", 64, 1, SECONDS, 1, scenario={scenario!r}, bench="cry")'
         for scenario in ("benzoic", "recrystallization")
     },
@@ -127,6 +131,8 @@ def main() -> int:
     parser.add_argument("--rows", default="", help="only rows whose names contain this")
     parser.add_argument("--json", action="store_true")
     arguments = parser.parse_args()
+    if not any(arguments.rows in name for name in ROWS):
+        parser.error(f"--rows: no row contains {arguments.rows!r}; rows: {'; '.join(ROWS)}")
     before, after = (Worker(python, Path(checkout)) for checkout, python in (arguments.before, arguments.after))
     ratios: dict[str, list[float]] = {}
     slower: list[str] = []
