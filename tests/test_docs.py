@@ -379,7 +379,7 @@ def test_commands_are_valid_shell() -> None:
 
 def unknown_options(command: Any, words: list[str]) -> list[str]:
     """The options of a command's words that it does not have; its first word if that is no command."""
-    while hasattr(command, "commands") and (words[:1] and words[0] in command.commands):
+    while hasattr(command, "commands") and words and words[0] in command.commands:
         command, words = command.commands[words[0]], words[1:]
     if isinstance(command, DefaultGroup):
         command = next(iter(command.commands.values()))
