@@ -127,7 +127,8 @@ class ConstantPlan(Playback):
         if lacking:
             raise ValueError(
                 f"plan: {scenario.name} may draw the goals {', '.join(lacking[0])}, which have no plan; "
-                f"search for plans: chemlab audit plan {scenario.argument}"
+                f"search for plans: chemlab audit plan {scenario.argument} --out FILE.json, and play them: "
+                "--policy scripted,manager=plan:FILE.json"
             )
         super().__init__(actions, [plans[context] for context in contexts])
         slices = channel_slices(channels)

@@ -1,8 +1,9 @@
 """Write the tables of the committed baselines into docs/protocol.md: ``python docs/baselines.py``.
 
-``--play RESULTS [SCENARIO ...]`` first runs ``chemlab benchmark`` and ``chemlab crossplay`` on the policies trained in
-RESULTS (``studies/baselines/worlds.toml``). Each finished run plays all episodes and gives one row. Played episodes are
-kept in ``RESULTS/benchmark``. Its leaderboard starts as a copy of the committed one and is copied back to
+``--play RESULTS [SCENARIO ...]`` first runs ``chemlab benchmark`` and ``chemlab crossplay`` on the managers, teams and
+cloned benches trained in RESULTS (``from_nothing.toml``, ``large_minibatches.toml`` and ``worlds.toml`` of
+``studies/baselines``). Each finished run plays all episodes and gives one row. Played episodes are kept in
+``RESULTS/benchmark``. Its leaderboard starts as a copy of the committed one and is copied back to
 ``docs/results/leaderboard.json``. Rows of runs that were trained elsewhere or earlier are kept.
 """
 
@@ -23,7 +24,7 @@ from chemlab.agents.evaluate.statistics import interval_text, mean
 from chemlab.agents.runs import find_runs
 from chemlab.config.files import replace_between, write_text
 
-__all__ = ["CROSSPLAY", "LEADERBOARD", "PAGE", "clones", "crossplays", "matrices", "standings", "table"]
+__all__ = ["CROSSPLAY", "LEADERBOARD", "PAGE", "clones", "crossplays", "has_row", "matrices", "standings", "table"]
 
 ROOT = Path(__file__).parent.parent
 LEADERBOARD = ROOT / "docs" / "results" / "leaderboard.json"
@@ -124,6 +125,11 @@ def matrices() -> list[str]:
     return lines
 
 
+def has_row(folder: Path) -> bool:
+    """Return True if runs of a folder ``TASK/NAME`` have rows: benches that learned from nothing have no column."""
+    return folder.name in LEARNERS and (folder.name != "from-nothing" or folder.parent.name.endswith("-manager"))
+
+
 def _play(results: Path, scenarios: list[str], budget: str) -> None:
     """Run the benchmark on every finished run, and crossplay where a bench has learned, too."""
     own = results / "benchmark" / "leaderboard.json"
@@ -134,7 +140,7 @@ def _play(results: Path, scenarios: list[str], budget: str) -> None:
         finished = [
             str(run.path.relative_to(results))
             for folder in sorted(results.glob(f"{scenario}-*/*"))
-            if folder.name in LEARNERS
+            if has_row(folder)
             for run in find_runs(folder)
             if run.result() is not None
         ]

@@ -343,7 +343,7 @@ def _audit_section(spec: Scenario) -> list[str]:
 
 
 def _audit_cells(spec: Scenario) -> tuple[str, str, str]:
-    """Return open-loop score, scripted score and headroom for the table of scenarios."""
+    """Return open-loop score, reference score and value of information for the table of scenarios."""
     found = _audit(spec)
     if found is None:
         return "", "", ""

@@ -7,7 +7,7 @@ Reinforcement Learning"). The cost is ``info["cost"]``: in `runaway`, vapour tha
 price is set to zero, so that returns measure the product. The comparison has PPO without the cost, and PPO with the
 scenario's price.
 
-    python recipes/constrained.py --seeds 2 --out recipes/results/constrained.json
+    python recipes/constrained.py --out recipes/results/constrained.json
 
 Needs the extra ``train``.
 """

@@ -5,7 +5,7 @@ vessel, or one on its way to the last bench, then moves one bench back at a time
 (a reverse curriculum). The comparison is the same learner (MaskablePPO, same settings, same steps) on the whole
 workflow. The benches are scripted in both, so this is also the upper level of a hierarchy.
 
-    python recipes/curriculum.py --out recipes/results/curriculum.json
+    python recipes/curriculum.py --seeds 3 --out recipes/results/curriculum.json
 
 Needs the extra ``train``.
 """

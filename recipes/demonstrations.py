@@ -6,7 +6,7 @@ and their returns (behaviour cloning from the dataset alone, without queries) an
 comparison has the clone itself, whose steps are those of the dataset, and the same learner from scratch. The benches
 are scripted in all of them.
 
-    python recipes/demonstrations.py --out recipes/results/demonstrations.json
+    python recipes/demonstrations.py --steps 20000 --out recipes/results/demonstrations.json
 
 Needs the extras ``train`` and ``data`` (Minari).
 """

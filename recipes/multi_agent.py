@@ -8,7 +8,7 @@ the StarCraft Multi-Agent Challenge?") have critics of their own observations. T
 comparison is a single learner: the manager, cloned alike, over scripted benches. Steps are turns of the learning
 agents; demonstrations do not count.
 
-    python recipes/multi_agent.py --out recipes/results/multi_agent.json
+    python recipes/multi_agent.py --steps 30000 --out recipes/results/multi_agent.json
 
 Needs the extra ``train``.
 """

@@ -1,9 +1,10 @@
 """Training on Ray RLlib, on one machine or a cluster: the manager over scripted benches.
 
 The environment is `chemlab.agents.rllib.LaboratoryMultiAgentEnv`, one turn per step. Env runners gather experience on
-the nodes that Ray assigns, and lost ones are replaced; this process trains a policy for each role. `algorithm()` makes
-RLlib's `Algorithm` for any roles of any scenario, with its own `train()`, `save_to_path()` and `restore_from_path()`.
-Beside it, the same manager trained by `chemlab train` with PPO's same settings, and the scripted one.
+the nodes that Ray assigns, and lost ones are replaced; this process trains a policy for each role. `algorithm_config()`
+makes RLlib's settings for any roles of any scenario; their `build_algo()` makes its `Algorithm`, with `train()`,
+`save_to_path()` and `restore_from_path()`. Beside it, the same manager trained by `chemlab train` with PPO's same
+settings, and the scripted one.
 
     python recipes/rllib.py --out recipes/results/rllib.json
     CHEMLAB_RUNNERS=64 RAY_ADDRESS=auto python recipes/rllib.py

@@ -377,6 +377,36 @@ def test_commands_are_valid_shell() -> None:
                 assert done.returncode == 0, f"{block.where}: {done.stderr}"
 
 
+def unknown_options(command: Any, words: list[str]) -> list[str]:
+    """The options of a command's words that it does not have; its first word if that is no command."""
+    while hasattr(command, "commands") and words and words[0] in command.commands:
+        command, words = command.commands[words[0]], words[1:]
+    if isinstance(command, DefaultGroup):
+        command = next(iter(command.commands.values()))
+    params = command.get_params(typer.Context(command))
+    known = {option for one in params for option in (*one.opts, *one.secondary_opts)}
+    options = [word for word in words if re.match("--[a-z]", word) and word.partition("=")[0] not in known]
+    return words[:1] if command is COMMAND and words and words[0].isalpha() else options
+
+
+@pytest.mark.skipif(not (ROOT / ".ci").is_dir(), reason="needs a checkout")
+def test_commands_in_sentences_comments_and_errors_exist() -> None:
+    """With their options; blocks of pages are checked above."""
+    assert unknown_options(COMMAND, ["fly", "--altitude"]) == ["fly"]
+    assert unknown_options(COMMAND, ["audit", "rush", "--turns", "0", "--altitude=3"]) == ["--altitude=3"]
+    folders = ("chemlab", "agents", "studies", "recipes", "docs")
+    scripts = [path for name in folders for end in ("py", "toml", "sh") for path in (ROOT / name).rglob(f"*.{end}")]
+    checked = 0
+    for path in (*(page for page in PROSE if page.name != "CHANGELOG.md"), *scripts):
+        text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+        quoted = re.findall(r"`(chemlab [a-z][^`]*)`", text)
+        lines = re.findall(r"^[# ]*(chemlab (?:train|export|sweep|plot|run|evaluate|audit|data) .*)", text, re.M)
+        for command in (*quoted, *lines):
+            assert not (lacking := unknown_options(COMMAND, command.split()[1:])), f"{path}: {command}: {lacking}"
+            checked += 1
+    assert checked > 200
+
+
 @pytest.mark.skipif(not (ROOT / ".ci").is_dir(), reason="needs a checkout")
 def test_files_that_are_named_exist() -> None:
     """In what decides whether a change lands, and in every page; the changelog also tells of files that were moved."""

@@ -82,11 +82,12 @@ def test_the_page_has_the_kept_results(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("path", sorted((ROOT / "recipes" / "results").glob("*.json")), ids=lambda path: path.stem)
 def test_kept_results_are_no_toys(path: Path) -> None:
-    """And say the command that makes them, which names this file."""
+    """And say the command that makes them, which names this file and is the recipe's own."""
     found = json.loads(path.read_text(encoding="utf-8"))
     assert not found["toy"]
     assert found["command"].startswith(f"python recipes/{path.stem}.py ")
     assert f"recipes/results/{path.name}" in found["command"]
+    assert f"    {found['command']}\n" in (ROOT / "recipes" / f"{path.stem}.py").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

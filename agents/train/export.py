@@ -126,7 +126,10 @@ def export_run(folder: Path, out: Path, role: str | None = None) -> Card:
     if config is None:
         raise ValueError(f"{folder}: contains no training run (no config.json)")
     if best is None:
-        raise ValueError(f"{folder}: contains no checkpoint (not under version control); run chemlab train again")
+        raise ValueError(
+            f"{folder}: contains no checkpoint (not under version control); train again with another --out, or delete "
+            "the folder first, because a finished run is not repeated"
+        )
     arguments = recorded_arguments(config, str(run.config_file))
     learned = sorted(file.stem for file in best.glob("*.safetensors"))
     if not learned:

@@ -1,7 +1,8 @@
 """Managers that learn from nothing, with one help left out.
 
-``python studies/baselines/ablations.py RESULTS`` takes the finished runs below RESULTS (``ablations.toml``) into
-``results/ablations.json``; without RESULTS, the table of docs/training.md is written from that file.
+``python studies/baselines/ablations.py RESULTS`` takes the finished runs below RESULTS (``ablations.toml``; runs of
+other sweeps are left out) into ``results/ablations.json``; without RESULTS, the table of docs/training.md is written
+from that file.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.evaluate.csv_tables import markdown_table
-from chemlab.agents.runs import find_runs
+from chemlab.agents.runs import Run, find_runs
 from chemlab.config.files import replace_between, write_json
 
 SCORES = Path(__file__).parent / "results" / "ablations.json"
@@ -37,6 +38,11 @@ def table(runs: list[dict[str, Any]]) -> list[str]:
     return markdown_table({"left out": False, **{f"`{one}`": True for one in scenarios}}, rows)
 
 
+def is_own(run: Run) -> bool:
+    """Return True if a run is of this sweep, by its folder ``TASK/NAME/seed-N``."""
+    return run.path.parent.name in WORDS or run.path.parent.name.startswith("without-")
+
+
 def words(name: str) -> str:
     """Return what is left out in the runs of a name."""
     return WORDS[name] if name in WORDS else f"`--{name.removeprefix('without-')}`"
@@ -50,7 +56,7 @@ def main() -> None:
     scores = json.loads(SCORES.read_text(encoding="utf-8")) if SCORES.exists() else []
     for run in [] if asked.results is None else find_runs(asked.results):
         result, config = run.result(), run.config()
-        if result is None or config is None:
+        if result is None or config is None or not is_own(run):
             continue
         key = {"scenario": config["scenario"], "help": run.path.parent.name, "seed": result.seed}
         scores = [old for old in scores if any(old[name] != value for name, value in key.items())]

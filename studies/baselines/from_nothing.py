@@ -1,11 +1,11 @@
 """Managers and teams that learned from nothing, beside untrained managers over scripted benches.
 
 ``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
-(``studies/baselines/from_nothing.toml``), also where no measurement can be paid, and, on the same episodes, the
-scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. Of scenarios with hidden
-parameters it also plays the test episodes of the committed audit, and 1,000 episodes of ``validation`` and of ``test``
-beside the scripted agents, for the mean differences with their intervals. It adds the scores to
-``results/from_nothing.json``.
+(``from_nothing.toml``, ``large_minibatches.toml`` and ``stages.toml``; runs of other sweeps are left out), also where
+no measurement can be paid, and, on the same episodes, the scripted, the random and the idle manager and the best of
+``--plans`` open-loop plans. Of scenarios with hidden parameters it also plays the test episodes of the committed audit,
+and 1,000 episodes of ``validation`` and of ``test`` beside the scripted agents, for the mean differences with their
+intervals. It adds the scores to ``results/from_nothing.json``.
 Without RESULTS nothing is played: tables and figure of docs/training.md are written from that file.
 """
 
@@ -43,6 +43,8 @@ FIGURE = PAGE.parent / "images" / "from_nothing.png"
 AUDITS = PAGE.parent / "results" / "audits"
 SPLIT, EPISODES, PAIRED = "validation", 100, 1000
 MANAGERS = ("nothing", "random", "plan", "scripted")
+NAMES = ("from-nothing", "team", "in-stages")
+"""Names of the sweeps' runs."""
 STAGES = "in stages"
 """Stands for the roles of a manager that was trained over benches trained before (``stages.toml``)."""
 
@@ -82,6 +84,11 @@ def untrained(name: str, plans: int) -> dict[str, float]:
         search_plan(spec, budget=plans).as_file("from_nothing.py", 2).save(file)
         names = {"random": "scripted,manager=random", "plan": f"scripted,manager=plan:{file}"}
         return {one: statistics.mean(means(spec, names.get(one, one))) for one in MANAGERS}
+
+
+def is_own(run: Run) -> bool:
+    """Return True if a run is of these sweeps, by its folder ``TASK/NAME/seed-N``."""
+    return run.path.parent.name in NAMES
 
 
 def learned(run: Run) -> dict[str, Any]:
@@ -219,7 +226,7 @@ def main() -> None:
     asked = parser.parse_args()
     scores = json.loads(SCORES.read_text(encoding="utf-8")) if SCORES.exists() else {"untrained": {}, "runs": []}
     for run in [] if asked.results is None else find_runs(asked.results):
-        if run.result() is None:
+        if run.result() is None or not is_own(run):
             continue
         new = learned(run)
         if new["scenario"] not in scores["untrained"]:

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 
 import pytest
-from helpers import children, until
+from helpers import children, script, until
 from run_files import without_times
 from typer.testing import CliRunner
 
@@ -86,15 +86,42 @@ def test_wrong_files(text: str, message: str, tmp_path: Path) -> None:
         plan(sweep_file(tmp_path, text), tmp_path)
 
 
+ROOT = Path(__file__).parents[2]
+SWEEPS = [file for file in (ROOT / "studies").rglob("*.toml") if "[[runs]]" in file.read_text(encoding="utf-8")]
+
+
 def test_runs_that_the_baselines_and_the_manual_go_on_with_are_runs_of_a_sweep() -> None:
-    root = Path(__file__).parents[2]
-    sweeps = [file for file in (root / "studies").rglob("*.toml") if "[[runs]]" in file.read_text(encoding="utf-8")]
-    trained = {one.name for file in sweeps for one in plan(file, Path("results"))}
-    pages = [*sweeps, *(root / "studies/baselines").glob("*.sh"), *(root / "docs").rglob("*.md")]
-    words = " ".join(page.read_text(encoding="utf-8") for page in pages).replace("seed-$seed", "seed-0")
-    named = set(re.findall(r"=\s*\"?\$?results/([^/\s\",]+/[\w-]+/seed-\d+)", words))
+    """And a command that begins from one has networks of its size."""
+    trained = {one.name: one.arguments for file in SWEEPS for one in plan(file, Path("results"))}
+    pages = [*SWEEPS, *(ROOT / "studies/baselines").glob("*.sh"), *(ROOT / "docs").rglob("*.md")]
+    words = "\n".join(page.read_text(encoding="utf-8") for page in pages).replace("seed-$seed", "seed-0")
+    run = r"=\s*\"?\$?results/([^/\s\",]+/[\w-]+/seed-\d+)"
+    named = set(re.findall(run, words))
     assert len(named) > 15
-    assert named <= trained
+    assert named <= trained.keys()
+    commands = re.findall(r"chemlab train (?:.*\\\n)*.*--begin-from \S*=(?:.*\\\n)*.*", words)
+    assert len(commands) > 1
+    for command in commands:
+        layers = tuple(map(int, re.findall(r"--net-arch (\d+)", command)))
+        begun = re.findall(run, re.findall(r"--begin-from (\S+)", command)[0])
+        assert {trained[name].net_arch for name in begun} == {layers}, command
+
+
+def test_of_a_folder_of_all_runs_a_script_takes_those_of_its_sweeps() -> None:
+    """All sweeps have the same ``--out`` in the manual. The leaderboard has no benches that learned from nothing."""
+    planned = {file.stem: plan(file, Path("results")) for file in SWEEPS}
+    for name, sweeps in {
+        "ablations": {"ablations"},
+        "from_nothing": {"from_nothing", "large_minibatches", "stages"},
+    }.items():
+        is_own = script(f"studies/baselines/{name}.py").is_own
+        assert {one.name for runs in planned.values() for one in runs if is_own(one.run)} == {
+            one.name for sweep in sweeps for one in planned[sweep]
+        }
+    has_row = script("docs/baselines.py").has_row
+    rows = [one for runs in planned.values() for one in runs if has_row(one.run.path.parent)]
+    assert {one.arguments.roles for one in rows if "/benches/" not in one.name} == {("manager",), ("all",)}
+    assert {one.name for one in planned["worlds"]} <= {one.name for one in rows}
 
 
 @pytest.mark.slow
