@@ -1,10 +1,10 @@
 """Write the tables of the committed baselines into docs/protocol.md: ``python docs/baselines.py``.
 
 ``--play RESULTS [SCENARIO ...]`` first runs ``chemlab benchmark`` and ``chemlab crossplay`` on the managers, teams and
-cloned benches trained in RESULTS (``from_nothing.toml``, ``large_minibatches.toml`` and ``worlds.toml`` of
-``studies/baselines``). Each finished run plays all episodes and gives one row. Played episodes are kept in
-``RESULTS/benchmark``. Its leaderboard starts as a copy of the committed one and is copied back to
-``docs/results/leaderboard.json``. Rows of runs that were trained elsewhere or earlier are kept.
+cloned benches trained in RESULTS (``from_nothing.toml`` and ``worlds.toml`` of ``studies/baselines``). Each finished
+run plays all episodes and gives one row. Played episodes are kept in ``RESULTS/benchmark``. Its leaderboard starts as a
+copy of the committed one and is copied back to ``docs/results/leaderboard.json``. Rows of runs that were trained
+elsewhere or earlier are kept.
 """
 
 from __future__ import annotations

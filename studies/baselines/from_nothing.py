@@ -1,11 +1,11 @@
 """Managers and teams that learned from nothing, beside untrained managers over scripted benches.
 
 ``python studies/baselines/from_nothing.py RESULTS`` plays the best checkpoint of each finished run below RESULTS
-(``from_nothing.toml``, ``large_minibatches.toml`` and ``stages.toml``; runs of other sweeps are left out), also where
-no measurement can be paid, and, on the same episodes, the scripted, the random and the idle manager and the best of
-``--plans`` open-loop plans. Of scenarios with hidden parameters it also plays the test episodes of the committed audit,
-and 1,000 episodes of ``validation`` and of ``test`` beside the scripted agents, for the mean differences with their
-intervals. It adds the scores to ``results/from_nothing.json``.
+(``from_nothing.toml`` and ``stages.toml``; runs of other sweeps are left out), also where no measurement can be paid,
+and, on the same episodes, the scripted, the random and the idle manager and the best of ``--plans`` open-loop plans. Of
+scenarios with hidden parameters it also plays the test episodes of the committed audit, and 1,000 episodes of
+``validation`` and of ``test`` beside the scripted agents, for the mean differences with their intervals. It adds the
+scores to ``results/from_nothing.json``.
 Without RESULTS nothing is played: tables and figure of docs/training.md are written from that file.
 """
 

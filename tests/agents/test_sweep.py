@@ -112,7 +112,7 @@ def test_of_a_folder_of_all_runs_a_script_takes_those_of_its_sweeps() -> None:
     planned = {file.stem: plan(file, Path("results")) for file in SWEEPS}
     for name, sweeps in {
         "ablations": {"ablations"},
-        "from_nothing": {"from_nothing", "large_minibatches", "stages"},
+        "from_nothing": {"from_nothing", "stages"},
     }.items():
         is_own = script(f"studies/baselines/{name}.py").is_own
         assert {one.name for runs in planned.values() for one in runs if is_own(one.run)} == {
