@@ -180,6 +180,11 @@ SILENT = _replace(EVAPORATE, act=lambda turn, chem: None)
 WORDY = _replace(EVAPORATE, words="blow {material} off {vesel}")
 GREEDY = _replace(EVAPORATE, act=lambda turn, chem: turn.row.__setitem__(AMOUNTS + turn.material, -1.0) or 0.0)
 LAWLESS = _replace(EVAPORATE, legal=lambda turn, chem: turn.no_such_field)
+UNLUCKY = _replace(EVAPORATE, act=lambda turn, chem: turn.events.fill(np.nan) or 0.0)
+LEAKY = _replace(EVAPORATE, act=lambda turn, chem: turn.waste.fill(np.nan) or 0.0)
+GIVER = _replace(REFRACTOMETER, read=lambda reading, chem: 0.5)
+EATER = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(0.5) or reading.row.fill(np.nan))
+HALF = _replace(REFRACTOMETER, channel=lambda name, analytes: Channel(name, 1.5, "n_D", 0.0, 1.0, ""))
 def nothing(bench, shelf, experiments, members):
     return np.full(len(members), np.nan)
 def scalar(bench, shelf, experiments, members):
@@ -203,6 +208,7 @@ def scalar(bench, shelf, experiments, members):
         ("filtration_bench.py:FiltrationBench", "filtration_bench.py:FiltrationOptions", "subclass of .*Bench"),
         ('HYDROMETER"', 'HYDROMETER", "./my_parts.py:HYDROMETER"', "ext: two .* channels are named 'hydrometer'"),
         ("refractometer =", "uv_vis_age =", "manager: two observation channels are named 'slot_0_uv_vis_age'"),
+        ('material = "diethyl_ether"', "", "process.0: material: required by add, my_parts.py:EVAPORATE, and not"),
         ("\nevents = {", "\n# {", r"vapour_mol: unknown safety event; .*declare your own under safety.events"),
     ],
 )
@@ -249,6 +255,11 @@ def test_parts_of_a_base_are_found_from_another_folder(tmp_path: Path) -> None:
         ("EVAPORATE", "WORDY", r"process.\d: my_parts.py:WORDY: words may have {vessel}, .* KeyError: 'vesel'"),
         ("EVAPORATE", "GREEDY", r"GREEDY: act\(\) has left amounts that are negative"),
         ("EVAPORATE", "LAWLESS", r"LAWLESS: legal\(\): AttributeError: .*no_such_field"),
+        ("EVAPORATE", "UNLUCKY", r"UNLUCKY: act\(\) has left a number in the safety events that is negative or not"),
+        ("EVAPORATE", "LEAKY", r"LEAKY: act\(\) has left a number in the waste can"),
+        ("REFRACTOMETER", "GIVER", r"GIVER: read\(\): must be from 0 to 1: .* given nan at \[0\]"),
+        ("REFRACTOMETER", "EATER", r"EATER: read\(\) has left amounts that are negative or not finite"),
+        ("REFRACTOMETER", "HALF", r"HALF: TypeError: a Channel has a name and an integer size, given .* and 1.5"),
         ("concentrate", "nothing", r"ext.reward: my_parts.py:nothing: must be finite; given nan at \[0\]"),
         ("REFRACTOMETER", "LAMP", r"my_parts.py:LAMP: read\(\): must be from 0 to 1: .* given 1.5 at \[0\]"),
         ("REFRACTOMETER", "BROKEN_LAMP", r"BROKEN_LAMP: read\(\): must be from 0 to 1: .* given nan"),
