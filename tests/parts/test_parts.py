@@ -204,6 +204,11 @@ def scalar(bench, shelf, experiments, members):
         ("my_parts.py:HYDROMETER", "my_parts.py:float_hydrometer", "must be a chemlab.roles.bench.Observation"),
         ("my_parts.py:HYDROMETER", "my_parts.py", "ext.observe: cannot load 'my_parts.py' .*no colon"),
         ("my_parts.py:concentrate", "my_parts.py:LOW", "ext.reward: .*must be a .*Callable"),
+        (
+            'concentrate"',
+            'concentrate", "my_parts.py:concentrate"',
+            "ext.reward: '.*:concentrate' is named twice",
+        ),
         ("my_parts.py:WASTE_CAN", "no_module:CAN", "manager.observe: .*ModuleNotFoundError: .*no_module"),
         ("filtration_bench.py:FiltrationBench", "filtration_bench.py:FiltrationOptions", "subclass of .*Bench"),
         ('HYDROMETER"', 'HYDROMETER", "./my_parts.py:HYDROMETER"', "ext: two .* channels are named 'hydrometer'"),
