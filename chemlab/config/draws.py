@@ -176,7 +176,7 @@ class Draw(DataModel):
             raise ValueError("of: name at least one bench or instrument")
         if self.what in ORDER_QUANTITIES and not self.of:
             raise ValueError("of: name at least one order, as order_0")
-        if "correlation" in self.model_fields_set and self.group is None:
+        if self.correlation != 1.0 and self.group is None:
             raise ValueError(
                 "correlation: has no effect without a group; give draws that are correlated the same group"
             )
