@@ -170,9 +170,9 @@ def blamed(name: str, *others: type[Exception]) -> Iterator[None]:
     """
     try:
         yield
-    except (PartError, *others):
-        raise
     except Exception as error:
+        if isinstance(error, (PartError, *others)):
+            raise
         raise PartError(f"{name}: {type(error).__name__}: {error}") from error
 
 

@@ -440,8 +440,9 @@ def _is_usual(space: gymnasium.Space[Any]) -> bool:
     """Return True for the kinds of action space that all interfaces support."""
     if isinstance(space, gymnasium.spaces.Discrete):
         return bool(space.start == 0)
-    box = isinstance(space, gymnasium.spaces.Box) and len(space.shape) == 1
-    return bool(box and (space.low == 0.0).all() and (space.high == 1.0).all())
+    if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
+        return False
+    return bool((space.low == 0.0).all() and (space.high == 1.0).all())
 
 
 class Experiments:
