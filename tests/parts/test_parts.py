@@ -20,7 +20,7 @@ from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import named_costs, named_events
+from chemlab.lab.text import named_costs, named_events, reading_words
 from chemlab.physics.chemistry import AMOUNTS, CLOCK
 from chemlab.render.scene import laboratory_scene
 from chemlab.roles.bench import channel_slices
@@ -184,6 +184,7 @@ UNLUCKY = _replace(EVAPORATE, act=lambda turn, chem: turn.events.fill(np.nan) or
 LEAKY = _replace(EVAPORATE, act=lambda turn, chem: turn.waste.fill(np.nan) or 0.0)
 GIVER = _replace(REFRACTOMETER, read=lambda reading, chem: 0.5)
 EATER = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(0.5) or reading.row.fill(np.nan))
+MUTE = _replace(REFRACTOMETER, words=lambda values, channel, analytes: f"{values[1]:.2f}")
 HALF = _replace(REFRACTOMETER, channel=lambda name, analytes: Channel(name, 1.5, "n_D", 0.0, 1.0, ""))
 def nothing(bench, shelf, experiments, members):
     return np.full(len(members), np.nan)
@@ -264,6 +265,7 @@ def test_parts_of_a_base_are_found_from_another_folder(tmp_path: Path) -> None:
         ("EVAPORATE", "LEAKY", r"LEAKY: act\(\) has left a number in the waste can"),
         ("REFRACTOMETER", "GIVER", r"GIVER: read\(\): must be from 0 to 1: .* given nan at \[0\]"),
         ("REFRACTOMETER", "EATER", r"EATER: read\(\) has left amounts that are negative or not finite"),
+        ("REFRACTOMETER", "MUTE", r"instruments.refractometer: my_parts.py:MUTE: words\(\): IndexError"),
         ("REFRACTOMETER", "HALF", r"HALF: TypeError: a Channel has a name and an integer size, given .* and 1.5"),
         ("concentrate", "nothing", r"ext.reward: my_parts.py:nothing: must be finite; given nan at \[0\]"),
         ("REFRACTOMETER", "LAMP", r"my_parts.py:LAMP: read\(\): must be from 0 to 1: .* given 1.5 at \[0\]"),
@@ -282,6 +284,7 @@ def test_what_a_part_does_wrong_is_named(tmp_path: Path, old: str, new: str, say
         whole = raw_env(path)
         whole.reset(seed=0)
         whole.step(whole.laboratories.actions.encode("measure", 0, "refractometer"))
+        reading_words(whole.laboratories, 0, "refractometer")
 
     with pytest.raises(PartError, match=says) as caught:
         play()
