@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 import dataclasses
 import pickle
+import re
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -25,13 +26,15 @@ import numpy as np
 
 from .config.inherit import declared_levels
 from .config.loading import load_scenario, reachable_materials
-from .config.materials import atoms_of
+from .config.materials import Material, atoms_of
+from .config.reactions import equation
 from .config.scenario import Scenario
 from .envs.aec import raw_env
 from .envs.batch import BatchedLaboratory
 from .envs.parallel import parallel_env
 from .envs.role_env import RoleEnv
 from .physics.chemistry import element_matrix
+from .physics.constants import GAS_CONSTANT
 from .record import Play, Recorder, read_record, verify_record
 from .roles.kinds import BENCH_KINDS
 
@@ -43,6 +46,11 @@ _ROUNDING = 1e-9
 """Largest relative change of an element's amount, or of the charge, that counts as a rounding error."""
 _FROZEN_K = 200.0
 """If a bench's whole range of temperatures is below this, the range was probably given in degrees Celsius."""
+
+_LEAST_BARRIER_J_MOL = 500.0
+"""An activation energy below this, but above 0, was probably given in kJ/mol."""
+_LEAST_TROUTON = 2.0
+"""Likewise a heat of vaporization below this number times R and the boiling point; of helium it is 2.4 times."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +99,14 @@ def doubts(scenario: Scenario) -> list[str]:
                 f"benches.{key}.temperature_k: high = {hottest:g} K is {hottest - 273.15:.0f} degrees Celsius; give "
                 "temperatures in K"
             )
+    for name, material in scenario.materials.items():
+        lines += [f"materials.{name}.{doubt}" for doubt in _doubts_of(material)]
+    for step in scenario.family.reaction:
+        barrier = step.activation_energy_j_mol
+        if 0.0 < barrier < _LEAST_BARRIER_J_MOL:
+            lines.append(
+                f"reactions: {equation(step)}: activation_energy_j_mol = {barrier:g}; give it in J/mol, not kJ"
+            )
     if custom:
         return lines
     atoms = atoms_of(available, scenario.materials)
@@ -108,6 +124,22 @@ def doubts(scenario: Scenario) -> list[str]:
                     f"enough for {most:.3g} mol"
                 )
     return lines
+
+
+def _doubts_of(material: Material) -> Iterator[str]:
+    """Yield the probable mistakes in a material's numbers, each beginning with a key."""
+    heat, boiling = material.vaporization_enthalpy_j_mol, material.boiling_point_k
+    if heat < _LEAST_TROUTON * GAS_CONSTANT * boiling:
+        yield (
+            f"vaporization_enthalpy_j_mol: {heat:g} is little for a boiling point of {boiling:g} K; give it in J/mol, "
+            "not kJ"
+        )
+    counted: Counter[str] = Counter()
+    if re.fullmatch(r"([A-Z][a-z]?\d*)+", material.formula):
+        for element, number in re.findall(r"([A-Z][a-z]?)(\d*)", material.formula):
+            counted[element] += int(number or 1)
+    if counted.keys() == material.composition.keys() and counted != Counter(material.composition):
+        yield f"composition: differs from the formula {material.formula}"
 
 
 class _Fault(Exception):

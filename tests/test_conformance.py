@@ -113,6 +113,30 @@ def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
     assert re.search(words, "\n".join(doubts(load_scenario(tables))))
 
 
+@pytest.mark.parametrize(
+    ("change", "doubt"),
+    [
+        ({"composition": {"C": 4.0, "H": 9.0, "O": 1.0}}, "composition: differs from the formula C4H10O"),
+        ({"vaporization_enthalpy_j_mol": 26.52}, "vaporization_enthalpy_j_mol: 26.52 is little .* in J/mol, not kJ"),
+    ],
+)
+def test_numbers_of_a_material_that_can_hardly_be_meant(
+    change: dict[str, Any], doubt: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = load_scenario(mapping("wurtz_dodecane_direct"))
+    ether = scenario.materials["diethyl_ether"].model_copy(update=change)
+    monkeypatch.setitem(scenario.materials, "diethyl_ether", ether)
+    assert re.match(rf"materials.diethyl_ether.{doubt}", "\n".join(doubts(scenario)))
+
+
+def test_an_activation_energy_in_kilojoules_is_doubted(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = load_scenario(mapping("wurtz_dodecane_direct"))
+    first, *others = scenario.family.reaction
+    steps = (first.model_copy(update={"activation_energy_j_mol": 9.0}), *others)
+    monkeypatch.setattr(scenario, "_family", scenario.family.model_copy(update={"reaction": steps}))
+    assert re.match(r"reactions: 2 1-chlorohexane .*: activation_energy_j_mol = 9;", "\n".join(doubts(scenario)))
+
+
 def test_options_of_a_bench_of_ones_own_mean_what_it_says(tmp_path: Path) -> None:
     bench = "from pydantic import BaseModel\nfrom filtration_bench import FiltrationBench\n\n\n"
     bench += "class Options(BaseModel):\n    temperature_k: float\n    process: list[str]\n\n\n"

@@ -838,6 +838,18 @@ def test_no_part_of_a_record_is_imported_without_trust(key: str, honest: Path, t
     assert (tmp_path / "ran").exists(), "the test would find out"
 
 
+def test_parts_in_files_are_found_beside_the_required_scenario(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    parts = "import numpy as np\n\ndef free(labs, members):\n    return np.zeros(len(members))\n"
+    (tmp_path / "my_parts.py").write_text(parts)
+    file = tmp_path / "own.toml"
+    file.write_text('base = "salt_from_oil"\nname = "own"\n[manager]\nreward = ["my_parts.py:free"]\n')
+    path = record_episode(tmp_path / "there" / "a.jsonl", file, "random")
+    assert verify_record(path, trust=True).status == "unchecked"
+    assert verify_record(path, file).status == "unchecked"
+    assert verify_record(path, file, trust=True).status == "ok"
+
+
 def nothing(amount_mol: Any, temperature_k: float, volume_l: float, dt: float) -> Any:
     """A reaction model in which nothing happens."""
     return amount_mol

@@ -227,6 +227,7 @@ def file(**draw: Any) -> dict[str, Any]:
     ("what", "more", "message"),
     [
         ("titre", FEED, "x: inert: required for a titre"),
+        ("titer", {**FEED, "inert": "water"}, "x: inert: .* not allowed otherwise; given what = 'titer'"),
         ("amount", {"of": ["slot_0"]}, "x: material: required for amount"),
         ("amount", {"of": [], "material": "Na"}, "x: of: name at least one vessel"),
         ("amount", {"of": ["slot_2"], "material": "Na"}, "unknown vessel 'slot_2'; choose from slot_0, slot_1, rxn"),
@@ -259,6 +260,9 @@ def file(**draw: Any) -> dict[str, Any]:
         ),
         ("ambient_pressure", {"test": [[0.5, 0.99]]}, "world.draws.x.test: leaves 0.02 of all worlds to training"),
         ("ambient_pressure", {"test": [[0.9, 0.6]]}, r"test: \[0.9, 0.6\]: must be \[low, high\]"),
+        ("ambient_pressure", {"test": [[4.0, 5.0]]}, r"x: test: \[4, 5\]: nothing is drawn there; .* from 0.5 to 1"),
+        ("ambient_pressure", {"test": [0.5, 0.6]}, r"x.test.0: must be a list, as in \[1, 2\], given 0.5"),
+        ("ambient_pressure", {"correlation": 0.5}, "x: correlation: has no effect without a group"),
         ("ambient_pressure", {"group": "g", "correlation": 2.0}, "correlation: .* less than or equal to 1"),
         ("ambient_pressure", {"distribution": {"kind": "even"}}, "distribution: .*'uniform', 'normal'"),
         ("ambient_pressure", between(2.0, 1.0), "high = 1 must not be below low = 2"),

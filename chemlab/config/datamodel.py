@@ -36,6 +36,10 @@ _WORDS = {
 """Problems in the words of files, by pydantic's name."""
 
 
+_ALTERNATIVE = re.compile(r"tuple\[|constrained-")
+"""Pydantic's names of some alternatives of a value's type, which are no keys."""
+
+
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
     """Yield the models in a type."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -68,7 +72,7 @@ def _described(error: ValidationError, where: str, kind: Any) -> str:
     found = error.errors(include_url=False)
     lines = []
     for item in found[:_LINES]:
-        place = ".".join(str(part) for part in item["loc"])
+        place = ".".join(str(part) for part in item["loc"] if not _ALTERNATIVE.match(str(part)))
         message = _WORDS.get(item["type"]) or re.sub(r"^Value error, ", "", item["msg"])
         given = item.get("input")
         bare = isinstance(given, (dict, list, tuple, BaseModel)) or item["type"] == "missing"

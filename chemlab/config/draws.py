@@ -165,7 +165,9 @@ class Draw(DataModel):
         if vessel and self.material is None:
             raise ValueError(f"material: required for {self.what}: the declared material in the vessels")
         if (self.what == "titre") != (self.inert is not None):
-            raise ValueError("inert: required for a titre (its remainder), and not allowed otherwise")
+            raise ValueError(
+                f"inert: required for a titre (its remainder), and not allowed otherwise; given what = {self.what!r}"
+            )
         if not vessel and self.material is not None:
             raise ValueError(f"material: only for {', '.join(VESSEL_QUANTITIES)}; put materials under of")
         if vessel and not self.of:
@@ -174,6 +176,10 @@ class Draw(DataModel):
             raise ValueError("of: name at least one bench or instrument")
         if self.what in ORDER_QUANTITIES and not self.of:
             raise ValueError("of: name at least one order, as order_0")
+        if self.correlation != 1.0 and self.group is None:
+            raise ValueError(
+                "correlation: has no effect without a group; give draws that are correlated the same group"
+            )
         if len(set(self.of)) != len(self.of):
             raise ValueError("of: a target is named twice")
         self._check_options()
@@ -206,6 +212,11 @@ class Draw(DataModel):
                     raise ValueError(f"test: {region!r} is not one of the options")
             elif region[1] < region[0]:
                 raise ValueError(f"test: [{region[0]:g}, {region[1]:g}]: must be [low, high]")
+            elif region[1] < (limits := draw_limits(self))[0] or region[0] > limits[1]:
+                raise ValueError(
+                    f"test: [{region[0]:g}, {region[1]:g}]: nothing is drawn there; the distribution has numbers from "
+                    f"{limits[0]:g} to {limits[1]:g}"
+                )
 
     @property
     def variables(self) -> int:

@@ -158,17 +158,21 @@ def load_part(
 
 
 @contextlib.contextmanager
-def blamed(name: str) -> Iterator[None]:
+def blamed(name: str, *others: type[Exception]) -> Iterator[None]:
     """Attribute any error inside the block to the part, so that it is not taken for an input error of the user.
+
+    Args:
+        name: of the part.
+        others: errors that are not the part's.
 
     Raises:
         PartError: names the part and the error.
     """
     try:
         yield
-    except PartError:
-        raise
     except Exception as error:
+        if isinstance(error, (PartError, *others)):
+            raise
         raise PartError(f"{name}: {type(error).__name__}: {error}") from error
 
 

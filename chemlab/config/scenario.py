@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypedDict
 
-from pydantic import BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
+from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, PrivateAttr, field_validator, model_validator
 
 from .datafile import read_toml
 from .datamodel import DataModel, validated
@@ -55,7 +55,16 @@ Price = Annotated[float, Field(ge=0.0, le=1e6)]
 
 Capacity = Annotated[float, Field(ge=1e-6, le=100.0)]
 Goals = Annotated[tuple[Key, ...], Field(min_length=1, max_length=64)]
-Parts = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=32)]
+
+
+def _once(names: tuple[str, ...]) -> tuple[str, ...]:
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{name!r} is named twice; remove one")
+    return names
+
+
+Parts = Annotated[tuple[Annotated[str, Field(max_length=1000)], ...], Field(max_length=32), AfterValidator(_once)]
 Share = Annotated[float, Field(ge=-1e6, le=1e6)]
 
 

@@ -18,7 +18,7 @@ from ..lab.hidden import World
 from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
 from .global_state import GlobalState
-from .inputs import check_by_agent, check_count, checked_actions, parsed_reset
+from .inputs import check_by_agent, check_count, checked_actions, number_of, parsed_reset
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -84,11 +84,11 @@ class BatchedLaboratory:
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Box:
         """Return the observation space of one agent in one laboratory."""
-        return self.laboratories.observation_space(self.possible_agents.index(agent))
+        return self.laboratories.observation_space(number_of(agent, self.possible_agents))
 
     def action_space(self, agent: str) -> gymnasium.Space[Any]:
         """Return the action space of one agent in one laboratory."""
-        return self.laboratories.action_space(self.possible_agents.index(agent))
+        return self.laboratories.action_space(number_of(agent, self.possible_agents))
 
     @property
     def state_space(self) -> gymnasium.spaces.Box:

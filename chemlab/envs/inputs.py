@@ -56,9 +56,33 @@ def check_by_agent(actions: Any) -> None:
         )
 
 
+def number_of(agent: str, agents: Sequence[str]) -> int:
+    """Return the index of an agent.
+
+    Raises:
+        ValueError: there is no such agent; the message names all.
+    """
+    if agent not in agents:
+        raise ValueError(f"unknown agent {agent!r:.100}; agents: {', '.join(agents)}")
+    return agents.index(agent)
+
+
 def _all_within(values: npt.NDArray[Any], low: float, high: float) -> bool:
     """Return True if every number is in [low, high] (False for NaN)."""
     return not values.size or bool(low <= values.min() and values.max() <= high)
+
+
+def _given(actions: Any, numbers: npt.NDArray[Any] | None, high: float, rows: npt.NDArray[np.bool_] | None) -> str:
+    """Describe refused actions: the first of their ``numbers`` that is not in [0, high], in the rows that count, with
+    its place; without numbers what was given.
+    """
+    if numbers is None:
+        return f"{actions!r:.200}"
+    wrong = ~((numbers >= 0) & (numbers <= high))
+    if rows is not None:
+        wrong[~rows] = False
+    at = np.argwhere(wrong)[0].tolist()
+    return f"{numbers[tuple(at)].item()!r} at {at}"
 
 
 def checked_actions(
@@ -78,12 +102,14 @@ def checked_actions(
         rows: [B] rows that count; others may have any values.
 
     Raises:
-        ValueError: an action is outside the space, or the batch has another shape.
+        ValueError: an action is outside the space, or the batch has another shape; the message has the first wrong
+            number and its place.
     """
     try:
         values = np.asarray(actions)
     except ValueError:  # lists of different lengths
         values = np.empty((), dtype=object)
+    numbers: npt.NDArray[Any] | None = None
     # Kernels need native contiguous arrays, whatever layout, width and byte order is given.
     if isinstance(space, gymnasium.spaces.Discrete):
         last = int(space.n) - 1
@@ -91,13 +117,16 @@ def checked_actions(
             numbers = np.ascontiguousarray(values, dtype=np.int64)
             if _all_within(numbers if rows is None else numbers[rows], 0, last):
                 return numbers
-        raise ValueError(f"{agent}: actions must be {count} integers from 0 to {last}, given {actions!r}")
+        raise ValueError(
+            f"{agent}: actions must be {count} integers from 0 to {last}, given {_given(actions, numbers, last, rows)}"
+        )
     shape = (count, *(space.shape or ()))
     if values.dtype.kind in "fiu" and values.shape == shape:
         numbers = np.ascontiguousarray(values, dtype=np.float64)
         if _all_within(numbers if rows is None else numbers[rows], 0.0, 1.0):
             return numbers
-    raise ValueError(f"{agent}: actions must be {list(shape)} finite numbers from 0 to 1, given {actions!r}")
+    given = _given(actions, numbers, 1.0, rows)
+    raise ValueError(f"{agent}: actions must be {list(shape)} finite numbers from 0 to 1, given {given}")
 
 
 def parsed_reset(

@@ -168,6 +168,14 @@ def _reject(place: str, **arguments: Any) -> None:
         raise ValueError(f"{', '.join(given)}: not an argument of {place}; omit it")
 
 
+def _mode(autoreset_mode: str | AutoresetMode) -> AutoresetMode:
+    try:
+        return AutoresetMode(autoreset_mode)
+    except ValueError:
+        names = ", ".join(repr(mode.value) for mode in AutoresetMode)
+        raise ValueError(f"autoreset_mode: must be one of {names}, given {autoreset_mode!r:.100}") from None
+
+
 class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32], Any, Any]):
     """N members with one role each in one set of arrays; see this module's documentation.
 
@@ -215,7 +223,7 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
         max_episode_steps: int | None = None,
         **settings: Unpack[Settings],
     ) -> None:
-        mode = AutoresetMode(autoreset_mode)
+        mode = _mode(autoreset_mode)
         check_count("num_envs", num_envs, "scenario")
         if threads is not None:
             check_count("threads", threads)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ..config.parts import blamed
 from ..config.scenario import Scenario
 from ..kernels.arrays import IntArray, ObservationArray
 from ..physics.chemistry import WAVELENGTHS_NM
@@ -78,7 +79,8 @@ def measured_words(
     """
     table = laboratories.instruments
     channel = table.channels[instrument]
-    noise, values = laboratories.scenario.instruments[table.names[instrument]].noise, np.asarray(values)
+    spec = laboratories.scenario.instruments[table.names[instrument]]
+    noise, values = spec.noise, np.asarray(values)
     low, span = (channel.low, channel.high - channel.low) if channel.size == 1 else (0.0, 1.0)
     exact = (_as_exact_as(noise * span, low + values.astype(np.float64) * span) - low) / span
     least = 0.5 * 10.0 ** math.floor(math.log10(noise)) if noise > 0.0 else 0.0
@@ -88,9 +90,11 @@ def measured_words(
     if channel.size > _LONG:
         return curve_words(channel, values)
     analytes = table.analytes[instrument]
-    words = table.kinds[instrument].words(values, channel, [name(one) for one in analytes] if name else analytes)
-    # A reading with noise has fewer digits than the words of its instrument: the rest are zeros.
-    return _ZEROS.sub(r"\1\2", words) if noise > 0.0 else words.replace(".0%", "%")
+    named = f"{laboratories.scenario.origin}: instruments.{table.names[instrument]}: {spec.kind}: words()"
+    with blamed(named):
+        words = table.kinds[instrument].words(values, channel, [name(one) for one in analytes] if name else analytes)
+        # A reading with noise has fewer digits than the words of its instrument: the rest are zeros.
+        return _ZEROS.sub(r"\1\2", words) if noise > 0.0 else words.replace(".0%", "%")
 
 
 def _as_exact_as(noise: float, values: npt.NDArray[Any]) -> npt.NDArray[Any]:

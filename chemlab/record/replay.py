@@ -10,6 +10,7 @@ import numpy as np
 from ..config.datafile import DataError
 from ..config.draws import SPLITS
 from ..config.parts import strangers_code
+from ..config.scenario import Scenario
 from ..lab.engine import Laboratories
 from ..lab.hidden import NumberedWorld
 from ..roles.manager_state import RUNNING
@@ -25,6 +26,7 @@ class Replay:
         trust: allow imports of benches and other parts that the record's scenario names (``module:Name``,
             ``file.py:Name``). Without it they raise an error, because a record may come from an unknown author.
         split: ``private:SALT``, for a record of a private split.
+        beside: scenario beside whose file the parts ``file.py:Name`` are; default: they are beside the record.
 
     Attributes:
         laboratories: the laboratories after the turns played so far.
@@ -34,9 +36,13 @@ class Replay:
         RecordError: the episode cannot be replayed here; the message states what is missing.
     """
 
-    def __init__(self, record: Record, trust: bool = False, split: str | None = None) -> None:
+    def __init__(
+        self, record: Record, trust: bool = False, split: str | None = None, beside: Scenario | None = None
+    ) -> None:
         self.record = record
         scenario = recorded_scenario(record)
+        if beside is not None:
+            scenario._origin = beside.origin
         header = record.checked_header()
         private = header.split == "private"
         if header.split not in (None, "private", *SPLITS):

@@ -204,7 +204,8 @@ def verify_record(
 
     Args:
         path: the record or its path.
-        scenario: required scenario of the record; default: the bundled scenario of the same name.
+        scenario: required scenario of the record; default: the bundled scenario of the same name. Parts
+            ``file.py:Name`` are looked for beside its file, by default beside the record.
         trust: allow imports of code that the record names.
         split: ``private:SALT`` for a record of a private split, to prove that its world follows from the seed.
 
@@ -220,7 +221,7 @@ def verify_record(
     other = _other_version(record)
     try:
         header = record.checked_header()
-        replay = Replay(record, trust, split)
+        replay = Replay(record, trust, split, required)
     except RecordError as error:
         status: Status = "tampered" if isinstance(error, HeaderError) else "unchecked"
         messages, where = [_message(error, name)], "header" if isinstance(error, HeaderError) else ""

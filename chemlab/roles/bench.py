@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import copy
+import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import gymnasium
@@ -64,6 +66,10 @@ class Channel:
     low: float
     high: float
     meaning: str
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.name, str) or not isinstance(self.size, Integral):
+            raise TypeError(f"a Channel has a name and an integer size, given {self.name!r} and {self.size!r}")
 
     def unscaled(self, values: Any) -> Any:
         """Return numbers in [0, 1] in the channel's unit."""
@@ -251,7 +257,7 @@ class BenchRules(NamedTuple):
     """scratch of the bench's kernels, which allocate nothing"""
 
 
-def _is_bundled(cls: type) -> bool:
+def is_bundled(cls: type) -> bool:
     """Return True for a class of chemlab's own."""
     return cls.__module__.startswith(f"{__package__}.")
 
@@ -283,6 +289,54 @@ def check_vessels(rows: FloatArray, name: str) -> None:
         raise PartError(
             f"{name} has left a vessel at {wrong[0]:g} K; temperatures must be from {COLDEST_K:g} to {HOTTEST_K:g} K"
         )
+
+
+def check_work(name: str, rows: FloatArray, events: FloatArray, stock: FloatArray, waste: FloatArray) -> None:
+    """Check what a user's part has made of vessels ``rows`` [B, W], safety events, stock and waste.
+
+    Raises:
+        PartError: they are impossible; the message begins with the ``name``.
+    """
+    check_vessels(rows, name)
+    for where, numbers in (("the safety events", events), ("the stock", stock), ("the waste can", waste)):
+        if not np.isfinite(numbers).all() or numbers.min(initial=0.0) < -_ROUNDING_MOL:
+            raise PartError(f"{name} has left a number in {where} that is negative or not finite")
+
+
+def _guarded(name: str, method: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a method of a user's bench that attributes its errors to it and checks its results."""
+
+    @functools.wraps(method)
+    def call(self: Bench, shelf: Shelf, experiments: Experiments, members: IntArray, *given: Any, **named: Any) -> Any:
+        where = f"{self.scenario.origin}: benches.{self.key}: {self.kind}: {name}()"
+        before = experiments.steps[members]
+        with blamed(where):
+            found = method(self, shelf, experiments, members, *given, **named)
+        owners = [vars(one) for one in type(self).__mro__ if name in vars(one) and not is_bundled(one)]
+        if owners[0][name] is not call:  # called by a subclass, which may not have finished
+            return found
+        if name == "measure":
+            return checked_numbers(found, members.shape, where)
+        if name == "mask":
+            _check_mask(where, experiments.busy[members], *given)
+        elif name == "act":
+            rows = shelf.rows[experiments.places[members]]
+            bottles = shelf.stock[members], shelf.waste[members]
+            check_work(where, rows.reshape(-1, rows.shape[-1]), experiments.events[members], *bottles)
+            steps = experiments.steps[members]
+            if not (steps > before).all() or not experiments.ended[members][steps >= self.step_limit].all():
+                raise PartError(
+                    f"{where}: must add 1 to experiments.steps, and set experiments.ended from step_limit = "
+                    f"{self.step_limit} on"
+                )
+        return found
+
+    return call
+
+
+def _check_mask(where: str, busy: BoolArray, out: MaskArray) -> None:
+    if not np.isin(out, (0, 1)).all() or not out[busy].any(axis=1).all():
+        raise PartError(f"{where}: must write 0 or 1 for every action, and a 1 for some, given {out.tolist()!r:.200}")
 
 
 @helper
@@ -382,6 +436,15 @@ def _blur(
                 out[b, k] = min(max(value, 0.0), 1.0)
 
 
+def _is_usual(space: gymnasium.Space[Any]) -> bool:
+    """Return True for the kinds of action space that all interfaces support."""
+    if isinstance(space, gymnasium.spaces.Discrete):
+        return bool(space.start == 0)
+    if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
+        return False
+    return bool((space.low == 0.0).all() and (space.high == 1.0).all())
+
+
 class Experiments:
     """One bench of N laboratories: the arrays of its running experiments.
 
@@ -441,6 +504,12 @@ class Bench(ABC):
     """Methods of the model that may replace its physics (:mod:`chemlab.roles.models`); empty: it takes none."""
     camera: ClassVar[bool] = False
     """True if it observes its vessels with a layer camera."""
+
+    def __init_subclass__(cls, **given: Any) -> None:
+        super().__init_subclass__(**given)
+        for name in () if is_bundled(cls) else ("prepare", "act", "see", "mask", "measure", "release"):
+            if name in vars(cls):
+                setattr(cls, name, _guarded(name, vars(cls)[name]))
 
     def __init__(self, key: str, scenario: Scenario, chemistry: ChemistryTable) -> None:
         self.key = key
@@ -531,6 +600,11 @@ class Bench(ABC):
         where = f"{self.scenario.origin}: benches.{self.key}"
         self.channels = distinct_channels((*channels, goal, *graded, *added), where)
         size = sum(channel.size for channel in self.channels)
+        if not _is_usual(action_space):
+            raise PartError(
+                f"{where}: {self.kind}: its actions must be Discrete(n), from 0, or Box(0.0, 1.0, (n,)), given "
+                f"{action_space}"
+            )
         self.observation_space = gymnasium.spaces.Box(0.0, 1.0, (size,), np.float32)
         self.action_space = action_space
         self._set_rules()
@@ -561,7 +635,7 @@ class Bench(ABC):
     @property
     def _is_shipped(self) -> bool:
         """True for a built-in bench, whose results are known to be within bounds."""
-        return _is_bundled(type(self))
+        return is_bundled(type(self))
 
     @property
     def action_count(self) -> int:
@@ -742,7 +816,7 @@ class Bench(ABC):
         """
         found = []
         for declaration in self.own_state:
-            for field in () if _is_bundled(declaration) else declared(declaration):
+            for field in () if is_bundled(declaration) else declared(declaration):
                 if field.field.kept and "N" in field.axes:
                     array = np.moveaxis(getattr(experiments, field.name), field.axes.index("N"), 0)[members]
                     scaled = 0.5 + np.arctan(np.nan_to_num(array.astype(np.float64))) / np.pi

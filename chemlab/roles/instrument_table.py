@@ -20,7 +20,7 @@ from ..kernels.tables import Table
 from ..physics.chemistry import ChemistryTable
 from ..physics.shelf import Shelf, ShelfArrays
 from ..physics.transfer import remove_fraction
-from .bench import CAMERA_PIXELS, Channel
+from .bench import CAMERA_PIXELS, Channel, check_vessels
 from .instruments import INSTRUMENTS, Instrument, Reading
 
 _TAKEN = frozenset({"occupied", "fill", "temperature", "capacity", "last_bench", "last_position"})
@@ -272,10 +272,12 @@ class InstrumentTable:
             for m, slot, i in zip(members.tolist(), slots.tolist(), used.tolist(), strict=True):
                 if self._own[i]:
                     out = readings[m, slot, rules.start[i] : rules.start[i + 1]]
+                    out[:] = np.nan  # a value that read() leaves out is an error, not the one of an earlier reading
                     turn = reading(i, shelf.vessels[m, slot], stream[m], out, rules)
                     with blamed(self._own[i]):
                         self.kinds[i].read(turn._replace(numbers=self._numbers[i]), shelf.chem(m))
                     out[:] = checked_numbers(out, out.shape, self._own[i], 0.0, 1.0)
+                    check_vessels(turn.row[None], self._own[i])
         handles = self.rules.handle, shelf.handle, shelf.chemistry.handles
         _take(members, slots, used, readings, stream, *handles)
         off = self._right if drifted is None else drifted

@@ -46,7 +46,7 @@ from .bench import (
     Experiments,
     ExperimentState,
     check_discrete,
-    check_vessels,
+    check_work,
     on_scale,
 )
 from .models import SeparationModel
@@ -382,7 +382,8 @@ class OperationBench(Bench):
                     raise DataError(f"{where}: unknown vessel {position!r}; this bench has {', '.join(self.positions)}")
             for name, given in (("target", process.target), ("material", process.material)):
                 if (given is None) == (name in operation.takes):
-                    takers = ", ".join(kind for kind, known in OPERATIONS.items() if name in known.takes)
+                    kinds = {**OPERATIONS, process.kind: operation}
+                    takers = ", ".join(kind for kind, known in kinds.items() if name in known.takes)
                     raise DataError(f"{where}: {name}: required by {takers}, and not allowed for other processes")
             if process.target == process.vessel:
                 raise DataError(f"{where}: target: must differ from vessel, given {process.target!r}")
@@ -460,7 +461,7 @@ class OperationBench(Bench):
             experiments.elapsed[m] = checked_numbers(
                 elapsed, (), f"{name}: act(), which must return the settling of vessels (0.0: none)"
             )
-            check_vessels(np.stack([turn.row, turn.target]), f"{name}: act()")
+            check_work(f"{name}: act()", np.stack([turn.row, turn.target]), turn.events, turn.stock, turn.waste)
 
     def _show(self, shelf: Shelf, experiments: Experiments, members: IntArray) -> None:
         """Update layers and pictures."""

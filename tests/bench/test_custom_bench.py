@@ -129,6 +129,69 @@ def test_a_mistake_in_its_options_is_named(scenario: Path) -> None:
         raw_env(scenario)
 
 
+OWN = """
+import numpy as np
+from chemlab.physics.chemistry import AMOUNTS
+from chemlab.roles.bench import Channel, gymnasium
+from filtration_bench import FiltrationBench
+
+
+class Own(FiltrationBench):
+    def __init__(self, key, scenario, chemistry):
+        super().__init__(key, scenario, chemistry)
+        {made}
+
+    def {method}(self, shelf, experiments, members, *given):
+        found = super().{method}(shelf, experiments, members, *given)
+        {wrong}
+        return found
+
+    {more}
+"""
+SPACE = "self._set_spaces([Channel('a', {size}, '', 0.0, 1.0, '')], {space})"
+
+
+@pytest.mark.parametrize(
+    ("method", "wrong", "words"),
+    [
+        ("made", "raise ValueError('jammed')", r"Own: ValueError: jammed"),
+        ("made", "del self.action_space", r"Own: __init__\(\) must call _set_spaces"),
+        ("made", SPACE.format(size="2.0", space="self.action_space"), "a Channel has a name and an integer size"),
+        ("made", SPACE.format(size=2, space="gymnasium.spaces.Discrete(2, start=1)"), "must be Discrete"),
+        ("made", SPACE.format(size=2, space="gymnasium.spaces.Box(-1.0, 1.0, (2,))"), "must be Discrete"),
+        ("more", "action_meanings = ['filter']", "action_meanings must have 2 texts, given 1"),
+        ("act", "raise ValueError('jammed')", r"act\(\): ValueError: jammed"),
+        ("act", "experiments.events[members] = np.nan", r"act\(\) has left a number in the safety events"),
+        ("act", "shelf.stock[members] -= 99.0", r"act\(\) has left a number in the stock"),
+        ("act", "shelf.rows[experiments.places[members], AMOUNTS] = np.nan", "negative or not finite in a vessel"),
+        ("act", "experiments.steps[members] = 0", r"act\(\): must add 1 to experiments.steps"),
+        ("act", "experiments.steps[members] = 5; experiments.ended[:] = False", r"step_limit = 5"),
+        ("see", "raise KeyError('dial')", r"see\(\): KeyError: 'dial'"),
+        ("mask", "given[0][:] = 0", r"mask\(\): must write 0 or 1 .* given \[\[0, 0\]\]"),
+        ("mask", "given[0][:] = 7", r"mask\(\): must write 0 or 1"),
+        ("measure", "found = found + np.nan", r"measure\(\): must be finite"),
+        ("measure", "found = 0.5", r"measure\(\): must have shape \(1,\), given shape \(\)"),
+    ],
+)
+def test_a_mistake_in_its_class_is_named(scenario: Path, method: str, wrong: str, words: str) -> None:
+    """Also where its last action ends the experiment."""
+    parts = {"made": "pass", "method": "act", "wrong": "pass", "more": ""}
+    parts |= {method: wrong} if method in parts else {"method": method, "wrong": wrong}
+    (scenario.parent / "own.py").write_text(OWN.format(**parts))
+    scenario.write_text(scenario.read_text().replace("filtration_bench:FiltrationBench", "own.py:Own"))
+
+    def play() -> None:
+        env = raw_env(scenario)
+        env.reset(seed=0)
+        env.step(env.laboratories.actions.encode("start", "fil_0", 0, "dodecane"))
+        env.step(env.laboratories.actions.encode("wait"))
+        env.last()
+        env.step(END)
+
+    with pytest.raises(PartError, match=rf"with_filter\.toml: benches\.fil: .*{words}"):
+        play()
+
+
 @pytest.mark.parametrize(
     ("method", "wrong", "words"),
     [

@@ -16,6 +16,7 @@ from helpers import refused, state_of
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.config.loading import load_scenario
 from chemlab.envs.batch import BatchedLaboratory
+from chemlab.envs.inputs import checked_actions
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env, raw_env
@@ -103,6 +104,26 @@ def test_wrong_actions_of_batches_for_one_agent_change_nothing() -> None:
         for actions in wrong:
             refused(f"{batch.agent}: {actions!r}", f"{batch.agent}: actions must be", batch.step, actions)
             assert state_of(batch) == before, actions
+
+
+def test_the_wrong_number_of_a_large_batch_is_found() -> None:
+    """Also where numpy would leave most of the batch out, and among the rows that count."""
+    numbers, boxes = np.zeros(2000, dtype=np.int64), np.full((2000, 6), 0.5)
+    numbers[[7, 1500]], boxes[7, 0], boxes[1500, 4] = 99, np.nan, np.nan
+    rows = np.arange(2000) > 10
+    for space, actions, found in (
+        (gymnasium.spaces.Discrete(41), numbers, "99 at [1500]"),
+        (gymnasium.spaces.Box(0.0, 1.0, (6,)), boxes, "nan at [1500, 4]"),
+    ):
+        message = refused(found, "x: actions must be", checked_actions, "x", actions, 2000, space, rows)
+        assert message.endswith(f"given {found}")
+
+
+def test_arguments_that_name_nothing() -> None:
+    batch = BatchedLaboratory(1, WURTZ)
+    for space in (batch.action_space, batch.observation_space):
+        refused("agent", "unknown agent 'rxn'; agents: manager_0, rxn_0", space, "rxn")
+    refused("mode", "one of 'NextStep', 'SameStep', 'Disabled', given 'same'", RoleVectorEnv, autoreset_mode="same")
 
 
 def test_actions_of_a_round_are_by_agent() -> None:

@@ -20,7 +20,7 @@ from chemlab.config.parts import PartError
 from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import named_costs, named_events
+from chemlab.lab.text import named_costs, named_events, reading_words
 from chemlab.physics.chemistry import AMOUNTS, CLOCK
 from chemlab.render.scene import laboratory_scene
 from chemlab.roles.bench import channel_slices
@@ -180,6 +180,12 @@ SILENT = _replace(EVAPORATE, act=lambda turn, chem: None)
 WORDY = _replace(EVAPORATE, words="blow {material} off {vesel}")
 GREEDY = _replace(EVAPORATE, act=lambda turn, chem: turn.row.__setitem__(AMOUNTS + turn.material, -1.0) or 0.0)
 LAWLESS = _replace(EVAPORATE, legal=lambda turn, chem: turn.no_such_field)
+UNLUCKY = _replace(EVAPORATE, act=lambda turn, chem: turn.events.fill(np.nan) or 0.0)
+LEAKY = _replace(EVAPORATE, act=lambda turn, chem: turn.waste.fill(np.nan) or 0.0)
+GIVER = _replace(REFRACTOMETER, read=lambda reading, chem: 0.5)
+EATER = _replace(REFRACTOMETER, read=lambda reading, chem: reading.out.fill(0.5) or reading.row.fill(np.nan))
+MUTE = _replace(REFRACTOMETER, words=lambda values, channel, analytes: f"{values[1]:.2f}")
+HALF = _replace(REFRACTOMETER, channel=lambda name, analytes: Channel(name, 1.5, "n_D", 0.0, 1.0, ""))
 def nothing(bench, shelf, experiments, members):
     return np.full(len(members), np.nan)
 def scalar(bench, shelf, experiments, members):
@@ -199,10 +205,16 @@ def scalar(bench, shelf, experiments, members):
         ("my_parts.py:HYDROMETER", "my_parts.py:float_hydrometer", "must be a chemlab.roles.bench.Observation"),
         ("my_parts.py:HYDROMETER", "my_parts.py", "ext.observe: cannot load 'my_parts.py' .*no colon"),
         ("my_parts.py:concentrate", "my_parts.py:LOW", "ext.reward: .*must be a .*Callable"),
+        (
+            'concentrate"',
+            'concentrate", "my_parts.py:concentrate"',
+            "ext.reward: '.*:concentrate' is named twice",
+        ),
         ("my_parts.py:WASTE_CAN", "no_module:CAN", "manager.observe: .*ModuleNotFoundError: .*no_module"),
         ("filtration_bench.py:FiltrationBench", "filtration_bench.py:FiltrationOptions", "subclass of .*Bench"),
         ('HYDROMETER"', 'HYDROMETER", "./my_parts.py:HYDROMETER"', "ext: two .* channels are named 'hydrometer'"),
         ("refractometer =", "uv_vis_age =", "manager: two observation channels are named 'slot_0_uv_vis_age'"),
+        ('material = "diethyl_ether"', "", "process.0: material: required by add, my_parts.py:EVAPORATE, and not"),
         ("\nevents = {", "\n# {", r"vapour_mol: unknown safety event; .*declare your own under safety.events"),
     ],
 )
@@ -249,6 +261,12 @@ def test_parts_of_a_base_are_found_from_another_folder(tmp_path: Path) -> None:
         ("EVAPORATE", "WORDY", r"process.\d: my_parts.py:WORDY: words may have {vessel}, .* KeyError: 'vesel'"),
         ("EVAPORATE", "GREEDY", r"GREEDY: act\(\) has left amounts that are negative"),
         ("EVAPORATE", "LAWLESS", r"LAWLESS: legal\(\): AttributeError: .*no_such_field"),
+        ("EVAPORATE", "UNLUCKY", r"UNLUCKY: act\(\) has left a number in the safety events that is negative or not"),
+        ("EVAPORATE", "LEAKY", r"LEAKY: act\(\) has left a number in the waste can"),
+        ("REFRACTOMETER", "GIVER", r"GIVER: read\(\): must be from 0 to 1: .* given nan at \[0\]"),
+        ("REFRACTOMETER", "EATER", r"EATER: read\(\) has left amounts that are negative or not finite"),
+        ("REFRACTOMETER", "MUTE", r"instruments.refractometer: my_parts.py:MUTE: words\(\): IndexError"),
+        ("REFRACTOMETER", "HALF", r"HALF: TypeError: a Channel has a name and an integer size, given .* and 1.5"),
         ("concentrate", "nothing", r"ext.reward: my_parts.py:nothing: must be finite; given nan at \[0\]"),
         ("REFRACTOMETER", "LAMP", r"my_parts.py:LAMP: read\(\): must be from 0 to 1: .* given 1.5 at \[0\]"),
         ("REFRACTOMETER", "BROKEN_LAMP", r"BROKEN_LAMP: read\(\): must be from 0 to 1: .* given nan"),
@@ -266,6 +284,7 @@ def test_what_a_part_does_wrong_is_named(tmp_path: Path, old: str, new: str, say
         whole = raw_env(path)
         whole.reset(seed=0)
         whole.step(whole.laboratories.actions.encode("measure", 0, "refractometer"))
+        reading_words(whole.laboratories, 0, "refractometer")
 
     with pytest.raises(PartError, match=says) as caught:
         play()
