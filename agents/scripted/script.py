@@ -36,7 +36,10 @@ def choices(bench: OperationBench, kind: str, **which: str) -> dict[float, int]:
     if found := bench.choices(kind, **which):
         return found
     words = "".join(f", {name} {value}" for name, value in which.items())
-    raise ValueError(f"benches.{bench.key}: its scripted policy needs a process {kind!r}{words}")
+    raise ValueError(
+        f"benches.{bench.key}: its scripted policy needs a process {kind!r}{words}; add it, or choose another policy "
+        "(of evaluate, also --baseline)"
+    )
 
 
 def revealed_column(bench: Bench, draw: str) -> int:
