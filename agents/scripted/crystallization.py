@@ -133,8 +133,8 @@ class ScriptedCrystallization(Remembering):
             solvents.append((litres <= room_l, 1.0 - cold / hot, process.material, hot_k, litres))
         if not solvents:
             raise ValueError(
-                f"benches.{self._bench.key}: its scripted policy needs a process that adds a solvent; add it, or choose "
-                "another policy (of evaluate, also --baseline)"
+                f"benches.{self._bench.key}: its scripted policy needs a process that adds a solvent; add it, or "
+                "choose another policy (of evaluate, also --baseline)"
             )
         _, _, liquid, hot_k, litres = max(solvents)
         return liquid, hot_k, min(litres, max(room_l, 0.0))
