@@ -63,6 +63,7 @@ def separate(function: F) -> F:
     def call(*arguments: Any) -> Any:
         return _call(name, arguments[at], arguments)
 
+    assert SEPARATE[name] is None, "its place among the addresses must be known in advance"
     call.__qualname__ = f"separate_{name}"
     SEPARATE[name] = helper(function, call)
     return cast(F, SEPARATE[name])
