@@ -16,8 +16,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.roles import MANAGER_ROLE
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario

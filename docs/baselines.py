@@ -18,10 +18,10 @@ from pathlib import Path
 from typing import Any
 
 from chemlab.agents.evaluate.benchmark import world_scenarios
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.evaluate.leaderboard import leaderboard_lines
 from chemlab.agents.evaluate.statistics import interval_text, mean
 from chemlab.agents.runs import find_runs
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between, write_text
 
 __all__ = ["CROSSPLAY", "LEADERBOARD", "PAGE", "clones", "crossplays", "has_row", "matrices", "standings", "table"]

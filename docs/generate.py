@@ -29,11 +29,11 @@ from sphinx.pycode import ModuleAnalyzer
 
 import chemlab
 from chemlab.agents.evaluate.audit import measure_rows
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.policies import has_memory
 from chemlab.cli import app as command
 from chemlab.cli.evaluation import RESULT_COLUMNS
 from chemlab.cli.options import paragraphs
+from chemlab.config.display import markdown_table
 from chemlab.config.draws import Choice, Draw, Lognormal, Normal, Permutation, Uniform, WorldSpec
 from chemlab.config.inherit import campaign_names, scenario_names, synthesis_names
 from chemlab.config.loading import load_scenario

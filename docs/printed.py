@@ -79,7 +79,7 @@ def _first_plot(page: str) -> float:
 
 def times() -> list[str]:
     """Return the table of times to the first plot: with kernels compiled, in a new process, and once more in it."""
-    from chemlab.agents.evaluate.csv_tables import markdown_table
+    from chemlab.config.display import markdown_table
 
     rows = []
     for name in PAGES[1:]:

@@ -10,7 +10,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from chemlab.agents.evaluate.csv_tables import markdown_table
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between
 
 __all__ = ["PAGE", "RECIPES", "recipes", "table"]

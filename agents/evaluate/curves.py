@@ -13,10 +13,7 @@ from chemlab.kernels.arrays import FloatArray
 from chemlab.render.figure import SETTINGS, import_matplotlib, new_figure, save_figure
 
 from ..runs import Evaluation
-from .results import TrainedRun, display_name, read_runs, task_title
-
-Tasks = dict[str, dict[str, list[TrainedRun]]]
-"""Runs by task (the title of a panel) and label (an entry of its legend)."""
+from .results import Groups, TrainedRun, display_name, group_runs, read_runs
 
 # Okabe and Ito's palette for colour-blind readers; line styles distinguish the curves without colour.
 _STYLES: dict[str, tuple[str, Any]] = {
@@ -64,14 +61,14 @@ def average_curves(curves: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray
     return steps, means.mean(axis=0), between, single
 
 
-def group_tasks(runs: Iterable[TrainedRun]) -> Tasks:
-    """Group the runs that have a curve or evaluations by task (bench, goals, initial states) and label."""
-    tasks: Tasks = {}
-    for run in runs:
-        if len(run.curve) or run.evaluations:
-            label = str(run.config.get("label", run.name))
-            tasks.setdefault(task_title(run), {}).setdefault(label, []).append(run)
-    return tasks
+def with_curves(groups: Groups) -> Groups:
+    """Return the groups without runs that have neither a curve nor evaluations."""
+    kept = {
+        task: {label: [run for run in runs if len(run.curve) or run.evaluations] for label, runs in labels.items()}
+        for task, labels in groups.items()
+    }
+    some = {task: {label: runs for label, runs in labels.items() if runs} for task, labels in kept.items()}
+    return {task: labels for task, labels in some.items() if labels}
 
 
 def draw_curves(folders: Sequence[Path]) -> Any:
@@ -84,13 +81,13 @@ def draw_curves(folders: Sequence[Path]) -> Any:
     runs: dict[Path, TrainedRun] = {}
     for folder in folders:
         in_folder = {(folder / run.name).resolve(): run for run in read_runs(folder)}
-        if not group_tasks(in_folder.values()):
+        if not with_curves(group_runs(in_folder.values())):
             raise ValueError(f"{folder}: has no training run with a learning curve (see chemlab train)")
         runs |= in_folder
-    return _draw_tasks(group_tasks(runs.values()))
+    return _draw_groups(with_curves(group_runs(runs.values())))
 
 
-def save_curves(tasks: Tasks, paths: Iterable[Path]) -> None:
+def save_curves(groups: Groups, paths: Iterable[Path]) -> None:
     """Draw the figure of :func:`draw_curves` for grouped runs, and save it to each path.
 
     Raises:
@@ -99,18 +96,18 @@ def save_curves(tasks: Tasks, paths: Iterable[Path]) -> None:
     """
     for path in paths:
         with import_matplotlib().rc_context(SETTINGS):
-            save_figure(_draw_tasks(tasks), path)
+            save_figure(_draw_groups(groups), path)
 
 
-def _draw_tasks(tasks: Tasks) -> Any:
-    columns = min(len(tasks), 2)
-    rows = -(-len(tasks) // columns)
+def _draw_groups(groups: Groups) -> Any:
+    columns = min(len(groups), 2)
+    rows = -(-len(groups) // columns)
     # Below each panel there is room for a legend of two lines.
-    lines = max(-(-(len(labels) + 1) // _LEGEND_COLUMNS) for labels in tasks.values())
+    lines = max(-(-(len(labels) + 1) // _LEGEND_COLUMNS) for labels in groups.values())
     row_height = 4.1 + 0.2 * max(0, lines - 2)
     width, height = 6.6 * columns, 0.4 + row_height * rows
     figure = new_figure(width, height)
-    for i, (task, labels) in enumerate(tasks.items()):
+    for i, (task, labels) in enumerate(groups.items()):
         left, top = 6.6 * (i % columns), 0.1 + row_height * (i // columns)
         axes = figure.add_axes(((left + 0.8) / width, 1.0 - (top + 3.15) / height, 5.6 / width, 2.75 / height))
         _panel(axes, task, labels)

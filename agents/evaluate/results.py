@@ -1,63 +1,23 @@
-"""Read training runs for evaluation, and aggregate runs that differ only in their seed.
-
-Runs are read from the folders that training writes, or from the tables that :func:`write_runs` writes:
-
-| File | A row for each | Columns |
-|---|---|---|
-| `runs.csv` | run | its path, configuration and scalars; `arguments` and `versions` are JSON |
-| `returns.csv` | run and goal | mean return of the best and of the last checkpoint, and of the scripted policy |
-| `evaluations.csv.gz` | evaluation and goal | the same during training |
-| `curves.csv.gz` | rollout | mean and standard deviation of the training episodes that ended in it |
-
-Curves have all points, rounded to 5 decimals: a thousandth of the width of a line in a figure. Evaluations during
-training are rounded to 9 decimals. Returns are not rounded, because intervals over a few runs depend on ties.
-"""
+"""Read training runs for evaluation, and aggregate runs that differ only in their seed."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Sequence
+import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from chemlab.config.datafile import DataError, parse_json
+from chemlab.config.display import markdown_table
 from chemlab.kernels.arrays import FloatArray
 
-from ..runs import Evaluation, Run, RunResult, checked_config, checked_result, differences, find_runs
+from ..runs import Evaluation, Run, RunResult, find_runs
 from . import statistics
-from .csv_tables import markdown_table, number, read_table, write_table
 from .statistics import interval_text, number_text
 
-_SCALARS: dict[str, type] = {
-    "label": str,
-    "algo": str,
-    "env_id": str,
-    "seed": int,
-    "steps": int,
-    "seconds": float,
-    "frames_per_second": float,
-    "best_step": int,
-    "episodes_per_goal": int,
-}
-"""Fields of :class:`~chemlab.agents.runs.RunResult` in ``runs.csv``, with their types."""
-_NAMES = ("scenario", "bench", "fingerprint")
-_TABLES: dict[str, tuple[str, ...]] = {
-    "runs.csv": ("run", *_NAMES, *_SCALARS, "arguments", "versions"),
-    "returns.csv": ("run", "goal", "best", "last", "scripted"),
-    "evaluations.csv.gz": ("run", "step", "goal", "mean", "scripted"),
-    "curves.csv.gz": ("run", "step", "mean", "std"),
-}
-_NUMBERS: dict[str, type] = (
-    {key: kind for key, kind in _SCALARS.items() if kind is not str}
-    | {"step": int}
-    | dict.fromkeys(("best", "last", "scripted", "mean", "std"), float)
-)
-"""Types of numeric columns."""
-_CURVE_DECIMALS, _DECIMALS = 5, 9
-_Rows = list[dict[str, str]]
 _ABBREVIATIONS = ("ppo", "a2c", "dqn", "sac", "td3", "xl")
 _PER_RUN = ("seed", "versions", "label")
 """Settings that may differ between the runs of a cell."""
@@ -92,7 +52,8 @@ class TrainedRun:
 
 def display_name(label: str) -> str:
     """Return the name of an algorithm or variant in figures: ``ppo-xl`` is PPO-XL, ``ppo-entropy`` PPO-entropy."""
-    return "-".join(part.upper() if part in _ABBREVIATIONS else part for part in label.split("-"))
+    name, space, folder = label.partition(" ")
+    return "-".join(part.upper() if part in _ABBREVIATIONS else part for part in name.split("-")) + space + folder
 
 
 def task_title(run: TrainedRun) -> str:
@@ -101,23 +62,18 @@ def task_title(run: TrainedRun) -> str:
     parts = [f"{run.config.get('scenario')}, {run.config.get('bench')}"]
     parts += [f"goal {goals[0]}"] if len(goals) == 1 else [f"{len(goals)} goals"] if goals else []
     parts += [f"starts {run.config['starts']}"] if run.config.get("starts", "paper") != "paper" else []
-    parts += [f"benches {run.config['background']}"] if run.config.get("background") else []
+    parts += [f"background {run.config['background']}"] if run.config.get("background") else []
     return ", ".join(parts)
 
 
-# -- reading and writing ----------------------------------------------------------------------------------------------
-
-
 def read_runs(folder: Path) -> list[TrainedRun]:
-    """Return the runs in a folder of tables, or all runs below another folder, sorted by path.
+    """Return all runs below a folder, sorted by path.
 
     Raises:
         ValueError: the folder does not exist, or a file in it is malformed.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder}: no such folder of results")
-    if (folder / "runs.csv").exists():
-        return _from_tables(folder)
     return [_from_folder(run, run.path.relative_to(folder).as_posix()) for run in find_runs(folder)]
 
 
@@ -129,79 +85,6 @@ def _from_folder(run: Run, name: str) -> TrainedRun:
     ]
     curve = np.array(points, dtype=np.float64).reshape(-1, 3)
     return TrainedRun(name, run.config() or {}, run.result(), curve, run.evaluations(), run)
-
-
-def _from_tables(folder: Path) -> list[TrainedRun]:
-    by_run: dict[str, dict[str, _Rows]] = {}
-    for name, columns in _TABLES.items():
-        for row in read_table(folder / name, columns, _NUMBERS, blank=("scripted",)):
-            by_run.setdefault(row["run"], {}).setdefault(name, []).append(row)
-    try:
-        return [_from_rows(name, rows) for name, rows in by_run.items()]
-    except DataError as error:
-        raise ValueError(f"{folder}: {error}") from error
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{folder}: not tables of finished runs, or of different runs ({error!r})") from error
-
-
-def _from_rows(name: str, rows: dict[str, _Rows]) -> TrainedRun:
-    """Return a run from its rows of all tables."""
-    (row,) = rows["runs.csv"]
-    values: dict[str, Any] = {key: kind(row[key]) for key, kind in _SCALARS.items()}
-    for column, prefix in (("best", ""), ("last", "last_"), ("scripted", "scripted_")):
-        values[f"{prefix}by_goal"], values[f"{prefix}mean"] = _by_goal(rows["returns.csv"], column)
-    result = checked_result(values, name)
-    config: dict[str, Any] = {key: row[key] for key in (*_NAMES, "label", "algo", "env_id")}
-    config |= {"seed": result.seed, "goals": list(result.by_goal), **parse_json(row["arguments"], f"{name}: arguments")}
-    config["versions"] = parse_json(row["versions"], f"{name}: versions")
-    checked_config(config, name)
-    by_step: dict[int, _Rows] = {}
-    for evaluation in rows.get("evaluations.csv.gz", ()):
-        by_step.setdefault(int(evaluation["step"]), []).append(evaluation)
-    evaluations = []
-    for step, at_step in by_step.items():
-        (by_goal, mean), (scripted, scripted_mean) = _by_goal(at_step, "mean"), _by_goal(at_step, "scripted")
-        evaluations.append(Evaluation(step, mean or 0.0, by_goal or {}, scripted_mean, scripted))
-    points = [(int(p["step"]), float(p["mean"]), float(p["std"])) for p in rows.get("curves.csv.gz", ())]
-    return TrainedRun(name, config, result, np.array(points, dtype=np.float64).reshape(-1, 3), evaluations)
-
-
-def _by_goal(rows: _Rows, column: str) -> tuple[dict[str, float] | None, float | None]:
-    """Return a column's numbers by goal, and their mean; (None, None) if a cell is empty (no scripted policy)."""
-    if any(not row[column] for row in rows):
-        return None, None
-    by_goal = {row["goal"]: float(row[column]) for row in rows}
-    return by_goal, float(np.mean(list(by_goal.values())))
-
-
-def write_runs(folder: Path, runs: Iterable[TrainedRun]) -> None:
-    """Write the tables of finished runs, sorted by name, to a folder; other runs are omitted."""
-    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in _TABLES}
-    in_columns = {*_NAMES, *_SCALARS, "goals", "versions"} - {"steps"}
-    for run in sorted((run for run in runs if run.result is not None), key=lambda run: run.name):
-        config, result, name = run.config, run.finished, {"run": run.name}
-        arguments = {key: value for key, value in config.items() if value is not None and key not in in_columns}
-        data = {"arguments": arguments, "versions": config.get("versions", {})}
-        rows["runs.csv"].append(
-            name
-            | {key: config.get(key, "") for key in _NAMES}
-            | {key: getattr(result, key) for key in _SCALARS}
-            | {key: json.dumps(value, separators=(",", ":")) for key, value in data.items()}
-        )
-        for goal, best in result.by_goal.items():
-            scripted_return = (result.scripted_by_goal or {}).get(goal)
-            returns = {"best": best, "last": result.last_by_goal[goal], "scripted": scripted_return}
-            rows["returns.csv"].append(name | {"goal": goal} | {key: number(value) for key, value in returns.items()})
-        for e in run.evaluations:
-            scripted = e.scripted_by_goal or {}
-            for goal, mean in e.by_goal.items():
-                cells = {"mean": number(mean, _DECIMALS), "scripted": number(scripted.get(goal), _DECIMALS)}
-                rows["evaluations.csv.gz"].append(name | {"step": e.step, "goal": goal} | cells)
-        for step, mean, deviation in run.curve:
-            cells = {"mean": number(mean, _CURVE_DECIMALS), "std": number(deviation, _CURVE_DECIMALS)}
-            rows["curves.csv.gz"].append(name | {"step": int(step)} | cells)
-    for file, columns in _TABLES.items():
-        write_table(folder / file, columns, rows[file])
 
 
 # -- aggregates -------------------------------------------------------------------------------------------------------
@@ -272,37 +155,56 @@ class Cell:
 Cells = dict[str, dict[str, Cell]]
 """By task and label."""
 
-
-def settings_of(run: TrainedRun) -> str:
-    """Return the settings of a run that are equal for all runs of a cell, as JSON."""
-    settings = {k: v for k, v in run.config.items() if k not in _PER_RUN and v is not None}
-    return json.dumps(settings, sort_keys=True)
+Groups = dict[str, dict[str, list[TrainedRun]]]
+"""Runs by task and label."""
 
 
-def cells_of(runs: Sequence[TrainedRun], task_of: Callable[[TrainedRun], str] = task_title) -> tuple[Cells, list[str]]:
+def _settings(run: TrainedRun) -> str:
+    """Return the settings of a run that are equal for all runs of a group, as JSON."""
+    settings = {key: value for key, value in run.config.items() if key not in _PER_RUN and value is not None}
+    # Seeds in the path of a policy that training began from may differ.
+    return re.sub(r"seed-\d+", "seed", json.dumps(settings, sort_keys=True))
+
+
+def group_runs(runs: Iterable[TrainedRun], task_of: Callable[[TrainedRun], str] = task_title) -> Groups:
+    """Group runs, finished or not, that differ only in their seed.
+
+    If runs of one label have different settings (steps, hyperparameters), the largest group has the label, or, of equal
+    groups, the one with most steps. The labels of the others also name their folder: ``ppo (FOLDER)``.
+    """
+    found: dict[tuple[str, str], dict[str, list[TrainedRun]]] = {}
+    for run in runs:
+        key = task_of(run), str(run.config.get("label", run.name))
+        found.setdefault(key, {}).setdefault(_settings(run), []).append(run)
+    groups: Groups = {}
+    for (task, label), by_settings in found.items():
+        labels = groups.setdefault(task, {})
+        by_size = sorted(by_settings.values(), key=lambda group: (len(group), group[0].config.get("steps") or 0))
+        for group in reversed(by_size):
+            path = PurePosixPath(group[0].name)
+            folder = path.parent if path.name.startswith("seed-") else path
+            names = (label, f"{label} ({folder})", f"{label} ({path})")
+            labels[next(name for name in names if name not in labels)] = group
+    return groups
+
+
+def cells_of(groups: Groups) -> tuple[Cells, list[str]]:
     """Return the cells of finished runs, and the runs that are in no cell, with the reason.
 
-    If runs of one label have different settings (steps, hyperparameters), the cell has the settings of most runs, or,
-    if there are several, those with most steps. A cell has one run for each seed: repetitions are no further samples.
+    A cell has one run for each seed: repetitions are no further samples.
     """
-    groups: dict[tuple[str, str], dict[str, list[TrainedRun]]] = {}
-    left_out = [f"{run.name}: not finished" for run in runs if run.result is None]
-    for run in runs:
-        if run.result is not None:
-            by_settings = groups.setdefault((task_of(run), run.result.label), {})
-            by_settings.setdefault(settings_of(run), []).append(run)
     cells: Cells = {}
-    for (task, label), by_settings in groups.items():
-        chosen = max(by_settings.values(), key=lambda group: (len(group), group[0].finished.steps))
-        by_seed: dict[int, TrainedRun] = {}
-        for run in chosen:
-            first = by_seed.setdefault(run.finished.seed, run)
-            if first is not run:
-                left_out.append(f"{run.name}: has the seed of {first.name}, {run.finished.seed}, and equal settings")
-        cells.setdefault(task, {})[label] = Cell(task, label, [by_seed[seed] for seed in sorted(by_seed)])
-        for run in (run for group in by_settings.values() if group is not chosen for run in group):
-            other = [name for name in differences(run.config, chosen[0].config) if name not in _PER_RUN]
-            left_out.append(f"{run.name}: {', '.join(other)} differ from most {label} runs there ({chosen[0].name})")
+    left_out = []
+    for task, labels in groups.items():
+        for label, runs in labels.items():
+            by_seed: dict[int, TrainedRun] = {}
+            for run in runs:
+                if run.result is None:
+                    left_out.append(f"{run.name}: not finished")
+                elif (first := by_seed.setdefault(run.result.seed, run)) is not run:
+                    left_out.append(f"{run.name}: has the seed of {first.name}, {run.result.seed}, and equal settings")
+            if by_seed:
+                cells.setdefault(task, {})[label] = Cell(task, label, [by_seed[seed] for seed in sorted(by_seed)])
     return cells, left_out
 
 

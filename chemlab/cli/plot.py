@@ -8,9 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from ..config.files import check_folder
 from .options import ForceOption, TrustOption, app, check_result
-from .screen import counting, out, plain
+from .screen import out, plain
 
 plot = typer.Typer(help="Draw training runs and records (needs the extra `plot`).", no_args_is_help=True)
 app.add_typer(plot, name="plot")
@@ -93,50 +92,25 @@ def moles(
 
 @plot.command()
 def runs(
-    results: Annotated[
-        Path, typer.Argument(help="Folder of training runs made by `chemlab sweep`, or of tables of runs.")
-    ],
-    output: Annotated[Path, typer.Option("--out", "-o", help="Output folder of pages and figures.")] = Path("figures"),
-    collect: Annotated[
-        Path | None,
-        typer.Option(
-            help="First make tables of the runs in this folder and play their managers and the baselines; "
-            "pages are made from the tables. Rows of other runs are kept."
-        ),
-    ] = None,
+    results: Annotated[Path, typer.Argument(help="Folder that contains training runs.")],
+    output: Annotated[Path, typer.Option("--out", "-o", help="Output folder of the page and figures.")] = Path(
+        "figures"
+    ),
     file_format: Annotated[
         list[str] | None, typer.Option("--format", help="png, svg or pdf; repeatable. Default: png.")
     ] = None,
-    trust: TrustOption = False,
 ) -> None:
-    """Make pages of training runs: results of each algorithm with intervals, and learning curves.
+    """Make a page of training runs: results of each algorithm with intervals, and learning curves.
 
-    Managers have a separate page (laboratory.md), which compares them with policies without training. The command
-    needs only the runs' small files or tables; --collect also needs the runs' checkpoints.
+    It needs only the runs' small files. To compare policies in the same episodes, use `chemlab evaluate`.
     """
     from ..agents.evaluate.page import write_page
-    from ..agents.evaluate.results import read_runs
-    from ..agents.evaluate.trained_managers import collect as collect_tables
-    from ..agents.evaluate.trained_managers import collect_count, write_laboratory
     from ..render.figure import FORMATS
 
     formats = file_format or ["png"]
     if unknown := [name for name in formats if name not in FORMATS]:
         raise ValueError(f"--format: must be one of {', '.join(FORMATS)}; given {', '.join(unknown)}")
-    if not read_runs(results):
-        raise ValueError(f"{results}: contains no training runs; give a folder of runs, or of tables of runs")
-    left_out = []
-    for folder in (output, *([collect] if collect is not None else [])):
-        check_folder(folder)
-    if collect is not None:
-        with counting() as progress:
-            task = progress.add_task("managers", total=collect_count(results))
-            left_out += collect_tables(results, collect, watch=lambda _: progress.advance(task))
-    made = [write(collect or results, output, formats) for write in (write_page, write_laboratory)]
-    for line in [*left_out, *(line for _, lines in made for line in lines)]:
+    page, left_out = write_page(results, output, formats)
+    for line in left_out:
         out.print(f"[yellow]left out[/yellow] {plain(line)}")
-    written = [page for page, _ in made if page is not None]
-    for page in written:
-        out.print(f"wrote {plain(page)}")
-    if not written:
-        raise ValueError(f"{results}: no manager has finished training; give another folder of runs")
+    out.print(f"wrote {plain(page)}")

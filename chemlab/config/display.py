@@ -1,9 +1,9 @@
-"""Facts about an object as HTML, for notebooks; names in Markdown."""
+"""Facts about an object as HTML, for notebooks; tables and names in Markdown."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 
 def facts_html(title: str, facts: Mapping[str, object]) -> str:
@@ -20,3 +20,9 @@ def facts_html(title: str, facts: Mapping[str, object]) -> str:
 def inert(line: str) -> str:
     """Return a line of Markdown without the HTML and links that names in files of other people may hold."""
     return " ".join(line.splitlines()).replace("<", "&lt;").replace("](", "]\\(")
+
+
+def markdown_table(columns: Mapping[str, bool], rows: Iterable[Sequence[str]]) -> list[str]:
+    """Return the lines of a Markdown table; ``columns`` is {heading: True to align it to the right, as numbers}."""
+    rules = ["--:" if numeric else "---" for numeric in columns.values()]
+    return [f"| {' | '.join(columns)} |", f"|{'|'.join(rules)}|", *(f"| {' | '.join(cells)} |" for cells in rows)]

@@ -23,8 +23,8 @@ import numpy as np
 from random_search import drawn
 from scipy import stats
 
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.campaign import Campaign, Choice
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "chemist" / "campaign.md"

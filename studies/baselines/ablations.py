@@ -13,8 +13,8 @@ import statistics
 from pathlib import Path
 from typing import Any
 
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.runs import Run, find_runs
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between, write_json
 
 SCORES = Path(__file__).parent / "results" / "ablations.json"

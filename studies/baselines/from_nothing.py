@@ -21,13 +21,13 @@ from typing import Any
 
 from chemlab.agents.episodes import play_laboratory
 from chemlab.agents.evaluate.benchmark import world_scenarios
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.evaluate.jobs import AUDIT_SEED, Job, JobRunner, budget_of, without_instruments
 from chemlab.agents.evaluate.play import Target, evaluate
 from chemlab.agents.evaluate.search import search_plan
 from chemlab.agents.evaluate.statistics import interval_text
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run, find_runs
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between, write_json
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT, Scenario

@@ -28,13 +28,13 @@ import torch
 from stable_baselines3.common.logger import Logger
 
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import Run
 from chemlab.agents.train.arguments import IPPO, training_arguments
 from chemlab.agents.train.joint import Team
 from chemlab.agents.train.loop import EVALUATION_SEED, Progress
 from chemlab.agents.train.single import Agent
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between, write_json
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import MANAGER_AGENT

@@ -16,15 +16,15 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from chemlab.agents.evaluate.results import read_runs, write_runs
-from chemlab.agents.evaluate.trained_managers import brief_table, collect, write_laboratory
 from chemlab.config.files import check_marks, replace_between
 
 from .chemgymrl.figures import write_figures
 from .chemgymrl.page import paper_table, write_page
 from .chemgymrl.results import TABLES, experiment_of, read_results, results_of
 from .chemgymrl.traces import collect_traces
+from .managers import brief_table, collect, write_laboratory
 from .shipped import benches_table, collect_benches
+from .tables import read_runs, write_runs
 
 ROOT = Path(__file__).parents[2]
 LABORATORY = ROOT / "studies" / "baselines" / "results"

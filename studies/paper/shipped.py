@@ -12,13 +12,15 @@ from typing import Any
 
 import chemlab
 from chemlab import load_scenario
-from chemlab.agents.evaluate.csv_tables import markdown_table, number, read_table, write_table
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.evaluate.statistics import number_text
-from chemlab.agents.evaluate.trained_managers import EPISODES
 from chemlab.agents.pretrained import PretrainedPolicy, load_pretrained, pretrained_names
 from chemlab.agents.roles import MANAGER_ROLE, role_of
 from chemlab.agents.runs import RESULT_SEED
+from chemlab.config.display import markdown_table
+
+from .managers import EPISODES
+from .tables import number, read_table, write_table
 
 _FILE, _STARTS, _SCRIPTED = "benches.csv", ("paper", "lab"), "scripted"
 _COLUMNS = ("name", "scenario", "bench", "starts", "episodes", "seed", "chemlab", "player", *_STARTS, "reward", "score")

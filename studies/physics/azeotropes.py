@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.config.catalogue import catalogue_pairs
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between, write_text
 from chemlab.config.materials import Material
 from chemlab.config.pairs import Pair, log_activity_coefficients, pair_table, shipped_pairs

@@ -16,8 +16,8 @@ import numpy as np
 from scipy import integrate, optimize, stats
 
 from chemlab.agents.evaluate import statistics
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.evaluate.scale import Scale, interval
+from chemlab.config.display import markdown_table
 from chemlab.config.files import replace_between
 from chemlab.kernels.arrays import FloatArray
 

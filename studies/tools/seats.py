@@ -16,10 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.seats import Room
 from chemlab.agents.verbs import ToolError
+from chemlab.config.display import markdown_table
 
 Call = tuple[str, dict[str, Any]]
 

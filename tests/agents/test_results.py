@@ -1,4 +1,4 @@
-"""Training runs as evaluation reads them: folders and tables, runs together, curves, the page and its command."""
+"""Training runs as evaluation reads them: runs together, curves, the page and its command."""
 
 from __future__ import annotations
 
@@ -9,15 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import command, refused
+from helpers import command
 from run_files import HEURISTIC, write_run
 from scipy import stats
 
-from chemlab.agents.evaluate.csv_tables import read_table, write_table
 from chemlab.agents.evaluate.curves import algorithm_style, average_curves
 from chemlab.agents.evaluate.page import write_page
-from chemlab.agents.evaluate.results import cells_of, cells_table, read_runs, write_runs
-from chemlab.agents.evaluate.trained_managers import write_laboratory
+from chemlab.agents.evaluate.results import cells_of, cells_table, group_runs, read_runs
 
 
 @pytest.fixture
@@ -33,31 +31,6 @@ def runs(tmp_path: Path) -> Path:
     return folder
 
 
-def test_tables_have_what_the_folders_have(runs: Path, tmp_path: Path) -> None:
-    """Every number of finished runs comes back as it was, of curves to 5 decimals; writing again changes no byte.
-
-    A rollout in which no episode ended is no point of a curve.
-    """
-    tables = tmp_path / "tables"
-    write_run(runs / "w", "lab", "rxn", {"a": 1.0 / 3.0}, curve=[(10, 2.0 / 3.0, None), (20, 2.0 / 3.0, 0.0)])
-    write_runs(tables, read_runs(runs))
-    again = {run.name: run for run in read_runs(tables)}
-    for run in read_runs(runs):
-        if run.result is None:
-            assert run.name not in again
-            continue
-        found = again[run.name]
-        assert found.result == run.result
-        assert found.config == {key: value for key, value in run.config.items() if value is not None}
-        assert found.evaluations == run.evaluations
-        np.testing.assert_allclose(found.curve, run.curve, atol=5e-6)
-        assert found.folder is None
-    assert again["w"].curve.tolist() == [[20.0, 0.66667, 0.0]]
-    before = {path.name: path.read_bytes() for path in tables.iterdir()}
-    write_runs(tables, again.values())
-    assert {path.name: path.read_bytes() for path in tables.iterdir()} == before
-
-
 def test_runs_of_before_0_3_are_read(runs: Path) -> None:
     """Scripted scores had another name."""
     path = runs / "x" / "seed-0"
@@ -68,26 +41,14 @@ def test_runs_of_before_0_3_are_read(runs: Path) -> None:
     assert (found.result, found.evaluations) == (expected.result, expected.evaluations)
 
 
-def test_what_is_no_table_is_named(runs: Path, tmp_path: Path) -> None:
-    refused("no folder", "no such folder of results", read_runs, tmp_path / "nothing")
-    tables = tmp_path / "tables"
-    write_runs(tables, read_runs(runs))
-    (tables / "curves.csv.gz").write_bytes(b"run,step,mean,std\n")
-    refused("no table", r"curves\.csv\.gz: not a table", read_runs, tables)
-    path = tmp_path / "any.csv"
-    write_table(path, ("a", "b"), [{"a": 1, "b": "x, y"}, {"a": 2, "b": ""}])
-    assert read_table(path, ("a", "b")) == [{"a": "1", "b": "x, y"}, {"a": "2", "b": ""}]
-    refused("columns", r"has the columns a, b; needs a, c", read_table, path, ("a", "c"))
-    path.write_text("a,b\n1,2\n3\n")
-    refused("cells", r"any\.csv:3: must have 2 cells", read_table, path, ("a", "b"))
-    assert read_table(tmp_path / "none.csv", ("a",)) == []
-
-
 def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
-    """The way that most were trained in counts; the table has their mean, interval, best, last and scripted."""
-    cells, left_out = cells_of(read_runs(runs))
-    assert left_out == ["z: not finished", "y: envs, curriculum differ from most ppo runs there (x/seed-0)"]
+    """Other settings are a row of their own; the table has mean, interval, best, last and scripted."""
+    cells, left_out = cells_of(group_runs(read_runs(runs)))
+    assert left_out == ["z: not finished"]
     ((title, labels),) = cells.items()
+    assert {label: [run.name for run in one.runs] for label, one in labels.items() if label != "ppo"} == {
+        "ppo (y)": ["y"]
+    }
     cell = labels["ppo"]
     assert title == "lab, rxn, 2 goals"
     assert [run.finished.seed for run in cell.runs] == [0, 1, 2, 3]
@@ -105,26 +66,29 @@ def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
     # A run plays both goals: these are not twice as many runs, so the interval is that of four.
     middle, ends = 5.5 / 8.0, row[9].partition("[")[2].rstrip("]").split(", ")
     assert float(ends[1]) - float(ends[0]) > 2 * 1.96 * math.sqrt(middle * (1.0 - middle) / 3.0 / (4 * 4) * 4) * 0.8
-    (alone,) = cells_of([run for run in read_runs(runs) if run.name == "y"])[0]["lab, rxn, 2 goals"].values()
-    assert "[" not in cells_table([alone])[2]
+    alone = cells_table([labels["ppo (y)"]])[2]
+    assert "| PPO (y) |" in alone
+    assert "[" not in alone
 
 
 def test_a_seed_counts_once(runs: Path) -> None:
     """A repetition with the same seed, or a copy, is no further sample."""
     write_run(runs / "y2", "lab", "rxn", {"a": 0.9, "b": 0.9}, label="a2c")
     shutil.copytree(runs / "y2", runs / "y3")
-    cells, left_out = cells_of(read_runs(runs))
+    cells, left_out = cells_of(group_runs(read_runs(runs)))
     ((_, labels),) = cells.items()
     assert [run.name for run in labels["a2c"].runs] == ["y2"]
     assert "y3: has the seed of y2, 0, and equal settings" in left_out
 
 
-def test_of_equally_many_runs_the_longer_ones_count(tmp_path: Path) -> None:
+def test_of_equally_many_runs_the_longer_ones_have_the_label(tmp_path: Path) -> None:
     for seed in (0, 1):
         write_run(tmp_path / "short" / f"seed-{seed}", "lab", "rxn", {"a": 0.5}, seed=seed)
         write_run(tmp_path / "long" / f"seed-{seed}", "lab", "rxn", {"a": 0.5}, seed=seed, steps=9000)
-    ((cell,),) = (labels.values() for labels in cells_of(read_runs(tmp_path))[0].values())
-    assert cell.steps == 9000
+    write_run(tmp_path / "short" / "seed-2", "lab", "rxn", {"a": 0.5}, seed=2, envs=1)
+    (labels,) = cells_of(group_runs(read_runs(tmp_path)))[0].values()
+    steps = {label: (cell.steps, len(cell.runs)) for label, cell in labels.items()}
+    assert steps == {"any": (9000, 2), "any (short)": (1000, 2), "any (short/seed-2)": (1000, 1)}
 
 
 def test_learning_curves_against_closed_forms() -> None:
@@ -151,31 +115,31 @@ def test_variants_have_looks_of_their_own() -> None:
 # -- the command ------------------------------------------------------------------------------------------------------
 
 
-def test_the_page_is_the_same_of_runs_and_of_their_tables(runs: Path, tmp_path: Path) -> None:
+def test_the_page_of_runs(runs: Path, tmp_path: Path) -> None:
+    """Also of managers; nothing is written into the runs."""
     pytest.importorskip("matplotlib")
-    tables = tmp_path / "tables"
-    command("plot", "runs", runs, "--out", tmp_path / "a", "--collect", tables)
+    write_run(runs / "m" / "seed-0", "lab", "manager_0", {"a": 0.25}, label="ippo")
     before = sorted(runs.rglob("*"))
-    said = command("plot", "runs", runs, "-o", tmp_path / "b", "--format", "svg", "--format", "png")
+    out = tmp_path / "out"
+    said = command("plot", "runs", runs, "-o", out, "--format", "svg", "--format", "png")
     assert "left out z: not finished" in said
     assert sorted(runs.rglob("*")) == before
-    assert {path.name for path in (tmp_path / "b").iterdir()} == {"runs.md", "runs_curves.svg", "runs_curves.png"}
-    ours, theirs = ((tmp_path / name / "runs.md").read_text() for name in "ab")
-    assert "- z: not finished" in theirs
-    assert ours == theirs.replace(".svg", ".png").replace("- z: not finished\n", "")
+    assert {path.name for path in out.iterdir()} == {"runs.md", "runs_curves.svg", "runs_curves.png"}
+    page = (out / "runs.md").read_text()
+    assert "- z: not finished" in page
+    assert "| lab, manager_0, goal a | ippo | 1 | 1,000 | 0.250 |" in page
 
 
 def test_names_of_runs_are_text_on_pages(tmp_path: Path) -> None:
     """Runs may be of other people, and readers of Markdown follow its HTML and links."""
     pytest.importorskip("matplotlib")
-    for bench in ("rxn", "manager"):
-        write_run(tmp_path / "[a](b)" / bench, "<i>lab", bench, {"a": 1.0}, label="x\n\n[x]: y")
-    for write, shown in ((write_page, "&lt;i>lab"), (write_laboratory, "[a]\\(b)")):
-        page, _ = write(tmp_path, tmp_path / "pages")
-        assert page is not None
-        text = page.read_text()
+    for seed, bench in enumerate(("rxn", "manager", "rxn")):
+        write_run(tmp_path / "[a](b)" / str(seed), "<i>lab", bench, {"a": 1.0}, label="x\n\n[x]: y", envs=seed + 1)
+    page, _ = write_page(tmp_path, tmp_path / "pages")
+    text = page.read_text()
+    for shown in ("&lt;i>lab", "[a]\\(b)"):
         assert shown in text
-        assert not re.search(r"<|^\[|[^!]\[a\]\(", text, re.MULTILINE)
+    assert not re.search(r"<|^\[|[^!]\[a\]\(", text, re.MULTILINE)
 
 
 def test_what_is_wrong_is_said_before_anything_is_made(
@@ -187,7 +151,7 @@ def test_what_is_wrong_is_said_before_anything_is_made(
     for arguments, words in (
         ("nothing", "no such folder of results"),
         ("runs --format bmp2", "--format: must be one of png, svg, pdf; given bmp2"),
-        ("runs --collect file/tables", "tables: cannot write there"),
+        ("runs --out file/pages", "pages: cannot write there"),
     ):
         assert words in command("plot", "runs", *arguments.split(), code=2)
     assert [path for path in sorted(tmp_path.rglob("*")) if path.is_file()] == before

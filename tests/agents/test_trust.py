@@ -210,16 +210,6 @@ def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path,
         shutil.rmtree(tmp_path / "run")
 
 
-def test_figures_play_weights_and_leave_pickles_out(bait: Path) -> None:
-    words = ["plot", "runs", bait / "manager", "--out", bait / "pages", "--collect", bait / "tables"]
-    assert "left out" not in command(*words)
-    without_weights(bait / "manager")
-    assert "--trust" in command(*words[:-1], bait / "others").partition("left out")[2]
-    assert not (bait / "ran").exists()
-    chemlab_trusting([*words[:-1], bait / "third"])
-    assert (bait / "ran").exists()
-
-
 def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None:
     single = ["train", SCENARIO, *MANAGER.flags(), "--out", no_end(bait / "manager")]
     together = ["train", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]
@@ -247,7 +237,6 @@ def test_what_a_configuration_names_is_no_way_around(bait: Path, strangers: Path
     bringing = {**config, **brings, "arguments": config["arguments"] | brings}
     (own / "config.json").write_text(json.dumps(bringing))
     assert "--trust" in command("export", own, "--out", bait / "mine", code=2)
-    assert "--trust" in command("plot", "runs", own, "--out", bait / "pages", "--collect", bait / "tables")
     assert not (bait / "ran").exists()
     chemlab_trusting(["export", own, "--out", bait / "mine"])
     assert (bait / "ran").read_text() == "ran"

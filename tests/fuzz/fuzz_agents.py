@@ -9,7 +9,6 @@ to everything that reads such files: a policy that loads plays, a run is put int
 
 from __future__ import annotations
 
-import gzip
 import json
 import shutil
 import sys
@@ -25,16 +24,14 @@ from safetensors.numpy import save, save_file
 
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
-from fuzz_files import LONGEST_MESSAGE, NASTY, campaign, change, changed, scribble, write_json, write_toml
+from fuzz_files import LONGEST_MESSAGE, campaign, change, changed, scribble, write_json, write_toml
 from run_files import write_run
 
 import chemlab.agents.pretrained
 from chemlab.agents.evaluate.benchmark import find_rows
-from chemlab.agents.evaluate.curves import group_tasks
 from chemlab.agents.evaluate.jobs import AuditBudget, Job, JobRunner, _policy_hash
 from chemlab.agents.evaluate.leaderboard import check_leaderboard, write_leaderboard
-from chemlab.agents.evaluate.results import read_runs, write_runs
-from chemlab.agents.evaluate.trained_managers import collect_count, write_laboratory
+from chemlab.agents.evaluate.results import cells_of, group_runs, read_runs
 from chemlab.agents.open_loop import plan_for, stored_plans
 from chemlab.agents.policies import agent_policy, bench_policy
 from chemlab.agents.pretrained import LSTM, load_pretrained
@@ -170,10 +167,7 @@ def try_run(folder: Path, rng: np.random.Generator) -> None:
         lines[at] = file.read_bytes().decode("utf-8", "surrogateescape").replace("\n", " ")
         file.write_bytes(("\n".join(lines) + "\n").encode("utf-8", "surrogateescape"))
     runs = read_runs(folder)
-    group_tasks(runs)
-    write_runs(folder / "tables", runs)
-    read_runs(folder / "tables")
-    collect_count(folder)
+    cells_of(group_runs(runs))
     run.rewind(150)
     agent_policy(str(run.path), laboratory(SCENARIO), 0)
     from chemlab.agents.train.arguments import recorded_arguments
@@ -200,31 +194,6 @@ def try_configuration(folder: Path, rng: np.random.Generator) -> None:
     arguments = load_arguments(folder / "own.toml", {})
     arguments.command_line()
     arguments.folder()
-
-
-def try_tables(folder: Path, rng: np.random.Generator) -> None:
-    """Tables of finished runs, packed or not, and of what their managers played."""
-    write_finished(folder / "runs", bool(rng.random() < 0.5))
-    tables = folder / "tables"
-    write_runs(tables, read_runs(folder / "runs"))
-    shutil.copy(Path(__file__).parents[2] / "studies" / "baselines" / "results" / "managers.csv", tables)
-    files = sorted(tables.iterdir())
-    file = files[rng.integers(len(files))]
-    packed = file.suffix == ".gz"
-    content = gzip.decompress(file.read_bytes()) if packed else file.read_bytes()
-    lines = content.decode().splitlines()
-    for _ in range(int(rng.integers(1, 4))):
-        at = int(rng.integers(len(lines)))
-        cells = lines[at].split(",")
-        cells[rng.integers(len(cells))] = str(NASTY[rng.integers(len(NASTY))])
-        lines[at] = ",".join(cells)
-    content = "\n".join(lines).encode("utf-8", "surrogatepass")
-    content = scribble(content.decode("utf-8", "replace"), rng) if rng.random() < 0.2 else content
-    content = gzip.compress(content, 1, mtime=0) if packed else content
-    file.write_bytes(scribble(content.decode("latin-1"), rng) if rng.random() < 0.1 else content)
-    write_runs(folder / "again", read_runs(tables))
-    collect_count(tables)
-    write_laboratory(tables, folder / "page", ["svg"])
 
 
 def try_rows(folder: Path, rng: np.random.Generator) -> None:
@@ -273,7 +242,6 @@ TRIES: dict[str, Callable[[Path, np.random.Generator], None]] = {
     "run": try_run,
     "sweep": try_sweep,
     "configuration": try_configuration,
-    "tables": try_tables,
     "rows": try_rows,
     "leaderboard": try_leaderboard,
     "part": try_part,

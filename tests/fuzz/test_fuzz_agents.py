@@ -20,7 +20,7 @@ def test_what_the_fuzzer_begins_with_is_read(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(fuzz_agents, "write_json", lambda path, content, rng: path.write_text(json.dumps(content)))
     monkeypatch.setattr(fuzz_agents, "write_toml", lambda path, content, _, rng: path.write_text(toml(content)))
     for kind in TRIES:
-        if kind not in ("weights", "tables"):  # in which a header's length and cells are changed, too
+        if kind != "weights":  # in which a header's length is changed, too
             (tmp_path / kind).mkdir()
             assert attempt(tmp_path / kind, kind, np.random.default_rng(4)) == "loaded", kind
 

@@ -19,8 +19,6 @@ import run_files
 from helpers import refused
 from run_files import HEURISTIC
 
-from chemlab.agents.evaluate.csv_tables import write_table
-from chemlab.agents.evaluate.results import read_runs, write_runs
 from chemlab.agents.train.sweep import plan
 from chemlab.config.loading import load_scenario
 
@@ -43,6 +41,7 @@ from studies.paper.chemgymrl.results import (
     source_of,
 )
 from studies.paper.chemgymrl.statements import Claim, Finding, Reference, compare_with_paper, load_claims
+from studies.paper.tables import read_runs, write_runs, write_table
 
 ROOT = Path(published.__file__).parents[2]
 

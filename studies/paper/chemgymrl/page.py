@@ -6,9 +6,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from chemlab.agents.evaluate import statistics
-from chemlab.agents.evaluate.csv_tables import markdown_table
 from chemlab.agents.evaluate.results import cells_table, display_name
 from chemlab.agents.evaluate.statistics import number_text
+from chemlab.config.display import markdown_table
 from chemlab.config.files import write_text
 
 from .figures import FIGURES

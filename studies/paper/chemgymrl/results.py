@@ -10,11 +10,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from chemlab import load_scenario
-from chemlab.agents.evaluate.csv_tables import read_table
 from chemlab.agents.evaluate.play import Target
-from chemlab.agents.evaluate.results import Cell, Cells, TrainedRun, cells_of, display_name, read_runs
+from chemlab.agents.evaluate.results import Cell, Cells, TrainedRun, cells_of, display_name, group_runs
 from chemlab.agents.train.arguments import PPO
 from chemlab.agents.train.tasks import task_fingerprint
+
+from ..tables import read_runs, read_table
 
 TABLES = Path(__file__).parent / "results"
 """Folder of the published results."""
@@ -170,7 +171,11 @@ def results_of(given: Iterable[TrainedRun]) -> Results:
             results.left_out.append(f"{run.name}: the bench has changed since it was trained")
         else:
             runs.append(run)
-    cells, others = cells_of(runs, lambda run: EXPERIMENTS[experiment_of(run) or ""].title)
+    groups = group_runs(runs, lambda run: EXPERIMENTS[experiment_of(run) or ""].title)
+    for labels in groups.values():
+        for label in [label for label in labels if "(" in label]:
+            results.left_out += [f"{run.name}: has other settings than most of its label" for run in labels.pop(label)]
+    cells, others = cells_of(groups)
     results.left_out += others
     for key, experiment in EXPERIMENTS.items():
         own, order = cells.get(experiment.title, {}), experiment.algorithms

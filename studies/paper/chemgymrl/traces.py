@@ -11,11 +11,11 @@ import numpy as np
 
 from chemlab import load_scenario
 from chemlab.agents.episodes import play_bench
-from chemlab.agents.evaluate.csv_tables import number, read_table, write_table
 from chemlab.agents.evaluate.play import Target
 from chemlab.agents.policies import bench_policy
 from chemlab.roles.bench import Bench
 
+from ..tables import number, read_table, write_table
 from .results import EXPERIMENTS, TRACE_COLUMNS, TRACE_FILE, Experiment, Results, source_of
 
 EPISODES = 40

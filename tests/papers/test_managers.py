@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import command
 from scipy import stats
 
 pytest.importorskip("matplotlib")
@@ -17,13 +16,12 @@ import run_files
 
 from chemlab import __version__
 from chemlab.agents.episodes import play_laboratory
-from chemlab.agents.evaluate import trained_managers
-from chemlab.agents.evaluate.csv_tables import read_table, write_table
-from chemlab.agents.evaluate.results import read_runs, write_runs
-from chemlab.agents.evaluate.trained_managers import BASELINES, MEASURES, collect, collect_count, write_laboratory
 from chemlab.agents.policies import make_policies
 from chemlab.agents.runs import RESULT_SEED, Run
 from chemlab.lab.engine import Laboratories
+from studies.paper import managers
+from studies.paper.managers import BASELINES, MEASURES, collect, write_laboratory
+from studies.paper.tables import read_runs, read_table, write_runs, write_table
 
 SCRIPTED = run_files.HEURISTIC
 HOW = {"episodes": 10, "seed": RESULT_SEED, "chemlab": __version__}
@@ -32,7 +30,7 @@ HOW = {"episodes": 10, "seed": RESULT_SEED, "chemlab": __version__}
 def write_run(path: Path, seed: int = 0, bench: str = "manager_0", score: float = 0.8, **more: Any) -> Path:
     """A run's files without checkpoints; ``more`` are its result's and arguments."""
     curve = [(step, step / 1000.0 + seed, 0.1) for step in (0, 1000)]
-    more = {"evaluations": {1000: 0.8}, "seconds": 600.0, "curve": curve, **more}
+    more = {"evaluations": {1000: 0.8}, "seconds": 600.0, "curve": curve, "label": path.parent.name, **more}
     return run_files.write_run(path, "wurtz_dodecane", bench, {"dodecane": score}, seed=seed, **more)
 
 
@@ -49,11 +47,11 @@ def store(folder: Path, played: Mapping[str, float], *more: dict[str, Any]) -> N
     values = {"scripted": SCRIPTED, "scripted:no-extraction": 0.3, "plan": 0.25, "random": -0.1}
     rows = [row(name, value) for name, value in values.items()]
     rows += [row("learned", score, name, purity=0.987, ticks=41.6) for name, score in played.items()]
-    write_table(folder / "managers.csv", trained_managers._COLUMNS, [*rows, *more])
+    write_table(folder / "managers.csv", managers._COLUMNS, [*rows, *more])
 
 
 def stored(folder: Path) -> list[dict[str, str]]:
-    return read_table(folder / "managers.csv", trained_managers._COLUMNS)
+    return read_table(folder / "managers.csv", managers._COLUMNS)
 
 
 def rows_of(page: Path) -> dict[tuple[str, str], list[str]]:
@@ -67,71 +65,40 @@ def rows_of(page: Path) -> dict[tuple[str, str], list[str]]:
 
 def labels(folder: Path) -> dict[tuple[str, str], list[int]]:
     """{(background, label): seeds} of a folder's managers."""
-    groups = trained_managers._groups(read_runs(folder))
+    groups = managers._groups(read_runs(folder))
     return {
         (g.background, label): [run.finished.seed for run in runs] for g in groups for label, runs in g.labels.items()
     }
 
 
-def test_runs_are_grouped_by_who_learned_background_and_folder(tmp_path: Path) -> None:
-    """Managers alone, with benches, with all of them; not benches alone, and not what is unfinished. Folders of one
-    preset stay apart, whatever their runs call themselves; so do two trainers' of one name, and other kinds of runs."""
+def test_managers_are_grouped_by_scenario_background_and_settings(tmp_path: Path) -> None:
+    """Managers alone, with benches, with all of them; not benches alone, and not what is unfinished."""
     for name, bench in (("a", "manager_0"), ("b", "manager,rxn,ext"), ("c", "rxn,manager"), ("d", "rxn,ext")):
-        write_run(tmp_path / "who" / name / "seed-0", bench=bench)
+        write_run(tmp_path / "who" / name / "seed-0", bench=bench, label=name)
     write_run(tmp_path / "who" / "e" / "seed-0", bench="rxn_0")
     write_run(tmp_path / "who" / "f" / "seed-0", finished=False)
     assert labels(tmp_path / "who") == {("scripted", name): [0] for name in "abc"}
     where = tmp_path / "where"
     for seed in (1, 0):
-        write_run(where / "w-manager_0" / "long" / f"seed-{seed}", seed, background=None)
-        write_run(where / "w-manager_0" / "manager" / f"seed-{seed}", seed)
-    write_run(where / "w-rllib" / "manager" / "seed-0", background="scripted")
-    write_run(where / "w-manager_0" / "safe" / "seed-0", background="pretrained")
+        write_run(where / "manager" / f"seed-{seed}", seed, label="ippo", begin_from=f"first/seed-{seed}")
+    write_run(where / "clone" / "seed-0", label="ippo", bc="scripted")
+    write_run(where / "safe" / "seed-0", background="pretrained", label="ippo")
     assert labels(where) == {
-        ("scripted", "long"): [0, 1],
-        ("scripted", "w-manager_0/manager"): [0, 1],
-        ("scripted", "w-rllib/manager"): [0],
-        ("pretrained", "safe"): [0],
+        ("scripted", "ippo"): [0, 1],
+        ("scripted", "ippo (clone)"): [0],
+        ("pretrained", "ippo"): [0],
     }
-    assert collect_count(where) == 6 + 2 * len(BASELINES)
-    kinds: Any = {"first": {}, "clone": {"bc": "scripted"}, "team": {"bench": "manager,rxn,ext,dit"}}
-    kinds |= {f"on-{seed}": {"begin_from": f"first/seed-{seed}"} for seed in (0, 1)}
-    for name, more in kinds.items():
-        write_run(tmp_path / "kinds" / name, **{"label": "ippo", "algo": "ippo", **more})
-    found = {label: len(runs) for (_, label), runs in labels(tmp_path / "kinds").items()}
-    assert found == {"clone": 1, "first": 1, "on-0": 2, "team": 1}
+    write_runs(tmp_path / "tables", read_runs(where))
+    assert labels(tmp_path / "tables") == labels(where)
 
 
-@pytest.mark.usefixtures("hasty")
-def test_runs_with_different_arguments_have_rows_of_their_own(tmp_path: Path) -> None:
-    """Those of a run's own file, and also after a round trip through tables."""
-    kinds: Any = {"first": {}, "clone": {"bc": "scripted", "bc_steps": 20}, "far": {"gamma": 0.5}, "other": {"seed": 1}}
-    for name, more in kinds.items():
-        run_files.trained(tmp_path / name, scenario="wurtz_dodecane_direct", roles="manager", net_arch=(8,), **more)
-    found = labels(tmp_path)
-    assert {label: len(seeds) for (_, label), seeds in found.items()} == {"clone": 1, "far": 1, "first": 2}
-    write_runs(tmp_path / "tables", read_runs(tmp_path))
-    assert labels(tmp_path / "tables") == found
-
-
-def test_without_managers_nothing_is_written_or_said(tmp_path: Path) -> None:
+def test_without_managers_nothing_is_written(tmp_path: Path) -> None:
     source, tables, out = tmp_path / "results", tmp_path / "tables", tmp_path / "out"
     write_run(source / "rxn" / "seed-0", bench="rxn")
-    before = sorted(source.rglob("*"))
-    assert collect_count(source) == 0
     assert collect(source, tables) == []
     assert not (tables / "managers.csv").exists()
     assert write_laboratory(source, out) == (None, [])
     assert not out.exists()
-    assert "laboratory" not in command("plot", "runs", source, "-o", out)
-    assert {path.name for path in out.iterdir()} == {"runs.md", "runs_curves.png"}
-    assert sorted(source.rglob("*")) == before
-    for name in ("laboratory.md", "laboratory_curves.png"):  # of earlier results
-        (out / name).write_text("old")
-    write_laboratory(source, out)
-    assert {path.name for path in out.iterdir()} == {"runs.md", "runs_curves.png"}
-    write_run(tmp_path / "begun" / "seed-0", finished=False)
-    assert "no manager has finished training" in command("plot", "runs", tmp_path / "begun", "-o", out, code=2)
 
 
 # -- the page ---------------------------------------------------------------------------------------------------------
@@ -175,11 +142,10 @@ def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     assert len(left_out) == 2
     assert not rows_of(page)
     store(results, {"manager/seed-0": 0.7})
-    said = command("plot", "runs", results, "-o", out, "--format", "png", "--format", "svg")
-    assert "left out manager/seed-1: not played yet (chemlab plot runs RUNS --collect TABLES)" in said
-    assert "seed-0: not" not in said
-    page = (out / "laboratory.md").read_text()
-    assert "- manager/seed-1: not played yet" in page
+    page, left_out = write_laboratory(results, out, ["png", "svg"])
+    assert left_out == ["manager/seed-1: not played yet (python -m studies.paper --collect RUNS)"]
+    page = page.read_text()
+    assert f"- {left_out[0]}" in page
     assert "![laboratory_curves](laboratory_curves.png)" in page
     files = {"laboratory.md", "laboratory_curves.png", "laboratory_curves.svg"}
     assert {path.name for path in out.iterdir()} == files
@@ -213,7 +179,7 @@ def test_runs_without_checkpoints_keep_what_was_known(tmp_path: Path) -> None:
     told: list[str] = []
     said = collect(runs, tables, 3, told.append)
     assert stored(tables) == before  # 10 episodes, not 3
-    assert len(told) == collect_count(runs)
+    assert len(told) == len(BASELINES) + 3
     other = f"policy: {runs / 'other' / 'seed-0'}: was trained by a version with other learners; train it again"
     assert [line.partition(" (")[0] for line in said] == [
         *(f"manager/seed-{seed}: its checkpoints are missing" for seed in (0, 1)),
@@ -233,7 +199,7 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
     before = {(r["policy"], r["run"]): r for r in stored(tmp_path)}
     swapped = {name: value for name, value in BASELINES.items() if name != "plan"}
     swapped |= {"new": ("scripted:no-extraction", "new"), "none": ("no_such_policy", "not there")}
-    monkeypatch.setattr(trained_managers, "BASELINES", swapped)
+    monkeypatch.setattr(managers, "BASELINES", swapped)
     (said,) = collect(tmp_path, tmp_path, 2)
     assert said.startswith("wurtz_dodecane, none: ")
     after = {(r["policy"], r["run"]): r for r in stored(tmp_path)}
@@ -267,8 +233,8 @@ def test_a_real_run_from_training_to_the_page(tmp_path: Path) -> None:
     assert play_laboratory(labs, beside, "dodecane", RESULT_SEED).returns.mean() == pytest.approx(result.scripted_mean)
     # 200 turns teach nobody to distil: what its own benches come to with the scripted manager is far less.
     assert scores["scripted", "joint/seed-0"] < 0.5 * scores["scripted", ""]
-    assert "left out" not in command("plot", "runs", tables, "-o", tmp_path)
-    cells = rows_of(tmp_path / "laboratory.md")["pretrained-isolated; learned: dit", "joint"]
+    assert write_laboratory(tables, tmp_path)[1] == []
+    cells = rows_of(tmp_path / "laboratory.md")["pretrained-isolated; learned: dit", "ippo"]
     gain = scores["learned", "joint/seed-0"] - scores["scripted", "joint/seed-0"]
     assert [float(cells[i]) for i in range(3)] == pytest.approx([result.mean, gain, result.last_mean], abs=6e-4)
     assert cells[-1] == str(result.steps)

@@ -1,38 +1,39 @@
 """Tables and curves of trained managers, compared with untrained ones.
 
-:func:`collect` plays policies and writes tables (:mod:`chemlab.agents.evaluate.results`, and ``managers.csv``);
+:func:`collect` plays policies and writes tables (those of :mod:`.tables`, and ``managers.csv``);
 :func:`write_laboratory` writes a page from tables only.
 
-Runs are aggregated if they have one scenario, one background (policy of the roles that did not learn) and one parent
-folder (of a sweep, for example, with a folder for each seed). The name of this folder is their label.
+Runs are aggregated if they have one scenario, one background (policies of the roles that did not learn), one label and
+equal settings.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import chemlab
+from chemlab.agents.evaluate import statistics
+from chemlab.agents.evaluate.curves import save_curves, with_curves
+from chemlab.agents.evaluate.play import Target
+from chemlab.agents.evaluate.results import TrainedRun, display_name, group_runs
+from chemlab.agents.evaluate.statistics import interval_text, number_text
+from chemlab.agents.policies import make_policies
+from chemlab.agents.pretrained import fingerprint
+from chemlab.agents.roles import MANAGER_ROLE, role_of
+from chemlab.agents.runs import RESULT_SEED
+from chemlab.agents.saved import find_saved
+from chemlab.config.display import markdown_table
+from chemlab.config.files import write_text
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
 
-from ..policies import make_policies
-from ..pretrained import fingerprint
-from ..roles import MANAGER_ROLE, role_of
-from ..runs import RESULT_SEED
-from ..saved import find_saved
-from . import statistics
-from .csv_tables import markdown_table, number, read_table, write_lines, write_table
-from .curves import Tasks, save_curves
-from .play import Target
-from .results import TrainedRun, display_name, read_runs, settings_of, write_runs
-from .statistics import interval_text, number_text
+from .tables import number, read_runs, read_table, write_runs, write_table
 
 EPISODES = 200
 """Number of episodes for each goal."""
@@ -57,17 +58,13 @@ BASELINES: dict[str, tuple[str, str]] = {
 }
 """Untrained managers, {name: (policy, label in the table)}; the background plays the benches.
 
-``chemlab plot runs TABLES --collect TABLES`` plays managers that are missing in a table, and removes managers that are
+``python -m studies.paper --collect RUNS`` plays managers that are missing in a table, and removes managers that are
 not listed here.
 """
 
 _PAGE, _CURVES, _TABLE = "laboratory.md", "laboratory_curves", "managers.csv"
 _COLUMNS = ("scenario", "background", "policy", "run", "goal", "episodes", "seed", "chemlab", "same_task", *MEASURES)
-_NUMBERS: dict[str, type] = {"episodes": int, "seed": int, **dict.fromkeys(MEASURES, float)}
 _LEARNED, _SCRIPTED = "learned", "scripted"
-_Series = tuple[PurePosixPath, str]
-"""Identity of the runs of one row: parent folder, and settings."""
-
 Means = dict[str, dict[str, float]]
 """Means by goal and measure."""
 Rows = list[dict[str, str]]
@@ -77,6 +74,7 @@ Rows = list[dict[str, str]]
 class _Group:
     """Runs of one scenario with one background, by label, and their rows of ``managers.csv``."""
 
+    title: str
     scenario: str
     background: str
     labels: dict[str, list[TrainedRun]]
@@ -104,31 +102,21 @@ def _trained_roles(run: TrainedRun) -> list[str]:
 
 
 def _groups(runs: Sequence[TrainedRun], tables: Path | None = None) -> list[_Group]:
-    """Return the finished runs of managers, sorted by scenario, background and label, with their stored rows."""
-    played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS, _NUMBERS)
-    groups: dict[tuple[str, str], dict[_Series, list[TrainedRun]]] = {}
-    for run in runs:
-        if run.result is not None and has_manager(run):
-            key = str(run.config["scenario"]), str(run.config.get("background") or "scripted")
-            # Seeds in the path of a policy that training began from may differ.
-            series = PurePosixPath(run.name).parent, re.sub(r"seed-\d+", "seed", settings_of(run))
-            groups.setdefault(key, {}).setdefault(series, []).append(run)
+    """Return the finished runs of managers, sorted by scenario and background, with their stored rows."""
+    played = [] if tables is None else read_table(tables / _TABLE, _COLUMNS)
+    managers = [run for run in runs if run.result is not None and has_manager(run)]
     found = []
-    for (scenario, background), by_series in sorted(groups.items()):
-        parents = [parent for parent, _ in by_series]
-        names = [parent.name for parent in dict.fromkeys(parents)]
-        labelled = []
-        for (parent, _), members in by_series.items():
-            # Several folders may have one name, a folder of seeds has none, and one may hold several kinds of runs.
-            label = (parent.name if names.count(parent.name) == 1 else str(parent)) or members[0].finished.label
-            labelled.append((label if parents.count(parent) == 1 else members[0].name, members))
-        by_label = {
-            label: sorted(members, key=lambda run: run.finished.seed)
-            for label, members in sorted(labelled, key=lambda item: item[0])
-        }
-        rows = [row for row in played if (row["scenario"], row["background"]) == (scenario, background)]
-        found.append(_Group(scenario, background, by_label, rows))
+    for title, labels in sorted(group_runs(managers, lambda run: "{}, benches {}".format(*_where(run))).items()):
+        own = {label: sorted(runs, key=lambda run: run.finished.seed) for label, runs in sorted(labels.items())}
+        where = _where(next(iter(own.values()))[0])
+        rows = [row for row in played if (row["scenario"], row["background"]) == where]
+        found.append(_Group(title, *where, own, rows))
     return found
+
+
+def _where(run: TrainedRun) -> tuple[str, str]:
+    """Return the scenario of a run, and the policies of the roles that did not learn."""
+    return str(run.config["scenario"]), str(run.config.get("background") or "scripted")
 
 
 def _means(rows: Rows) -> Means:
@@ -136,15 +124,6 @@ def _means(rows: Rows) -> Means:
 
 
 # -- playing ----------------------------------------------------------------------------------------------------------
-
-
-def collect_count(folder: Path) -> int:
-    """Return the number of policies that :func:`collect` reports to ``watch`` for the runs below a folder.
-
-    Raises:
-        ValueError: the folder does not exist, or a file in it is malformed.
-    """
-    return sum(len(BASELINES) + len(group.runs) for group in _groups(read_runs(folder)))
 
 
 def collect(
@@ -281,12 +260,7 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
         ImportError: matplotlib is not installed.
     """
     groups = _groups(read_runs(folder), folder)
-    tasks: Tasks = {}
-    for group in groups:
-        for label, runs in group.labels.items():
-            drawn = [run for run in runs if len(run.curve) or run.evaluations]
-            if drawn:
-                tasks.setdefault(f"{group.scenario}, benches {group.background}", {})[label] = drawn
+    tasks = with_curves({group.title: group.labels for group in groups})
     page, pictures = out / _PAGE, [out / f"{_CURVES}.{ending}" for ending in formats]
     for path in pictures if tasks else (*pictures, page):
         path.unlink(missing_ok=True)
@@ -295,13 +269,13 @@ def write_laboratory(folder: Path, out: Path, formats: Sequence[str] = ("png",))
     if tasks:
         save_curves(tasks, pictures)
     left_out = [
-        f"{run.name}: not played yet (chemlab plot runs RUNS --collect TABLES)"
+        f"{run.name}: not played yet (python -m studies.paper --collect RUNS)"
         for group in groups
         for run in group.runs
         if not group.of(_LEARNED, run.name)
     ]
     picture = pictures[0].name if tasks else None
-    write_lines(page, _markdown(groups, left_out, picture))
+    write_text(page, "\n".join(_markdown(groups, left_out, picture)) + "\n")
     return page, left_out
 
 
@@ -363,7 +337,7 @@ def brief_table(folder: Path, shipped: bool) -> list[str]:
         ValueError: there is no ``managers.csv``, or a table is malformed.
     """
     if not (folder / _TABLE).exists():
-        raise ValueError(f"{folder}: has no {_TABLE}; chemlab plot runs RUNS --collect {folder} makes it")
+        raise ValueError(f"{folder}: has no {_TABLE}; python -m studies.paper --collect RUNS makes it")
     groups = [group for group in _groups(read_runs(folder), folder) if (group.scenario in scenario_names()) == shipped]
     rows = [
         {**row, "scenario": f"`{group.scenario}`"}
@@ -425,7 +399,7 @@ def _overall(means: Means, measure: str) -> float:
 
 def _interval(values: Any, sign: str = "") -> str:
     """Format the mean over seeds and its interval; a single seed has none."""
-    return interval_text(statistics.mean([values]).as_dict(), sign=sign)
+    return str(interval_text(statistics.mean([values]).as_dict(), sign=sign))
 
 
 def _notes(group: _Group) -> Iterator[str]:
