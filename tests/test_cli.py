@@ -435,8 +435,8 @@ OUTPUTS: dict[str, list[str]] = {
     "starts": ["fictitious", "--out"],
     "compare": ["fictitious", "--update"],
     "new": ["lab", "--reactions", "wurtz_real", "--out"],
-    "replay": ["RECORD", "--output"],
-    "plot timeline": ["RECORD", "--output"],
+    "replay": ["RECORD", "--out"],
+    "plot timeline": ["RECORD", "--out"],
     "export": ["runs", "--out"],
     "figures": ["runs", "--out"],
     "train": ["fictitious", "--bench", "rxn", "--out"],
@@ -659,6 +659,18 @@ def test_former_commands_work_with_a_notice(former: str) -> None:
         == f"chemlab {former} is now chemlab {' '.join(words)}; the old name ends with this release".split()
     )
     assert former not in [name for names in PANELS.values() for name in names]
+
+
+@pytest.mark.parametrize(("words", "former"), [("replay none.jsonl", "output"), ("audit fictitious", "jobs")])
+def test_former_options_work_with_a_notice(words: str, former: str) -> None:
+    found = runner.invoke(app, [*words.split(), f"--{former}=0", "--help"])
+    assert (found.exit_code, f"--{former}" in found.stdout) == (0, False)
+    assert found.stderr.split()[:4] == [
+        f"--{former}",
+        "is",
+        "now",
+        f"--{({'output': 'out', 'jobs': 'processes'})[former]};",
+    ]
 
 
 def test_further_lines_of_a_log_are_indented(

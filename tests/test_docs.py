@@ -95,7 +95,7 @@ def lacking(error: BaseException) -> str:
 def makes(block: Block) -> list[str]:
     """Files and folders that a block's commands are told to write."""
     words = [word for command in block.commands() for word in command] if block.language == "bash" else []
-    return [path for option, path in pairwise(words) if option in ("-o", "--out", "--output", "--record")]
+    return [path for option, path in pairwise(words) if option in ("-o", "--out", "--record")]
 
 
 def uses(block: Block, path: str) -> bool:

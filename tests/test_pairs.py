@@ -239,7 +239,7 @@ def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:
     if not (ROOT / "studies" / "tools" / "pairs.py").exists():
         pytest.skip("studies/ is in the repository, not in what is installed")
     made = tmp_path / "my_pairs.toml"
-    command = [sys.executable, "studies/tools/pairs.py", "diethyl_ether", "dodecane", "--output", str(made)]
+    command = [sys.executable, "studies/tools/pairs.py", "diethyl_ether", "dodecane", "--out", str(made)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stderr
     (pair,) = load_pairs([made]).values()

@@ -80,11 +80,17 @@ FORMER_COMMANDS: dict[str, tuple[str, ...]] = {
     "train-together": ("train", "--algo", "ippo"),
 }
 """Former commands with the words that replace them; they work for one release, with a notice on stderr."""
+FORMER_OPTIONS = {"--output": "--out", "--jobs": "--processes"}
+"""Former options with their present names, likewise."""
 REMOVED_COMMANDS: dict[str, str] = {"train-rllib": "recipes/rllib.py in the repository trains with RLlib"}
 
 
-def _current_command(args: list[str]) -> list[str]:
-    """Replace a former command by its present words."""
+def _current_words(args: list[str]) -> list[str]:
+    """Replace a former command by its present words, and former options by the present ones."""
+    for number, (option, equals, value) in enumerate([word.partition("=") for word in args]):
+        if option in FORMER_OPTIONS:
+            err.print(f"{option} is now {FORMER_OPTIONS[option]}; the old name ends with this release")
+            args[number] = f"{FORMER_OPTIONS[option]}{equals}{value}"
     at = next((i for i, word in enumerate(args) if not word.startswith("-")), None)
     if at is not None and args[at] in REMOVED_COMMANDS:
         raise typer.BadParameter(f"chemlab {args[at]} is no longer a command; {REMOVED_COMMANDS[args[at]]}")
@@ -113,7 +119,7 @@ class _Commands(TyperGroup):
     """The root group; every error of a command is readable."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        args = _current_command(args)
+        args = _current_words(args)
         # As a path, an empty string would be the current folder.
         for before, word in zip(["", *args], args, strict=False):
             option = before if word == "" else word[:-1]
@@ -206,7 +212,7 @@ TrustOption = Annotated[
 ]
 ProcessesOption = Annotated[
     int | None,
-    typer.Option("--processes", "--jobs", min=1, help="Number of concurrent jobs. Default: one per core."),
+    typer.Option(min=1, help="Number of concurrent jobs. Default: one per core."),
 ]
 AddressOption = Annotated[
     str | None,

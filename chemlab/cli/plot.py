@@ -17,7 +17,7 @@ app.add_typer(plot, name="plot")
 RecordArgument = Annotated[Path, typer.Argument(help="A record, finished or not (see `chemlab run --record`).")]
 OutputOption = Annotated[
     Path | None,
-    typer.Option("--output", "-o", help="Output file, .png, .svg or .pdf (default: FILE-KIND.png beside the file)."),
+    typer.Option("--out", "-o", help="Output file, .png, .svg or .pdf (default: FILE-KIND.png beside the file)."),
 ]
 
 
@@ -39,7 +39,7 @@ def _beside(record: Path, kind: str) -> Path:
 @plot.command()
 def curves(
     folders: Annotated[list[Path], typer.Argument(help="Training runs, or folders that contain training runs.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Output file, .png, .svg or .pdf.")] = Path(
+    output: Annotated[Path, typer.Option("--out", "-o", help="Output file, .png, .svg or .pdf.")] = Path(
         "curves.png"
     ),
     force: ForceOption = False,

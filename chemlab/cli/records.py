@@ -101,7 +101,7 @@ def replay(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output",
+            "--out",
             "-o",
             help="Output file: a page (.html); for one record also an animation (.gif, .webp, with ffmpeg .mp4; needs "
             "the extra `plot`) or a protocol of its procedure (.md). Default: the record's name with .html.",

@@ -162,10 +162,11 @@ def _options() -> list[Any]:
         field, algos = list(fields.values())[-1], list(fields)
         text = f"{ABOUT[name].rstrip('.')}: {choices[name]}." if name in choices else ABOUT[name]
         text += _default_text(fields) if name != "algo" else _WHICH
-        panel = {len(ALGORITHMS): "Every algorithm", len(one): "One agent" if algos == one else None}.get(len(algos))
+        others = ", ".join(algo for algo in ALGORITHMS if algo not in algos)
+        some = "One agent" if algos == one else min(", ".join(algos), f"All but {others}", key=len)
         shape = str(field.annotation)
         kind: Any = int if "int" in shape else float if "float" in shape else bool if "bool" in shape else str
-        hints[name] = _hint(name, list[kind] if "tuple" in shape else kind, text, panel or ", ".join(algos))
+        hints[name] = _hint(name, list[kind] if "tuple" in shape else kind, text, some if others else "Every algorithm")
     keyword = inspect.Parameter.KEYWORD_ONLY
     made, options = typer.Typer(add_completion=False), lambda **_: None
     options.__signature__ = inspect.Signature(  # type: ignore[attr-defined]

@@ -1,7 +1,7 @@
 """Make the bundled pair file ``chemlab/data/pairs`` from UNIFAC and ``studies/tools/solubilities.toml``.
 
     python studies/tools/pairs.py                     # the bundled file, of all bundled molecules
-    python studies/tools/pairs.py toluene cumene --materials my_materials.toml --output my_pairs.toml
+    python studies/tools/pairs.py toluene cumene --materials my_materials.toml --out my_pairs.toml
 
 Needs the extra ``chem``. The method is described in :mod:`chemlab.openchem.activity`; ``chemlab data pairs`` makes
 pairs of your own materials. Measured pairs are fitted to the measurements instead. Ten rows of the bundled file, of
@@ -163,10 +163,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("names", nargs="*", help="materials; without any, all shipped molecules")
     parser.add_argument("--materials", type=Path, action="append", default=[], help="material file of your own")
-    parser.add_argument("--output", type=Path, default=None, help="pair file to write (default: the shipped one)")
+    parser.add_argument("--out", type=Path, default=None, help="pair file to write (default: the shipped one)")
     arguments = parser.parse_args()
-    if arguments.names and arguments.output is None:
-        parser.error("--output: required if materials are named")
+    if arguments.names and arguments.out is None:
+        parser.error("--out: required if materials are named")
     materials = {**shipped_materials(), **load_materials(arguments.materials)}
     names = arguments.names or sorted(name for name, m in shipped_materials().items() if is_molecule(m))
     pairs = list(itertools.combinations(names, 2))
@@ -180,7 +180,7 @@ def main() -> None:
         for row in make_pairs(pairs, materials, tell, ideal=True)
     ]
     print(file=sys.stderr)
-    output = arguments.output or SHIPPED
+    output = arguments.out or SHIPPED
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(pair_text(rows, " ".join(["python studies/tools/pairs.py", *arguments.names])), encoding="utf-8")
     print(f"{output}: {len(rows)} pairs; largest error of ln gamma {max(row['error'] for row in rows):.2f}")
