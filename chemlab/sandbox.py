@@ -870,14 +870,15 @@ class Flask:
 
         compound = compound_of(name)
         known_name = "" if compound.name == compound.formula else compound.name
-        for spelling in (structures().get(compound.smiles), compound.cas, compound.smiles):
+        # A short structure is also a formula (CO) or a bundled material (C).
+        structure = [compound.smiles] if len(compound.smiles) > 2 else []
+        for spelling in (structures().get(compound.smiles), compound.cas, *structure):
             if spelling and (found := _find(spelling)):
                 keep_names(found[0], filter(None, (name.strip(), normalized(known_name))))
                 return found[1]
         key = key_of(known_name or compound.common_name, compound.inchi_key)
         tables = material_tables([replace(compound, key=key)])
         names = [normalized(text) for text in (key, known_name, compound.cas, compound.common_name) if text]
-        structure = [compound.smiles] if len(compound.smiles) > 2 else []  # a short structure, as CO, is also a formula
         text = material_text(tables, f"Flask.material({name!r})")
         keep_material(key, text, [*names, name.strip(), *structure])
         return checked_materials(tables)[key]

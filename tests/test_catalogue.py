@@ -359,6 +359,7 @@ def test_what_is_added_is_one_compound_and_changes_no_other(tmp_path: Path) -> N
     assert of("C1CCCCC1C") == "CC1CCCCC1"
     assert of("c1ccccc1C") == of("toluene")
     assert of("C1CCSC1") != of("thiophene")
+    assert of("methane") == "C"  # not the fictitious material C
     of("propanal")
     assert of("C3H6O") == of("acetone")
     assert of("hydrogen") == of("H2")
