@@ -87,7 +87,9 @@ _SALT = re.compile(
     r"ferric|copper|cupric|cuprous|zinc|silver|manganese|nickel|cobalt|ammonium)(?:\([iv]+\))?[ _][a-z ]+"
 )
 """Formulas and names of salts of metals and of ammonium."""
-_ACID_OR_BASE = re.compile(r"acid$|amine$|aniline|idine$|morpholine|phenol$|cresol|carbonate ion", re.IGNORECASE)
+_ACID_OR_BASE = re.compile(
+    r"acid$|amine$|aniline|idine$|morpholine|(phen|naphth)ol$|cresol|vanillin|carbonate ion", re.IGNORECASE
+)
 """Names of acids and bases: carboxylic acids, phenols, amines, carbonate ions."""
 EVERYDAY = "everyday"
 """Default of ``reactions``: salts dissolve and acids ionize in water; nothing else reacts."""
@@ -128,10 +130,21 @@ class Amounts(dict[str, float]):
     """Amounts in mol by material; other names of a material are accepted: ``amounts["DCM"]``."""
 
     def __missing__(self, name: str) -> float:
-        found = [key for key in matches(name) if key in self]
-        if len(found) != 1:
+        if (key := self._key(name)) == name:
             raise KeyError(f"{name!r} is not in the flask; choose from {', '.join(self)}")
-        return self[found[0]]
+        return self[key]
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(self._key(str(name)))
+
+    def get(self, name: str, default: Any = None, /) -> Any:
+        """Return the amount of a material, or ``default``."""
+        return super().get(self._key(name), default)
+
+    def _key(self, name: str) -> str:
+        """Return the key of a material; an unknown or ambiguous name is returned as it is."""
+        found = [name] if name in self.keys() else [key for key in matches(name) if key in self.keys()]
+        return found[0] if len(found) == 1 else name
 
 
 class Moment(NamedTuple):
@@ -579,6 +592,8 @@ class Flask:
         other._seconds, other._joules, other._history = self._seconds, self._joules, self._history.copy()
         return other
 
+    __copy__ = copy
+
     @_all_or_nothing
     def add(self, name: str, mol: float, temperature_k: float | None = None) -> None:
         """Add ``mol`` of a pure material at room temperature or ``temperature_k``; the excess spills.
@@ -705,11 +720,7 @@ class Flask:
             transfer_w_k = 0.0
         surroundings = Surroundings(jacket, transfer_w_k, -1.0 if closed else condenser, _RTOL, _ATOL)
         waste = self._shelf.waste[0]
-        if backends.react(self._row, seconds, surroundings, self._chem, waste, self._events, self._work) < 0:
-            raise ArithmeticError(
-                f"react: too stiff for {seconds:g} s at {self.temperature_k:.1f} K, and nothing has changed; "
-                "use a shorter time, a jacket, or smaller rate constants"
-            )
+        self._check_steps(backends.react(self._row, seconds, surroundings, self._chem, waste, self._events, self._work))
         self._seconds += seconds
         self._equilibrate(clock=T_MIX - CLOCK_SETTLED)
         if closed and self.vapor_pressure_kpa > self.pressure_kpa:
@@ -725,13 +736,18 @@ class Flask:
 
         Layers separate, heat is exchanged, crystals grow or dissolve, and reactions continue. With the backend
         ``paper``, only the layers separate.
+
+        Raises:
+            ArithmeticError: the reactions are too stiff; nothing has changed.
         """
         seconds = _number("seconds", seconds, 0.0)
         ticks = seconds / self._chemistry.scenario.real.tick_s
         parts = min(max(math.ceil(ticks), 1), _MOST_PARTS)
         waste = self._shelf.waste[0]
         for _ in range(parts):
-            if backends.elapse(self._row, ticks / parts, self._chem, waste, self._events, self._work):
+            steps = backends.elapse(self._row, ticks / parts, self._chem, waste, self._events, self._work)
+            self._check_steps(steps)
+            if steps:
                 backends.partition(self._row, self._chem, self._work)
         self._seconds += seconds
         self._equilibrate(clock=CLOCK_SETTLED - T_MIX)
@@ -1156,6 +1172,18 @@ class Flask:
         names = self._names | other._names
         self._extend(names)
         other._extend(names)
+
+    def _check_steps(self, steps: int) -> None:
+        """Check the number of steps of an integration.
+
+        Raises:
+            ArithmeticError: it is negative: the reactions are too stiff.
+        """
+        if steps < 0:
+            raise ArithmeticError(
+                f"the reactions are too stiff at {self.temperature_k:.1f} K, and nothing has changed; use a shorter time "
+                "or smaller rate constants, or react with a jacket"
+            )
 
     def _equilibrate(self, clock: float = 0.0) -> None:
         """Advance the settling clock by ``clock``, bring phases to equilibrium, and warn of spills."""

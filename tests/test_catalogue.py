@@ -69,6 +69,7 @@ def test_every_name_leads_to_a_material() -> None:
                 assert Flask.material(key).name, spelling
     flask = Flask({"DCM": 1.0, "MeOH": 2.0})
     assert flask.amounts["dichloromethane"] == flask.amounts["CH2Cl2"] == flask.amounts["75-09-2"] == 1.0
+    assert (flask.amounts.get("DCM"), "MeOH" in flask.amounts, "benzene" in flask.amounts) == (1.0, True, False)
     with pytest.raises(KeyError, match="is not in the flask"):
         flask.amounts["benzene"]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import doctest
 import itertools
 import math
@@ -154,6 +155,13 @@ def test_heat_goes_somewhere(physics: str) -> None:
     assert warm - flask.temperature_k == pytest.approx(2000.0 / heat_capacity(flask), rel=rel)
     assert flask.cool(1e9, coolest_k=280.0) < 1e9
     assert flask.temperature_k == pytest.approx(280.0)
+
+
+def test_salts_precipitate_while_a_flask_cools() -> None:
+    once = Flask({"water": 20.0, "KNO3": 3.0}, temperature_k=350.0)
+    parts = once.copy()
+    assert once.cool(1e5) == pytest.approx(sum(parts.cool(1e4) for _ in range(10)), rel=1e-9)
+    assert once.temperature_k == pytest.approx(parts.temperature_k, abs=1e-6)
 
 
 def test_a_column_keeps_more() -> None:
@@ -552,7 +560,9 @@ def test_the_ph_of_water_and_of_salt_water() -> None:
 # -- what a flask knows -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "ionizes"), [("formic acid", False), ("triethylamine", False), ("AcOH", True)])
+@pytest.mark.parametrize(
+    ("name", "ionizes"), [("formic acid", False), ("triethylamine", False), ("AcOH", True), ("vanillin", False)]
+)
 def test_a_ph_without_an_acid_that_does_not_ionize_is_doubted(name: str, ionizes: bool) -> None:
     flask = Flask({"water": 5.0, name: 0.01})
     with nullcontext() if ionizes else pytest.warns(IonizationWarning, match=name.replace(" ", "_")):
@@ -579,11 +589,11 @@ def test_learning_changes_nothing(physics: str) -> None:
 def test_a_copy_is_a_flask_of_its_own() -> None:
     flask = Flask(MIXTURE, capacity_l=2.0)
     before = seen(flask)
-    copy = flask.copy()
-    assert seen(copy) == before
-    copy.heat(200e3)
-    assert seen(flask) == before
-    assert copy.waste
+    for copied in (flask.copy(), copy.copy(flask)):
+        assert seen(copied) == before
+        copied.heat(200e3)
+        assert seen(flask) == before
+        assert copied.waste
 
 
 def test_what_does_not_fit_runs_over() -> None:
@@ -690,6 +700,18 @@ def test_what_cannot_be_done_changes_nothing(work: Callable[[Flask, Flask], obje
     with pytest.raises(ValueError, match=message):
         work(flask, other)
     assert (seen(flask), seen(other)) == before
+
+
+@pytest.mark.parametrize(("law", "work"), [("react", Flask.react), ("elapse", Flask.wait)])
+def test_what_is_too_stiff_changes_nothing(
+    law: str, work: Callable[[Flask, float], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flask = Flask(MIXTURE, capacity_l=2.0)
+    before = seen(flask)
+    monkeypatch.setattr(laws, law, lambda *_: -1)
+    with pytest.raises(ArithmeticError, match="too stiff"):
+        work(flask, 60.0)
+    assert seen(flask) == before
 
 
 def test_paper_has_no_columns_and_no_materials_without_polarity() -> None:
