@@ -1181,8 +1181,8 @@ class Flask:
         """
         if steps < 0:
             raise ArithmeticError(
-                f"the reactions are too stiff at {self.temperature_k:.1f} K, and nothing has changed; use a shorter time "
-                "or smaller rate constants, or react with a jacket"
+                f"the reactions are too stiff at {self.temperature_k:.1f} K, and nothing has changed; use a shorter "
+                "time, a jacket, or smaller rate constants"
             )
 
     def _equilibrate(self, clock: float = 0.0) -> None:
