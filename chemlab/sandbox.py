@@ -95,8 +95,10 @@ EVERYDAY = "everyday"
 """Default of ``reactions``: salts dissolve and acids ionize in water; nothing else reacts."""
 _MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
 """Dew point: maximum number of iterations; heat of vaporization over the gas constant in K, which sets their step."""
-_MOST_SETTLINGS, _SETTLED_K = 50, 0.01
-"""Acids and bases: maximum number of times that they settle, and the change in K below which they are settled."""
+_MOST_SETTLINGS, _SETTLED_MOL, _WARMED_K = 500, 1e-7, 0.01
+"""Acids and bases: maximum number of times that they settle, the change in mol below which they are settled, and the
+rise in K above which their heat may boil the contents.
+"""
 _LONGEST_HISTORY = 10_000
 """Number of operations that a flask's history keeps."""
 
@@ -554,8 +556,8 @@ class Flask:
             name = layout.materials[code] if code >= 0 else "solids"
             if code <= FIRST_PHASE:
                 name = layout.solvents[FIRST_PHASE - code]
-            contents = {key: mol for key, mol in amounts if mol > TRACE_MOL}
-            layers.append(Layer(name, litres, litres / max(self.volume_l, litres), contents))
+            if contents := {key: mol for key, mol in amounts if mol > TRACE_MOL}:
+                layers.append(Layer(name, litres, litres / max(self.volume_l, litres), contents))
         return tuple(layers)
 
     @property
@@ -1189,11 +1191,14 @@ class Flask:
         """Advance the settling clock by ``clock``, bring phases to equilibrium, and warn of spills."""
         transfer.turn_clock(self._row, float(clock))
         for settled in range(_MOST_SETTLINGS if PROTON in self._shelf.layout.materials else 1):
-            before = self.temperature_k
-            backends.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
+            before, cooler, waste = self._row[self._columns].copy(), self.temperature_k, self._shelf.waste[0]
+            backends.settle_phases(self._row, self._chem, waste, self._events, self._work)
             backends.partition(self._row, self._chem, self._work)
             # Newly dissolved bases react with acids, whose heat boils water off or dissolves more.
-            if settled and abs(self.temperature_k - before) < _SETTLED_K:
+            if self.temperature_k > cooler + _WARMED_K:
+                around = Surroundings(self.temperature_k, -1.0, 0.0, _RTOL, _ATOL)
+                backends.react(self._row, 0.0, around, self._chem, waste, self._events, self._work)
+            if settled and np.abs(self._row[self._columns] - before).max() < _SETTLED_MOL:
                 break
         spilled = float(self._events[SPILL])
         if spilled > self._spilled:

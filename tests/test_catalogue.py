@@ -238,6 +238,14 @@ def test_the_heat_of_a_neutralization_boils_an_open_flask(mol: float) -> None:
     assert bool(flask.events) is (mol > 1.0)
 
 
+@pytest.mark.parametrize("water", [0.3, 2.0, 10.0])
+def test_a_solid_base_and_an_acid_do_not_both_remain(water: float) -> None:
+    flask = Flask({"NaOH": 1.0, "acetic_acid": 1.0, "water": water})
+    assert flask.vapor_pressure_kpa <= 1.02 * flask.pressure_kpa
+    assert min(flask.amounts["acetic_acid"], flask.amounts["OH-"] + flask.amounts["NaOH"]) < 0.01
+    assert flask.events
+
+
 def test_flasks_of_bundled_materials_read_nothing_of_it() -> None:
     """Their chemistry is the one of before there was a catalogue."""
     scenario = Flask({"ethanol": 1.0, "water": 1.0, "NaCl": 0.1})._chemistry.scenario

@@ -412,6 +412,12 @@ def test_crystals_melt_by_the_heat_that_they_take() -> None:
     assert flask.temperature_k == pytest.approx(MELTING + 10.0, abs=1e-6)
 
 
+def test_dissolved_crystals_are_no_layer() -> None:
+    flask = Flask({"water": 100.0, "benzoic_acid": 1e-4}, capacity_l=3.0)
+    flask.wait(36_000.0)
+    assert [layer.name for layer in flask.layers] == ["aqueous"]
+
+
 def test_a_cooling_solution_crystallizes_alike_in_one_tick_and_in_many() -> None:
     left = []
     for ticks in (1, 60):
