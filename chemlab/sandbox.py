@@ -943,7 +943,7 @@ class Flask:
 
         if len(self._history) < 2:
             raise ValueError("plot: the history is empty; heat, add, react or wait first")
-        figure = flask_figure(self.history, {name: m.color for name, m in self._chemistry.scenario.materials.items()})
+        figure = flask_figure(self.history)
         if path is not None:
             save_figure(figure, Path(path))
         return figure

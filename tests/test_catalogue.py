@@ -329,6 +329,10 @@ def test_a_flask_remembers(tmp_path: Path) -> None:
     assert (tmp_path / "pot.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match=r"unknown suffix .*choose from png"):
         pot.plot(tmp_path / "pot.gif")
+    pot.add("KNO3", 5.0)
+    pot.add("KCl", 5.0)
+    colors = {line.get_label(): line.get_color() for line in pot.plot().axes[1].lines}
+    assert len(set(colors.values())) == len(colors) > 4
 
 
 # -- what is added ----------------------------------------------------------------------------------------------------
