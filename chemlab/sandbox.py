@@ -848,10 +848,11 @@ class Flask:
         readings, first = np.zeros((1, 1, channel.size)), np.zeros(1, dtype=np.int64)
         # Only the assignment of layers to pixels is random.
         table.read(self._shelf, readings, np.zeros((1, 1), dtype=np.uint64), first, first, first)
-        if kind == "ph_meter":
+        if kind == "ph_meter" and self.amounts.get("water", 0.0) > TRACE_MOL:
             self._warn_of_acids()
         words = table.words(0, readings[0, 0])
-        if channel.size == 1 and readings[0, 0, 0] >= 1.0 and re.search(r"\d", words):
+        endless = channel.size == 1 and not channel.unit.endswith("fraction")
+        if endless and readings[0, 0, 0] >= 1.0 and re.search(r"\d", words):
             words += " or more, the end of its range"
         return Measurement(
             channel.unscaled(readings[0, 0]),

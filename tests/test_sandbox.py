@@ -563,6 +563,19 @@ def test_the_ph_of_water_and_of_salt_water() -> None:
     assert str(Flask({"water": 0.1, "HCl": 1.0}).measure("ph_meter")).endswith("nothing aqueous, or below -2")
 
 
+@pytest.mark.filterwarnings("error::chemlab.sandbox.IonizationWarning")
+@pytest.mark.parametrize(
+    ("name", "mol", "kind", "words"),
+    [
+        ("water", 1.0, "karl_fischer", "100.000% water by mass"),
+        ("water", 200.0, "balance", "2.000 kg or more, the end of its range"),
+        ("benzoic_acid", 0.1, "ph_meter", "no pH: nothing aqueous, or below -2"),
+    ],
+)
+def test_a_reading_at_the_end_of_its_range(name: str, mol: float, kind: str, words: str) -> None:
+    assert str(Flask({name: mol}, capacity_l=5.0).measure(kind)) == words
+
+
 # -- what a flask knows -----------------------------------------------------------------------------------------------
 
 
