@@ -164,6 +164,13 @@ def test_salts_precipitate_while_a_flask_cools() -> None:
     assert once.temperature_k == pytest.approx(parts.temperature_k, abs=1e-6)
 
 
+def test_what_has_boiled_dry_does_not_boil() -> None:
+    flask = Flask({"NaCl": 1.0, "water": 10.0})
+    flask.heat(1e6)
+    flask.react(100.0)
+    assert (flask.temperature_k, flask.vapor_pressure_kpa) == (800.0, 0.0)
+
+
 def test_a_column_keeps_more() -> None:
     def left(stages: int) -> float:
         pot = Flask({"diethyl_ether": 4.0, "dodecane": 0.45}, capacity_l=2.0)
