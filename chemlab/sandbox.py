@@ -587,7 +587,7 @@ class Flask:
     def copy(self) -> Flask:
         """Return an independent copy of the flask."""
         other = self.another()
-        other._extend(self._names)
+        self._connect(other)
         other._row[:] = self._row
         other._shelf.waste[:] = self._shelf.waste
         other._events[:], other._spilled = self._events, self._spilled
@@ -1174,6 +1174,7 @@ class Flask:
             )
         names = self._names | other._names
         self._extend(names)
+        other._insoluble |= self._insoluble
         other._extend(names)
 
     def _check_steps(self, steps: int) -> None:

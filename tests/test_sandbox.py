@@ -669,6 +669,9 @@ def test_a_salt_that_a_reaction_file_forgets(decay: str) -> None:
     with pytest.warns(SaltWarning) as poured:
         salt.pour(flask, 1.0)
     assert {one.filename for one in (*caught, *more, *poured)} == {__file__}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        flask.copy().heat(10.0)  # once of each salt
 
 
 @pytest.mark.parametrize(
