@@ -229,21 +229,22 @@ def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
     check_length(text, "compound")
     entry, named = (None, "") if structure or not text else _entry_of(text.replace("_", " "))
     drawn = Chem.MolFromSmiles(text) if text else None
-    molecule = parsed(entry.smiles, text) if entry else drawn
+    molecule: Any = parsed(entry.smiles, text) if entry else drawn
     if not _is_structure(molecule):
         raise DataError(
             f"{text!r}: unknown: neither a CAS number nor a name in the list of chemicals, nor a structure; give one "
             f"of these, a structure as SMILES (ethanol: CCO){_near(text.replace('_', ' '))}"
         )
     inchi_key = str(Chem.MolToInchiKey(molecule))
-    listed, kind = entry, "name"
+    listed: Any = entry
     if not entry and not structure and molecule.GetNumAtoms() > 1:  # CO: carbon monoxide, or the structure of methanol
-        listed, kind = pubchem_db.search_formula(text), "formula"
+        listed = pubchem_db.search_formula(text)
     drawn_key = str(Chem.MolToInchiKey(drawn)) if listed and _is_structure(drawn) else ""
     if drawn_key and drawn_key != (inchi_key if entry else listed.InChI_key):
         other = pubchem_db.search_InChI_key(drawn_key)
         raise DataError(
-            f"{text!r}: is both a {kind} of {listed.common_name} (CAS number {listed.CASs}) and a structure (SMILES)"
+            f"{text!r}: is both a {'name' if entry else 'formula'} of {listed.common_name} (CAS number {listed.CASs}) "
+            "and a structure (SMILES)"
             f"{f', of {other.common_name} (CAS number {other.CASs})' if other else ''}; give the number of one of them"
         )
     _check_molecule(molecule, text)
