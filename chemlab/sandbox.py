@@ -651,7 +651,7 @@ class Flask:
         if stages > 1 and self._setting.physics == "paper":
             raise ValueError(f"stages = {stages}: a column needs physics='real'")
         limits = np.array(
-            [_number("hottest_k", hottest_k, COLDEST_K, HOTTEST_K), 0.0, stages, _number("reflux", reflux, 0.0, 100.0)]
+            [_number("hottest_k", hottest_k, 150.0, HOTTEST_K), 0.0, stages, _number("reflux", reflux, 0.0, 100.0)]
         )
         collecting = self.another(capacity_l=100.0) if receiver is None else receiver
         self._connect(collecting)

@@ -713,6 +713,7 @@ def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
         (lambda flask, other: flask.heat(math.inf, other), "joules: must be a finite"),
         (lambda flask, other: flask.heat(1e300, other), r"joules: must be .* at most 1e\+09"),
         (lambda flask, other: flask.heat(1.0, other, stages=99), "stages: must be"),
+        (lambda flask, other: flask.heat(1.0, hottest_k=120.0), "hottest_k: must be .* at least 150"),
         (lambda flask, other: flask.cool(math.nan), "joules: must be"),
         (lambda flask, other: flask.react(-1.0), "seconds: must be"),
         (lambda flask, other: flask.react(1.0, jacket_w_k=1.0), "requires temperature_k"),
