@@ -14,6 +14,7 @@ import hashlib
 import importlib.resources
 import itertools
 import json
+import re
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +22,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, field_validator
 from safetensors.numpy import load, save
 
 from chemlab.config.datafile import DataError, read_json
@@ -63,6 +64,12 @@ class Interface(DataModel):
     channels: list[Annotated[list[str | int | float], Field(min_length=6, max_length=6)]]
     actions: list[str]
     discrete: bool
+
+    @field_validator("actions")
+    @classmethod
+    def _present_units(cls, actions: list[str]) -> list[str]:
+        """Return the actions of a card that was written when settling had another unit as they are named now."""
+        return [re.sub(r"(?<= )clock$", "units of settling time", words) for words in actions]
 
 
 def interface(workplace: Workplace) -> Interface:

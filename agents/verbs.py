@@ -252,8 +252,7 @@ def _operation_verbs(bench: OperationBench, name: Callable[[str], str]) -> list[
         kind = process.kind.rpartition(":")[2].lower()
         material = process.material and name(process.material)
         rows.setdefault(kind, {})[process.vessel, process.target, material, f"{magnitude:.15g}"] = index
-        unit = OPERATIONS[kind].unit if kind in OPERATIONS else words.rpartition(" ")[2]
-        units[kind] = "units of settling time" if unit == "clock" else unit
+        units[kind] = OPERATIONS[kind].unit if kind in OPERATIONS else words.rpartition(" ")[2]
     verbs = [_operation_verb(kind, table, units[kind]) for kind, table in rows.items()]
     return [*verbs, Verb("end", "End the experiment.", (), lambda given: bench.end_action)]
 

@@ -87,14 +87,18 @@ _SALT = re.compile(
     r"ferric|copper|cupric|cuprous|zinc|silver|manganese|nickel|cobalt|ammonium)(?:\([iv]+\))?[ _][a-z ]+"
 )
 """Formulas and names of salts of metals and of ammonium."""
-_ACID_OR_BASE = re.compile(r"acid$|amine$|aniline|idine$|morpholine|phenol$|cresol|carbonate ion", re.IGNORECASE)
+_ACID_OR_BASE = re.compile(
+    r"acid$|amine$|aniline|idine$|morpholine|(phen|naphth)ol$|cresol|vanillin|carbonate ion", re.IGNORECASE
+)
 """Names of acids and bases: carboxylic acids, phenols, amines, carbonate ions."""
 EVERYDAY = "everyday"
 """Default of ``reactions``: salts dissolve and acids ionize in water; nothing else reacts."""
 _MOST_ROUNDS, _CLAUSIUS_K = 200, 4500.0
 """Dew point: maximum number of iterations; heat of vaporization over the gas constant in K, which sets their step."""
-_MOST_SETTLINGS, _SETTLED_K = 50, 0.01
-"""Acids and bases: maximum number of times that they settle, and the change in K below which they are settled."""
+_MOST_SETTLINGS, _SETTLED_MOL, _WARMED_K = 500, 1e-7, 0.01
+"""Acids and bases: maximum number of times that they settle, the change in mol below which they are settled, and the
+rise in K above which their heat may boil the contents.
+"""
 _LONGEST_HISTORY = 10_000
 """Number of operations that a flask's history keeps."""
 
@@ -128,10 +132,21 @@ class Amounts(dict[str, float]):
     """Amounts in mol by material; other names of a material are accepted: ``amounts["DCM"]``."""
 
     def __missing__(self, name: str) -> float:
-        found = [key for key in matches(name) if key in self]
-        if len(found) != 1:
+        if (key := self._key(name)) == name:
             raise KeyError(f"{name!r} is not in the flask; choose from {', '.join(self)}")
-        return self[found[0]]
+        return self[key]
+
+    def __contains__(self, name: object) -> bool:
+        return super().__contains__(self._key(str(name)))
+
+    def get(self, name: str, default: Any = None, /) -> Any:
+        """Return the amount of a material, or ``default``."""
+        return super().get(self._key(name), default)
+
+    def _key(self, name: str) -> str:
+        """Return the key of a material; an unknown or ambiguous name is returned as it is."""
+        found = [name] if name in self.keys() else [key for key in matches(name) if key in self.keys()]
+        return found[0] if len(found) == 1 else name
 
 
 class Moment(NamedTuple):
@@ -541,8 +556,8 @@ class Flask:
             name = layout.materials[code] if code >= 0 else "solids"
             if code <= FIRST_PHASE:
                 name = layout.solvents[FIRST_PHASE - code]
-            contents = {key: mol for key, mol in amounts if mol > TRACE_MOL}
-            layers.append(Layer(name, litres, litres / max(self.volume_l, litres), contents))
+            if contents := {key: mol for key, mol in amounts if mol > TRACE_MOL}:
+                layers.append(Layer(name, litres, litres / max(self.volume_l, litres), contents))
         return tuple(layers)
 
     @property
@@ -572,12 +587,14 @@ class Flask:
     def copy(self) -> Flask:
         """Return an independent copy of the flask."""
         other = self.another()
-        other._extend(self._names)
+        self._connect(other)
         other._row[:] = self._row
         other._shelf.waste[:] = self._shelf.waste
         other._events[:], other._spilled = self._events, self._spilled
         other._seconds, other._joules, other._history = self._seconds, self._joules, self._history.copy()
         return other
+
+    __copy__ = copy
 
     @_all_or_nothing
     def add(self, name: str, mol: float, temperature_k: float | None = None) -> None:
@@ -634,7 +651,7 @@ class Flask:
         if stages > 1 and self._setting.physics == "paper":
             raise ValueError(f"stages = {stages}: a column needs physics='real'")
         limits = np.array(
-            [_number("hottest_k", hottest_k, COLDEST_K, HOTTEST_K), 0.0, stages, _number("reflux", reflux, 0.0, 100.0)]
+            [_number("hottest_k", hottest_k, 150.0, HOTTEST_K), 0.0, stages, _number("reflux", reflux, 0.0, 100.0)]
         )
         collecting = self.another(capacity_l=100.0) if receiver is None else receiver
         self._connect(collecting)
@@ -705,11 +722,7 @@ class Flask:
             transfer_w_k = 0.0
         surroundings = Surroundings(jacket, transfer_w_k, -1.0 if closed else condenser, _RTOL, _ATOL)
         waste = self._shelf.waste[0]
-        if backends.react(self._row, seconds, surroundings, self._chem, waste, self._events, self._work) < 0:
-            raise ArithmeticError(
-                f"react: too stiff for {seconds:g} s at {self.temperature_k:.1f} K, and nothing has changed; "
-                "use a shorter time, a jacket, or smaller rate constants"
-            )
+        self._check_steps(backends.react(self._row, seconds, surroundings, self._chem, waste, self._events, self._work))
         self._seconds += seconds
         self._equilibrate(clock=T_MIX - CLOCK_SETTLED)
         if closed and self.vapor_pressure_kpa > self.pressure_kpa:
@@ -725,13 +738,18 @@ class Flask:
 
         Layers separate, heat is exchanged, crystals grow or dissolve, and reactions continue. With the backend
         ``paper``, only the layers separate.
+
+        Raises:
+            ArithmeticError: the reactions are too stiff; nothing has changed.
         """
         seconds = _number("seconds", seconds, 0.0)
         ticks = seconds / self._chemistry.scenario.real.tick_s
         parts = min(max(math.ceil(ticks), 1), _MOST_PARTS)
         waste = self._shelf.waste[0]
         for _ in range(parts):
-            if backends.elapse(self._row, ticks / parts, self._chem, waste, self._events, self._work):
+            steps = backends.elapse(self._row, ticks / parts, self._chem, waste, self._events, self._work)
+            self._check_steps(steps)
+            if steps:
                 backends.partition(self._row, self._chem, self._work)
         self._seconds += seconds
         self._equilibrate(clock=CLOCK_SETTLED - T_MIX)
@@ -830,10 +848,11 @@ class Flask:
         readings, first = np.zeros((1, 1, channel.size)), np.zeros(1, dtype=np.int64)
         # Only the assignment of layers to pixels is random.
         table.read(self._shelf, readings, np.zeros((1, 1), dtype=np.uint64), first, first, first)
-        if kind == "ph_meter":
+        if kind == "ph_meter" and self.amounts.get("water", 0.0) > TRACE_MOL:
             self._warn_of_acids()
         words = table.words(0, readings[0, 0])
-        if channel.size == 1 and readings[0, 0, 0] >= 1.0 and re.search(r"\d", words):
+        endless = channel.size == 1 and not channel.unit.endswith("fraction")
+        if endless and readings[0, 0, 0] >= 1.0 and re.search(r"\d", words):
             words += " or more, the end of its range"
         return Measurement(
             channel.unscaled(readings[0, 0]),
@@ -870,14 +889,15 @@ class Flask:
 
         compound = compound_of(name)
         known_name = "" if compound.name == compound.formula else compound.name
-        for spelling in (structures().get(compound.smiles), compound.cas, compound.smiles):
+        # A short structure is also a formula (CO) or a bundled material (C).
+        structure = [compound.smiles] if len(compound.smiles) > 2 else []
+        for spelling in (structures().get(compound.smiles), compound.cas, *structure):
             if spelling and (found := _find(spelling)):
                 keep_names(found[0], filter(None, (name.strip(), normalized(known_name))))
                 return found[1]
         key = key_of(known_name or compound.common_name, compound.inchi_key)
         tables = material_tables([replace(compound, key=key)])
         names = [normalized(text) for text in (key, known_name, compound.cas, compound.common_name) if text]
-        structure = [compound.smiles] if len(compound.smiles) > 2 else []  # a short structure, as CO, is also a formula
         text = material_text(tables, f"Flask.material({name!r})")
         keep_material(key, text, [*names, name.strip(), *structure])
         return checked_materials(tables)[key]
@@ -924,7 +944,7 @@ class Flask:
 
         if len(self._history) < 2:
             raise ValueError("plot: the history is empty; heat, add, react or wait first")
-        figure = flask_figure(self.history, {name: m.color for name, m in self._chemistry.scenario.materials.items()})
+        figure = flask_figure(self.history)
         if path is not None:
             save_figure(figure, Path(path))
         return figure
@@ -1154,17 +1174,33 @@ class Flask:
             )
         names = self._names | other._names
         self._extend(names)
+        other._insoluble |= self._insoluble
         other._extend(names)
+
+    def _check_steps(self, steps: int) -> None:
+        """Check the number of steps of an integration.
+
+        Raises:
+            ArithmeticError: it is negative: the reactions are too stiff.
+        """
+        if steps < 0:
+            raise ArithmeticError(
+                f"the reactions are too stiff at {self.temperature_k:.1f} K, and nothing has changed; use a shorter "
+                "time, a jacket, or smaller rate constants"
+            )
 
     def _equilibrate(self, clock: float = 0.0) -> None:
         """Advance the settling clock by ``clock``, bring phases to equilibrium, and warn of spills."""
         transfer.turn_clock(self._row, float(clock))
         for settled in range(_MOST_SETTLINGS if PROTON in self._shelf.layout.materials else 1):
-            before = self.temperature_k
-            backends.settle_phases(self._row, self._chem, self._shelf.waste[0], self._events, self._work)
+            before, cooler, waste = self._row[self._columns].copy(), self.temperature_k, self._shelf.waste[0]
+            backends.settle_phases(self._row, self._chem, waste, self._events, self._work)
             backends.partition(self._row, self._chem, self._work)
             # Newly dissolved bases react with acids, whose heat boils water off or dissolves more.
-            if settled and abs(self.temperature_k - before) < _SETTLED_K:
+            if self.temperature_k > cooler + _WARMED_K:
+                around = Surroundings(self.temperature_k, -1.0, 0.0, _RTOL, _ATOL)
+                backends.react(self._row, 0.0, around, self._chem, waste, self._events, self._work)
+            if settled and np.abs(self._row[self._columns] - before).max() < _SETTLED_MOL:
                 break
         spilled = float(self._events[SPILL])
         if spilled > self._spilled:

@@ -69,6 +69,7 @@ def test_every_name_leads_to_a_material() -> None:
                 assert Flask.material(key).name, spelling
     flask = Flask({"DCM": 1.0, "MeOH": 2.0})
     assert flask.amounts["dichloromethane"] == flask.amounts["CH2Cl2"] == flask.amounts["75-09-2"] == 1.0
+    assert (flask.amounts.get("DCM"), "MeOH" in flask.amounts, "benzene" in flask.amounts) == (1.0, True, False)
     with pytest.raises(KeyError, match="is not in the flask"):
         flask.amounts["benzene"]
 
@@ -237,6 +238,14 @@ def test_the_heat_of_a_neutralization_boils_an_open_flask(mol: float) -> None:
     assert bool(flask.events) is (mol > 1.0)
 
 
+@pytest.mark.parametrize("water", [0.3, 2.0, 10.0])
+def test_a_solid_base_and_an_acid_do_not_both_remain(water: float) -> None:
+    flask = Flask({"NaOH": 1.0, "acetic_acid": 1.0, "water": water})
+    assert flask.vapor_pressure_kpa <= 1.02 * flask.pressure_kpa
+    assert min(flask.amounts["acetic_acid"], flask.amounts["OH-"] + flask.amounts["NaOH"]) < 0.01
+    assert flask.events
+
+
 def test_flasks_of_bundled_materials_read_nothing_of_it() -> None:
     """Their chemistry is the one of before there was a catalogue."""
     scenario = Flask({"ethanol": 1.0, "water": 1.0, "NaCl": 0.1})._chemistry.scenario
@@ -320,6 +329,10 @@ def test_a_flask_remembers(tmp_path: Path) -> None:
     assert (tmp_path / "pot.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match=r"unknown suffix .*choose from png"):
         pot.plot(tmp_path / "pot.gif")
+    pot.add("KNO3", 5.0)
+    pot.add("KCl", 5.0)
+    colors = {line.get_label(): line.get_color() for line in pot.plot().axes[1].lines}
+    assert len(set(colors.values())) == len(colors) > 4
 
 
 # -- what is added ----------------------------------------------------------------------------------------------------
@@ -359,6 +372,7 @@ def test_what_is_added_is_one_compound_and_changes_no_other(tmp_path: Path) -> N
     assert of("C1CCCCC1C") == "CC1CCCCC1"
     assert of("c1ccccc1C") == of("toluene")
     assert of("C1CCSC1") != of("thiophene")
+    assert of("methane") == "C"  # not the fictitious material C
     of("propanal")
     assert of("C3H6O") == of("acetone")
     assert of("hydrogen") == of("H2")

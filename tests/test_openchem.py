@@ -187,6 +187,8 @@ def test_a_fitted_vapor_pressure_is_the_curve_it_was_fitted_to() -> None:
         ("oil of wintergreen", ["take methyl salicylate"]),
         ("NaH", ["a formula"]),
         ("NBS", ["CAS number 128-08-5"]),
+        ("CO", ["formula of carbon monoxide (CAS number 630-08-0)", "methanol"]),
+        ("THF", ["did you mean 'tetrahydrofuran'?"]),
         *((text, []) for text in ("C" * 501, "C" * 1_000_000, "C(" * 100_000, "C\0C", "\x1b[31mred", "C\udcff")),
         *((text, []) for text in ("*", "C*", "[99999999999999C]", "")),
     ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import doctest
 import itertools
 import math
@@ -154,6 +155,20 @@ def test_heat_goes_somewhere(physics: str) -> None:
     assert warm - flask.temperature_k == pytest.approx(2000.0 / heat_capacity(flask), rel=rel)
     assert flask.cool(1e9, coolest_k=280.0) < 1e9
     assert flask.temperature_k == pytest.approx(280.0)
+
+
+def test_salts_precipitate_while_a_flask_cools() -> None:
+    once = Flask({"water": 20.0, "KNO3": 3.0}, temperature_k=350.0)
+    parts = once.copy()
+    assert once.cool(1e5) == pytest.approx(sum(parts.cool(1e4) for _ in range(10)), rel=1e-9)
+    assert once.temperature_k == pytest.approx(parts.temperature_k, abs=1e-6)
+
+
+def test_what_has_boiled_dry_does_not_boil() -> None:
+    flask = Flask({"NaCl": 1.0, "water": 10.0})
+    flask.heat(1e6)
+    flask.react(100.0)
+    assert (flask.temperature_k, flask.vapor_pressure_kpa) == (800.0, 0.0)
 
 
 def test_a_column_keeps_more() -> None:
@@ -404,6 +419,12 @@ def test_crystals_melt_by_the_heat_that_they_take() -> None:
     assert flask.temperature_k == pytest.approx(MELTING + 10.0, abs=1e-6)
 
 
+def test_dissolved_crystals_are_no_layer() -> None:
+    flask = Flask({"water": 100.0, "benzoic_acid": 1e-4}, capacity_l=3.0)
+    flask.wait(36_000.0)
+    assert [layer.name for layer in flask.layers] == ["aqueous"]
+
+
 def test_a_cooling_solution_crystallizes_alike_in_one_tick_and_in_many() -> None:
     left = []
     for ticks in (1, 60):
@@ -549,10 +570,25 @@ def test_the_ph_of_water_and_of_salt_water() -> None:
     assert str(Flask({"water": 0.1, "HCl": 1.0}).measure("ph_meter")).endswith("nothing aqueous, or below -2")
 
 
+@pytest.mark.filterwarnings("error::chemlab.sandbox.IonizationWarning")
+@pytest.mark.parametrize(
+    ("name", "mol", "kind", "words"),
+    [
+        ("water", 1.0, "karl_fischer", "100.000% water by mass"),
+        ("water", 200.0, "balance", "2.000 kg or more, the end of its range"),
+        ("benzoic_acid", 0.1, "ph_meter", "no pH: nothing aqueous, or below -2"),
+    ],
+)
+def test_a_reading_at_the_end_of_its_range(name: str, mol: float, kind: str, words: str) -> None:
+    assert str(Flask({name: mol}, capacity_l=5.0).measure(kind)) == words
+
+
 # -- what a flask knows -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "ionizes"), [("formic acid", False), ("triethylamine", False), ("AcOH", True)])
+@pytest.mark.parametrize(
+    ("name", "ionizes"), [("formic acid", False), ("triethylamine", False), ("AcOH", True), ("vanillin", False)]
+)
 def test_a_ph_without_an_acid_that_does_not_ionize_is_doubted(name: str, ionizes: bool) -> None:
     flask = Flask({"water": 5.0, name: 0.01})
     with nullcontext() if ionizes else pytest.warns(IonizationWarning, match=name.replace(" ", "_")):
@@ -579,11 +615,11 @@ def test_learning_changes_nothing(physics: str) -> None:
 def test_a_copy_is_a_flask_of_its_own() -> None:
     flask = Flask(MIXTURE, capacity_l=2.0)
     before = seen(flask)
-    copy = flask.copy()
-    assert seen(copy) == before
-    copy.heat(200e3)
-    assert seen(flask) == before
-    assert copy.waste
+    for copied in (flask.copy(), copy.copy(flask)):
+        assert seen(copied) == before
+        copied.heat(200e3)
+        assert seen(flask) == before
+        assert copied.waste
 
 
 def test_what_does_not_fit_runs_over() -> None:
@@ -633,6 +669,9 @@ def test_a_salt_that_a_reaction_file_forgets(decay: str) -> None:
     with pytest.warns(SaltWarning) as poured:
         salt.pour(flask, 1.0)
     assert {one.filename for one in (*caught, *more, *poured)} == {__file__}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        flask.copy().heat(10.0)  # once of each salt
 
 
 @pytest.mark.parametrize(
@@ -674,6 +713,7 @@ def test_what_is_no_flask(made: Callable[[], Flask], message: str) -> None:
         (lambda flask, other: flask.heat(math.inf, other), "joules: must be a finite"),
         (lambda flask, other: flask.heat(1e300, other), r"joules: must be .* at most 1e\+09"),
         (lambda flask, other: flask.heat(1.0, other, stages=99), "stages: must be"),
+        (lambda flask, other: flask.heat(1.0, hottest_k=120.0), "hottest_k: must be .* at least 150"),
         (lambda flask, other: flask.cool(math.nan), "joules: must be"),
         (lambda flask, other: flask.react(-1.0), "seconds: must be"),
         (lambda flask, other: flask.react(1.0, jacket_w_k=1.0), "requires temperature_k"),
@@ -690,6 +730,18 @@ def test_what_cannot_be_done_changes_nothing(work: Callable[[Flask, Flask], obje
     with pytest.raises(ValueError, match=message):
         work(flask, other)
     assert (seen(flask), seen(other)) == before
+
+
+@pytest.mark.parametrize(("law", "work"), [("react", Flask.react), ("elapse", Flask.wait)])
+def test_what_is_too_stiff_changes_nothing(
+    law: str, work: Callable[[Flask, float], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flask = Flask(MIXTURE, capacity_l=2.0)
+    before = seen(flask)
+    monkeypatch.setattr(laws, law, lambda *_: -1)
+    with pytest.raises(ArithmeticError, match="too stiff"):
+        work(flask, 60.0)
+    assert seen(flask) == before
 
 
 def test_paper_has_no_columns_and_no_materials_without_polarity() -> None:

@@ -8,6 +8,7 @@ import re
 from dataclasses import dataclass
 from typing import Any
 
+from ..config.catalogue import matches
 from ..config.datafile import DataError
 from ..config.extras import needs
 from ..config.materials import LOCK, shipped_materials
@@ -135,12 +136,12 @@ def _key(name: str) -> str:
 
 def _near(text: str) -> str:
     """Return a suggestion of similar names as the end of a message; empty if there is none."""
-    if not 3 < len(text) <= _LONGEST_NAME:
-        return ""
-    text = text.lower()
-    # A comparison with all of the million names would take a second.
-    similar = [name for name in pubchem_db.name_index if name[:1] == text[0] and abs(len(name) - len(text)) <= 2]
-    near = difflib.get_close_matches(text, similar, 2, 0.8)
+    near = [key.replace("_", " ") for key in matches(text)]  # abbreviations, as THF
+    if not near and 3 < len(text) <= _LONGEST_NAME:
+        text = text.lower()
+        # A comparison with all of the million names would take a second.
+        similar = [name for name in pubchem_db.name_index if name[:1] == text[0] and abs(len(name) - len(text)) <= 2]
+        near = difflib.get_close_matches(text, similar, 2, 0.8)
     return f"; did you mean {' or '.join(map(repr, near))}?" if near else ""
 
 
@@ -222,23 +223,28 @@ def compound_of(text: str, key: str = "", structure: bool = False) -> Compound:
 
     Raises:
         DataError: the text is none of these or too long; denotes a salt, an ion, a mixture, a polymer or an
-            isotopically labelled compound; or is both the name of one compound and the structure of another.
+            isotopically labelled compound; or is both a name or formula of one compound and the structure of another.
     """
     text = text.strip()
     check_length(text, "compound")
     entry, named = (None, "") if structure or not text else _entry_of(text.replace("_", " "))
     drawn = Chem.MolFromSmiles(text) if text else None
-    molecule = parsed(entry.smiles, text) if entry else drawn
+    molecule: Any = parsed(entry.smiles, text) if entry else drawn
     if not _is_structure(molecule):
         raise DataError(
             f"{text!r}: unknown: neither a CAS number nor a name in the list of chemicals, nor a structure; give one "
             f"of these, a structure as SMILES (ethanol: CCO){_near(text.replace('_', ' '))}"
         )
     inchi_key = str(Chem.MolToInchiKey(molecule))
-    if entry and _is_structure(drawn) and str(Chem.MolToInchiKey(drawn)) != inchi_key:
-        other = pubchem_db.search_InChI_key(str(Chem.MolToInchiKey(drawn)))
+    listed: Any = entry
+    if not entry and not structure and molecule.GetNumAtoms() > 1:  # CO: carbon monoxide, or the structure of methanol
+        listed = pubchem_db.search_formula(text)
+    drawn_key = str(Chem.MolToInchiKey(drawn)) if listed and _is_structure(drawn) else ""
+    if drawn_key and drawn_key != (inchi_key if entry else listed.InChI_key):
+        other = pubchem_db.search_InChI_key(drawn_key)
         raise DataError(
-            f"{text!r}: is both a name of {entry.common_name} (CAS number {entry.CASs}) and a structure (SMILES)"
+            f"{text!r}: is both a {'name' if entry else 'formula'} of {listed.common_name} (CAS number {listed.CASs}) "
+            "and a structure (SMILES)"
             f"{f', of {other.common_name} (CAS number {other.CASs})' if other else ''}; give the number of one of them"
         )
     _check_molecule(molecule, text)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -17,12 +17,11 @@ _LEAST_SHARE = 0.002
 _MOST_LINES = 8
 
 
-def flask_figure(history: Sequence[Moment], colors: Mapping[str, str]) -> Any:
+def flask_figure(history: Sequence[Moment]) -> Any:
     """Return a figure of temperatures, amounts and compositions.
 
     Args:
         history: the flask after each operation, at least two.
-        colors: colours by material.
 
     Raises:
         ImportError: matplotlib is not installed.
@@ -37,13 +36,15 @@ def flask_figure(history: Sequence[Moment], colors: Mapping[str, str]) -> Any:
             top.plot(*zip(*heads, strict=True), "o-", ms=3, color="#cc3311", label="still head")
             top.legend()
         top.set_ylabel("temperature (K)")
+        colors: dict[str, str] = defaultdict(lambda: f"C{len(colors)}")  # colours of materials may be alike
         for name in _drawn([m.amounts for m in history]):
-            middle.plot(across, [m.amounts.get(name, 0.0) for m in history], label=name, color=colors.get(name))
+            middle.plot(across, [m.amounts.get(name, 0.0) for m in history], label=name, color=colors[name])
         middle.set_ylabel("amount (mol)")
         _compositions(bottom, across, history, colors)
         bottom.set_xlabel(label)
         for axes in (middle, bottom):
-            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+            if axes.lines:
+                axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
         figure.tight_layout()
     return figure
 
@@ -56,7 +57,7 @@ def _compositions(axes: Any, across: list[float], history: Sequence[Moment], col
     totals = [1.0 if solid else sum(part.values()) or math.nan for part in parts]
     for name in _drawn(parts):
         values = [part.get(name, 0.0) / total for part, total in zip(parts, totals, strict=True)]
-        axes.plot(across, values, label=name, color=colors.get(name))
+        axes.plot(across, values, label=name, color=colors[name])
     if solid:
         axes.set_ylabel("not dissolved (mol)")
         return

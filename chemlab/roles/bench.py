@@ -70,6 +70,8 @@ class Channel:
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not isinstance(self.size, Integral):
             raise TypeError(f"a Channel has a name and an integer size, given {self.name!r} and {self.size!r}")
+        if not -math.inf < self.low < self.high < math.inf:
+            raise ValueError(f"Channel {self.name!r}: low must be below high, given {self.low!r} and {self.high!r}")
 
     def unscaled(self, values: Any) -> Any:
         """Return numbers in [0, 1] in the channel's unit."""

@@ -73,8 +73,8 @@ class Process(DataModel):
     material: str | None = None
     """Material that ``add`` adds from stock."""
     magnitudes: tuple[float, ...] = Field(min_length=1, max_length=1000)
-    """drain: percent of the vessel's height; mix, settle: settling clock; pour, filter: fraction; add: L; heat: kJ
-    (< 0 cools); seed: g; dry: L of air."""
+    """drain: percent of the vessel's height; mix, settle: units of settling time (6 separates the layers); pour,
+    filter: fraction; add: L; heat: kJ (< 0 cools); seed: g; dry: L of air."""
 
 
 class OperationOptions(DataModel):

@@ -206,10 +206,10 @@ _TARGET = frozenset({"target"})
 
 OPERATIONS: dict[str, Operation] = {
     "drain": Operation("% of the height", "drain {vessel} -> {target}", _drain, _not_empty, _TARGET, top=100.0),
-    "mix": Operation("clock", "mix {vessel}", _mix, _not_empty),
+    "mix": Operation("units of settling time", "mix {vessel}", _mix, _not_empty),
     "pour": Operation("fraction", "pour {vessel} -> {target}", _pour, _not_empty, _TARGET, top=1.0),
     "add": Operation("L", "add {material} to {vessel}", _add, _can_add, frozenset({"material"})),
-    "settle": Operation("clock", "settle", _settle, _always, touches=False),
+    "settle": Operation("units of settling time", "settle", _settle, _always, touches=False),
     "heat": Operation("kJ", "heat {vessel}", _heat, _always, _TARGET, negative="cool {vessel}"),
     "seed": Operation("g", "seed {vessel} with the goal", _seed, _can_seed, top=100.0),
     "filter": Operation("fraction", "filter {vessel} -> {target}", _filter, _can_filter, _TARGET, top=1.0),

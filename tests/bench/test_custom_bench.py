@@ -157,6 +157,7 @@ SPACE = "self._set_spaces([Channel('a', {size}, '', 0.0, 1.0, '')], {space})"
         ("made", "raise ValueError('jammed')", r"Own: ValueError: jammed"),
         ("made", "del self.action_space", r"Own: __init__\(\) must call _set_spaces"),
         ("made", SPACE.format(size="2.0", space="self.action_space"), "a Channel has a name and an integer size"),
+        ("made", SPACE.replace("0.0", "1.0").format(size=2, space="self.action_space"), "low must be below high"),
         ("made", SPACE.format(size=2, space="gymnasium.spaces.Discrete(2, start=1)"), "must be Discrete"),
         ("made", SPACE.format(size=2, space="gymnasium.spaces.Box(-1.0, 1.0, (2,))"), "must be Discrete"),
         ("more", "action_meanings = ['filter']", "action_meanings must have 2 texts, given 1"),

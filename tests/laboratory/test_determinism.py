@@ -66,7 +66,11 @@ def test_the_seed_moves_the_camera_and_not_only_the_policy() -> None:
         env.reset(seed=seed)
         env.step(labs.actions.encode("start", "ext_0", 0, "dodecane"))
         env.step(labs.actions.encode("wait"))
-        for meaning in ("add water to EV, 0.2 L", "mix EV, 6 clock", "settle, 0.5 clock"):
+        for meaning in (
+            "add water to EV, 0.2 L",
+            "mix EV, 6 units of settling time",
+            "settle, 0.5 units of settling time",
+        ):
             env.step(labs.benches[1].action_meanings.index(meaning))
         pictures.append(env.observe("ext_0").tobytes())
         hidden.append(labs.shelf.vessels.tobytes())

@@ -332,7 +332,7 @@ def test_costs_are_itemized_and_add_up() -> None:
     manager(env, "wait")
     do(env, "add water to EV, 0.1 L")
     do(env, "add diethyl_ether to EV, 0.2 L")
-    do(env, "settle, 6 clock")
+    do(env, "settle, 6 units of settling time")
     do(env, "end the experiment")
     thrown = labs.shelf.vessel(0, 1).amounts()
     manager(env, "discard", 1)

@@ -315,9 +315,7 @@ def dry(row: FloatArray, litres: float, chem: Handle, waste: FloatArray) -> None
 
 
 @_law
-def elapse(
-    row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
-) -> bool:
+def elapse(row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> int:
     """Let time pass for an open vessel, anywhere in the laboratory.
 
     Args:
@@ -329,6 +327,7 @@ def elapse(
         work: scratch of shape :func:`work_size`.
 
     Returns:
-        True if the contents have changed.
+        0 if the contents have not changed; -1 if their reactions exceeded the limit of steps: then the rest of the
+        time has not passed.
     """
     return _call("elapse", chem, (row, ticks, chem, waste, events, work))

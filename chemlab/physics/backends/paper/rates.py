@@ -25,11 +25,9 @@ def react(
 
 
 @helper
-def elapse(
-    row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
-) -> bool:
+def elapse(row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> int:
     """Do nothing: idle vessels do not change."""
-    return False
+    return 0
 
 
 def work_size(chemistry: Chemistry) -> tuple[int, int]:

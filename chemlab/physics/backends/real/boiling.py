@@ -133,16 +133,19 @@ def _change_warmth(row: FloatArray, joules: float, coolest: float, hottest: floa
 
 
 @helper
-def _warm_salty(row: FloatArray, temperature: float, joules: float, chem: Handle) -> float:
-    """Warm contents with undissolved salts, which dissolve meanwhile, up to a temperature in K; return the J left."""
+def _exchange_salty(row: FloatArray, temperature: float, joules: float, chem: Handle) -> float:
+    """Warm (> 0) or cool (< 0) contents whose salts dissolve or precipitate, up to a temperature in K; return the J
+    left.
+    """
     content = enthalpy(row, chem)
     row[TEMPERATURE] = temperature
     settle_salts(row, chem)
     left = content + joules - enthalpy(row, chem)
-    if left < 0.0:
+    if left * joules < 0.0:
         set_enthalpy(row, content + joules, chem)
         settle_with_heat(row, content + joules, chem)
-    return max(left, 0.0)
+        left = 0.0
+    return left
 
 
 @helper
@@ -187,7 +190,10 @@ def heat(
             events[DRY_HEATING] += 1.0
         return 0.0, 0.0
     if joules < 0.0:
-        return _change_warmth(row, joules, coolest, math.inf, chem), 0.0
+        taken = _change_warmth(row, joules, coolest, math.inf, chem)
+        if taken > joules and row[TEMPERATURE] >= coolest:
+            taken = joules - _exchange_salty(row, coolest, joules - taken, chem)
+        return taken, 0.0
     trays = int(min(max(limits[2] - 1.0, 0.0), MOST_STAGES))
     partial, before, halfway = scratch(MOST_FLUIDS), scratch(MOST_FLUIDS), scratch(MOST_FLUIDS)
     distilled, block = scratch(MOST_FLUIDS), clear_liquids()
@@ -219,7 +225,7 @@ def heat(
         if not dry and liquids.ions[1] > TRACE_MOL and row[TEMPERATURE] < min(boiling, hottest):
             # Salts dissolve while it warms.
             ions = liquids.ions[0]
-            left = _warm_salty(row, min(boiling, hottest), left, chem)
+            left = _exchange_salty(row, min(boiling, hottest), left, chem)
             if left <= 0.0:
                 break
             count_ions(row, chem, block)

@@ -106,9 +106,7 @@ def settle(
 
 
 @helper
-def elapse(
-    row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray
-) -> bool:
+def elapse(row: FloatArray, ticks: float, chem: Handle, waste: FloatArray, events: FloatArray, work: FloatArray) -> int:
     """Let time pass for an open vessel: slow reactions, growth and dissolution of crystals, heat exchange with the
     room.
 
@@ -119,12 +117,14 @@ def elapse(
     if capacity <= LEAST_CAPACITY:
         row[TEMPERATURE] = chemistry.ambient_temperature
     if capacity <= 0.0:
-        return False
+        return 0
     transfer = chemistry.room_transfer * max(volume(row, chem), 1e-3)
     around = Surroundings(chemistry.ambient_temperature, transfer, 0.0, _RTOL, _ATOL)
     lost = events[RELIEF]
-    changed = react(row, seconds, around, chem, waste, events, work) != 0 or events[RELIEF] > lost
-    if changed:
+    steps = react(row, seconds, around, chem, waste, events, work)
+    if steps == 0 and events[RELIEF] > lost:
+        steps = 1
+    if steps != 0:
         _let_out(row, chem, waste)
         spill(row, chem, waste, events)
-    return changed
+    return steps

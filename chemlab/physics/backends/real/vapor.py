@@ -31,6 +31,8 @@ _LONGEST_K = 30.0
 _LEAST_AIR = 1e-12
 """mol of air that always remain in a sealed vessel, which is known by them"""
 _COLDEST_K, _HOTTEST_K = 160.0, 890.0
+_DRY_MOL = 1e-9
+"""mol of liquids that have no vapour pressure; boiling to dryness leaves less."""
 
 
 @helper
@@ -48,8 +50,10 @@ def headspace_gas(row: FloatArray, chem: Handle) -> float:
 def vapor_pressure(row: FloatArray, chem: Handle) -> float:
     """Return the sum of x gamma p_i(T) over the liquids in kPa; immiscible layers add up."""
     block = clear_liquids()
-    n = gather(row, chem, block)
-    if n == 0:
+    n, everything = gather(row, chem, block), 0.0
+    for a in range(n):
+        everything += liquids_in(block).mol[a]
+    if everything <= _DRY_MOL:
         return 0.0
     activities(n, row[TEMPERATURE], chem, block)
     return partial_pressures(n, row[TEMPERATURE], chem, block, scratch(MOST_FLUIDS))
