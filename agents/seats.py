@@ -29,7 +29,7 @@ from chemlab.record import Play, Recorder
 from chemlab.roles.bench import Bench, channel_slices
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
 
-from .briefs import brief, opaque_names, renamed
+from .briefs import brief, opaque_names
 from .ledger import LEDGER, append_entry
 from .policies import agent_policy
 from .verbs import Argument, ToolError, Verb, amount_of, bench_verbs, manager_verbs, number_of, plain
@@ -537,22 +537,13 @@ class Room:
 
     def _impossible(self, agent: str, verb: str, mask: Any) -> str:
         """Return the error text for an illegal action, with the legal arguments of its verb or the legal verbs."""
-        labs, actions = self.laboratories, np.flatnonzero(mask).tolist()
-        if agent != MANAGER_AGENT:
-            bench = labs.benches[labs.agents.index(agent) - 1]
-            kinds = dict.fromkeys(bench.action_meanings[action].partition(",")[0] for action in actions)
-            possible = "; ".join(renamed(plain(kind), self._name) for kind in kinds)
-            return f"{verb}: not possible now (empty vessel or bottle); possible: {possible}"
-        legal = [labs.actions.decode(action) for action in actions]
-        alternatives = [arguments for kind, *arguments in legal if kind == verb]
-        columns = [
-            ", ".join(dict.fromkeys(self._name(str(v)) for v in column)) for column in zip(*alternatives, strict=True)
-        ]
-        names = [argument.name for argument in self._verbs[agent][verb].arguments]
-        if alternatives and len(names) == len(columns):
-            ways = "; ".join(f"{name} {values}" for name, values in zip(names, columns, strict=True))
-            return f"{verb}: not possible with these arguments now; possible: {ways}"
-        return f"{verb}: not possible now; possible verbs: {', '.join(dict.fromkeys(str(kind) for kind, *_ in legal))}"
+        ways = {one.name: [given for given, action in one.ways() if mask[action]] for one in self.verbs(agent)}
+        if not ways[verb]:
+            possible = ", ".join(name for name, legal in ways.items() if legal)
+            return f"{verb}: not possible now; possible verbs: {possible}"
+        columns = {name: dict.fromkeys(str(given[name]) for given in ways[verb]) for name in ways[verb][0]}
+        listed = "; ".join(f"{name} {', '.join(values)}" for name, values in columns.items())
+        return f"{verb}: not possible with these arguments now; possible: {listed}"
 
     def _deliver(self, agent: str, to: str, text: str) -> Reply:
         """Add a message to another seat's notices; ToolError if it has more characters than are left."""
