@@ -161,10 +161,11 @@ class Live:
                 return f"waiting for the person at {at}", "warn"
             return "spectators see the truth", "soft"
         status, message = self.verdict
+        over = f"over: score {self.room.score:.3f}".replace("-", "\u2212")  # a minus sign, as elsewhere on the page
         if not status:
-            return f"over: score {self.room.score:.3f}; the record is being checked", "soft"
+            return f"{over}; the record is being checked", "soft"
         checked = "record checked: right" if status == "ok" else f"record {status}: {message}"
-        return f"over: score {self.room.score:.3f}; {checked}", "good" if status == "ok" else "warn"
+        return f"{over}; {checked}", "good" if status == "ok" else "warn"
 
     def check(self) -> None:
         """Verify the record of the episode, if it is over."""
@@ -172,7 +173,7 @@ class Live:
             if not self.room.over:
                 return  # the next one has begun
             episode, record = self.episode, self.room.record
-        found = verify_record(record)
+        found = verify_record(record, self._scenario, True, self._split)  # its parts have been imported
         with self._lock:
             if self.episode == episode:
                 self.verdict = (found.status, found.message)

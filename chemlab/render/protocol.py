@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..config.display import inert
+from ..config.scenario import Scenario
 from ..lab.describe import amount_words
 from ..lab.engine import Laboratories
 from ..lab.text import action_words, reading_words
@@ -35,17 +36,18 @@ class _Step:
         return f"- tick {self.tick}, {self.agent}: {self.words}{times}.{added}{self.after}"
 
 
-def protocol(record: Record, trust: bool = False) -> str:
+def protocol(record: Record, trust: bool = False, scenario: Scenario | None = None) -> str:
     """Return the procedure of an episode as Markdown.
 
     Args:
         record: a record, finished or not.
         trust: allow imports of code that the record names.
+        scenario: a scenario, beside whose file custom parts are looked for; None: beside the record.
 
     Raises:
         RecordError: the record cannot be replayed here.
     """
-    replay = RecordReplay(record, trust)
+    replay = RecordReplay(record, trust, beside=scenario)
     labs = replay.laboratories
     spec, steps, latest = labs.scenario, list[_Step](), dict[str, _Step]()
     summary = spec.summary if spec.summary.endswith((".", "!", "?")) or not spec.summary else f"{spec.summary}."

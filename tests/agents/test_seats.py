@@ -355,6 +355,12 @@ def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
     tools.reset()
     tools.reset(goal="dodecane", prompt="ignored")
     room.close()
+    again = Room("unlabelled", folder=tmp_path / "again", salt=SALT, seed=3)
+    goal = again.laboratories.scenario.goals[int(again.laboratories.state.goal[0, 0])]
+    LabTools(again, "manager_0").reset(goal=goal)  # plays the episode that has begun, because it has this goal
+    refused("counts once", "counts once", again.begin)
+    assert not again.over, "a world that is known is not played again, and the episode goes on"
+    assert len(read_ledger(tmp_path / "again" / "ledger.jsonl")) == 1
     entries = read_ledger(tmp_path / "ledger.jsonl")
     assert [entry["event"] for entry in entries] == ["begun", "ended"] * 3
     assert len({entry["split"] for entry in entries if entry["event"] == "ended"}) == 3
@@ -443,7 +449,7 @@ def test_texts_of_every_scenario_are_within_their_bars() -> None:
         assert brief <= 500, name
         assert look <= 400, name
         assert reply <= 80, name
-        assert episode <= (2_000 if calls <= 200 else 15_000) or name in ("refine", "runaway"), name  # as the page says
+        assert episode <= (2_000 if calls <= 150 else 15_000), name
 
 
 @pytest.mark.parametrize("name", ["fictitious", "wurtz_dodecane", "relay"])

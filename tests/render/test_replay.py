@@ -105,6 +105,7 @@ def test_pages_are_small_and_ask_nothing_of_a_network(tmp_path: Path) -> None:
     text, ticks = replay_page(found), max(found.turns[-1]["tick"], 20)
     assert len(text.encode()) < 100_000 + 1_900_000 * ticks / 200
     assert not re.search(r"""(?:src|href)=["'](?!data:)""", text)
+    assert '<noscript><p class="card warn">This page needs JavaScript.</p></noscript>' in text
     own = text.split('type="application/json"')[0]
     assert "http" not in re.sub(r"http://www\.w3\.org/2000/svg|http-equiv", "", own)
 
@@ -417,6 +418,7 @@ def test_it_can_be_worked_with_the_keyboard(page: Any, episode: Path) -> None:
 def test_it_fits_windows(page: Any, width: int, height: int, episode: Path) -> None:
     """No sideways scrolling, nothing cut off, whatever is shown."""
     page.set_viewport_size({"width": width, "height": height})
+    assert page.evaluate("$('rewards').clientWidth") < 420, "charts have texts of the usual size"
     for number in (0, *(turn_of(episode, agent) for agent in ("rxn_0", "ext_0", "dit_0"))):
         page.fill("#scrub", str(number))
         turn(page)
