@@ -463,6 +463,13 @@ def test_text_can_be_read(page: Any, scheme: str) -> None:
         "names => names.map(n => getComputedStyle(document.documentElement).getPropertyValue('--' + n).trim())", names
     )
     color = dict(zip(names, values, strict=True))
+    mixed = page.evaluate(
+        """() => data.materials.map(one => { $("past").style.color = lineColor(one.name);
+        const parts = getComputedStyle($("past")).color.match(/[\\d.]+/g).slice(-3);
+        return "#" + parts.map(x => Math.round(255 * x).toString(16).padStart(2, "0")).join(""); })"""
+    )
+    color |= {f"material {i}": one for i, one in enumerate(mixed)}
+    assert len(set(mixed)) > 10
 
     def luminance(text: str) -> float:
         parts = [int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)]
@@ -476,7 +483,8 @@ def test_text_can_be_read(page: Any, scheme: str) -> None:
     texts = ["ink", "soft", "good"]
     assert min(contrast(text, ground) for text in texts for ground in ("card", "page")) >= 4.5
     assert contrast("ink", "mark") >= 4.5
-    assert min(contrast(line, "card") for line in ["warn", "glass", *(f"a{i}" for i in range(7))]) >= 3.0
+    lines = ["warn", "glass", *(f"a{i}" for i in range(7)), *(f"material {i}" for i in range(len(mixed)))]
+    assert min(contrast(line, "card") for line in lines) >= 3.0
 
 
 def test_two_records_have_one_clock(episode: Path, tmp_path: Path, visitor: Any) -> None:
