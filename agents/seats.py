@@ -612,7 +612,8 @@ def input_schema(verb: Verb) -> dict[str, Any]:
     for argument in verb.arguments:
         schema: dict[str, Any] = {"description": argument.meaning}
         if argument.options:
-            schema["enum"] = list(argument.options)
+            kind = "string" if isinstance(argument.options[0], str) else "integer"
+            schema |= {"type": kind, "enum": list(argument.options)}
         elif argument.longest:
             schema |= {"type": "string", "maxLength": argument.longest}
         else:

@@ -62,7 +62,8 @@ def verify(
         if path.suffix == ".json":
             results.append(_verify_leaderboard(path, as_json))
             continue
-        result = verify_record(path, scenario, trust, split=split)
+        with err.status(plain(path)):
+            result = verify_record(path, scenario, trust, split=split)
         results.append(result.status)
         if as_json:
             typer.echo(json.dumps(vars(result)))
@@ -132,20 +133,21 @@ def replay(
     for record in records:
         if record.torn:
             err.print(f"{plain(record.path)}: the end is missing; the available turns are shown")
-    if animated:
-        from ..render.animation import animation
+    with err.status(plain(path)):
+        if animated:
+            from ..render.animation import animation
 
-        content = animation(records[0], path.suffix[1:], trust, scenario=required)
-    elif written:
-        from ..render.protocol import protocol
+            content = animation(records[0], path.suffix[1:], trust, scenario=required)
+        elif written:
+            from ..render.protocol import protocol
 
-        content = protocol(records[0], trust, required).encode()
-    else:
-        from ..render.replay_page import comparison_page, replay_page
+            content = protocol(records[0], trust, required).encode()
+        else:
+            from ..render.replay_page import comparison_page, replay_page
 
-        alone = len(records) == 1
-        page = replay_page(records[0], trust, required) if alone else comparison_page(records, trust, required)
-        content = page.encode()
+            alone = len(records) == 1
+            page = replay_page(records[0], trust, required) if alone else comparison_page(records, trust, required)
+            content = page.encode()
     write_bytes(path, content)
     turns = " and ".join(str(len(record.turns)) for record in records)
     out.print(f"{plain(path)}: {turns} turns, {len(content) / 1e3:,.1f} kB")

@@ -173,6 +173,9 @@ def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     assert f"- score {float(labs.result(labs.members)[0]):.4f}" in text
     assert any(" Read: " in line for line in steps) == any(" measure " in line for line in steps)
     assert re.search(r"Then \d+\.\d K, \d\.\d+ L\.", text)
+    again = read_record(record_episode(tmp_path / "again.jsonl", "failing", "scripted", seed=0))
+    ended = [f"{score:+.3f}" for turn in again.turns for score in turn.get("scores", {}).values()]
+    assert sorted(re.findall(r" over: (.*)\.\n", protocol(again))) == sorted(ended), "experiments of equal actions"
 
 
 @pytest.mark.parametrize(
