@@ -209,8 +209,8 @@ class Film:
         labs, chem = self._labs, self._labs.shelf.chem()
         frame = {field.name: getattr(scene, field.name) for field in dataclasses.fields(scene)}
         # Spectra are drawn from amounts per litre of liquid; the volume is stored because amounts alone do not
-        # determine it.
-        frame["liquid_l"] = tuple(liquid_volume(row, chem) for row in labs.shelf.vessels[0])
+        # determine it. Each is a list of its own: a long list of numbers would be stored in thousandths.
+        frame["liquid_l"] = tuple((liquid_volume(row, chem),) for row in labs.shelf.vessels[0])
         self._frames.append(self._pool.frame({key: part for key, part in frame.items() if key not in _STATIC}))
         # With more digits than the page shows: a number that is rounded twice may differ from that of the record.
         self._costs.append([_rounded(cost, 7) for cost in labs.costs().values()])

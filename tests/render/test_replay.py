@@ -22,6 +22,7 @@ from chemlab.agents.seats import Room
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
+from chemlab.physics.transfer import liquid_volume
 from chemlab.record import LIMITS, Recorder, Replay, read_record
 from chemlab.render.animation import animation
 from chemlab.render.draw import draw
@@ -56,8 +57,12 @@ def unpack(data: dict[str, Any], value: Any) -> Any:
 # -- the data -------------------------------------------------------------------------------------------------
 
 
-def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
+@pytest.mark.parametrize("slots", [8, 40])
+def test_frames_are_the_laboratory_after_each_turn(slots: int, episode: Path, tmp_path: Path) -> None:
     """Whatever is asked for: contents, steps and costs are those of the simulator at that turn."""
+    if slots > 8:
+        (tmp_path / "many.toml").write_text(f'base = "salt_from_oil"\n[shelf]\nslots = {slots}\n')
+        episode = record_episode(tmp_path / "many.jsonl", tmp_path / "many.toml")
     found = read_record(episode)
     data = replay_data(found)
     assert len(data["frames"]) == len(found.turns) + 1 == len(data["turns"]) + 1
@@ -74,6 +79,8 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
             assert (picture["vessel"] is not None) == vessel.present
             if vessel.present:
                 assert dict(picture["vessel"]["contents"]) == pytest.approx(vessel.amounts(5e-6), rel=1e-3)
+        litres = [liquid_volume(row, labs.shelf.chem()) for row in labs.shelf.vessels[0]]
+        assert [one for (one,) in frame["liquid_l"]] == pytest.approx(litres, rel=1e-3, abs=1e-9)
         for bench, experiments in zip(frame["benches"], labs.experiments, strict=True):
             assert bench["busy"] == experiments.busy[0]
     assert data["results"][-1] == pytest.approx(found.end["end"]["score"], rel=1e-6)
