@@ -11,12 +11,22 @@ import numpy as np
 from chemlab.config.draws import Draw
 from chemlab.config.reactions import equation, side_words
 from chemlab.config.scenario import GradeSpec, Scenario
-from chemlab.lab.describe import needed_words, wear_words
+from chemlab.lab.describe import needed_words, report_words, wear_words
 from chemlab.lab.engine import Laboratories
-from chemlab.lab.text import position_words
+from chemlab.lab.text import blank_channels, noisy_channels, position_words
 from chemlab.roles.bench import Bench
 
 _ACTUATORS = {"stir": "stirring", "heat": "heating"}
+_UNITS = {
+    "arrives": " ticks",
+    "within": " ticks",
+    "formation": " J/mol",
+    "activation_energy": " J/mol",
+    "fusion": " J/mol",
+    "melting": " K",
+    "ambient_temperature": " K",
+}
+"""Units of drawn numbers, as far as their names do not have them."""
 _FEW = 2
 """Maximum number of goals whose theoretical maxima are listed with the orders instead of the reactions."""
 
@@ -93,8 +103,7 @@ def _manager_lines(labs: Laboratories, maxima: Mapping[str, float]) -> list[str]
         lines.append(f"{agents or bench.key}: {bench.kind}, up to {bench.spec.step_limit} steps{extra}.")
     grades = [f"{grade} ({', '.join(_grade_words(wanted))})" for grade, wanted in spec.grades.items()]
     lines += [f"Grades: {', '.join(grades)}."] if grades else []
-    wears = [bench.wear for bench in spec.benches.values() if bench.wear is not None]
-    return lines + (wear_words(spec) if any(wear.spread or wear.drift or wear.life for wear in wears) else [])
+    return [*lines, *report_words(spec), *wear_words(spec)]
 
 
 def _grade_words(wanted: GradeSpec) -> list[str]:
@@ -195,13 +204,16 @@ def _bench_lines(bench: Bench) -> list[str]:
     gauges = [c for c in bench.channels if c.size == 1 and c.unit not in ("fraction", "one-hot", "0 or 1")]
     ranges = "; ".join(f"{c.name} {c.low:g} to {c.high:g} {c.unit}" for c in gauges)
     noise = ", ".join(f"{channel} {deviation:g}" for channel, deviation in bench.spec.noise.items())
-    shown = " What is mostly noise is shown only at the first step, and by look."
+    shown = " What is mostly noise is shown only at the first step, and by look." if noisy_channels(bench) else ""
+    blank = blank_channels(bench)
+    coarse = ", ".join(f"{name} {step:g}" for name, step in bench.spec.resolution.items() if name not in blank)
     return [
         f"You operate {'an' if bench.kind[0] in 'aeiou' else 'a'} {bench.kind} bench. "
         f"Score of an experiment: {bench.score_meaning}.",
         f"An experiment has at most {bench.spec.step_limit} steps. Vessels: {position_words(bench)}.",
         *([f"Gauges: {ranges}."] if ranges else []),
         *([f"Noise (of full scale): {noise}.{shown}"] if noise else []),
+        *([f"Resolution (of full scale): {coarse}."] if coarse else []),
     ]
 
 
@@ -236,8 +248,9 @@ def _draw_words(spec: Scenario, key: str, draw: Draw, name: Callable[[str], str]
     revealed = f", revealed to {agents} as {key}" if agents else ""
     where = f" ({targets.replace(', reaction ', ', ')})" if targets else ""
     actuators = [worn.actuator for one in draw.of if one in spec.benches and (worn := spec.benches[one].wear)]
-    what = f"effect of {_ACTUATORS[actuators[0]]}" if actuators and draw.what == "gain" else draw.what
-    return f"{what}{of}{where}, {change}{kind} {', '.join(parts)}{revealed}"
+    what = f"effect of {_ACTUATORS[actuators[0]]} before repairs" if actuators and draw.what == "gain" else draw.what
+    unit = "" if draw.change == "factor" else _UNITS.get(draw.what, "")
+    return f"{what}{of}{where}, {change}{kind} {', '.join(parts)}{unit}{revealed}"
 
 
 def _ranges(names: Sequence[str]) -> str:

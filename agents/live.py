@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import hmac
 import html
-import itertools
 import json
 import secrets
 import threading
@@ -40,7 +39,7 @@ from chemlab.roles.bench import channel_slices
 from .briefs import brief
 from .policies import agent_policy
 from .seats import Reply, Room
-from .verbs import ToolError, Verb
+from .verbs import Verb
 
 SPEEDS = (1, 2, 6, 15, 40, 60)
 """Possible speeds in turns per second."""
@@ -162,10 +161,11 @@ class Live:
                 return f"waiting for the person at {at}", "warn"
             return "spectators see the truth", "soft"
         status, message = self.verdict
+        over = f"over: score {self.room.score:.3f}".replace("-", "\u2212")  # a minus sign, as elsewhere on the page
         if not status:
-            return f"over: score {self.room.score:.3f}; the record is being checked", "soft"
+            return f"{over}; the record is being checked", "soft"
         checked = "record checked: right" if status == "ok" else f"record {status}: {message}"
-        return f"over: score {self.room.score:.3f}; {checked}", "good" if status == "ok" else "warn"
+        return f"{over}; {checked}", "good" if status == "ok" else "warn"
 
     def check(self) -> None:
         """Verify the record of the episode, if it is over."""
@@ -173,7 +173,7 @@ class Live:
             if not self.room.over:
                 return  # the next one has begun
             episode, record = self.episode, self.room.record
-        found = verify_record(record)
+        found = verify_record(record, self._scenario, True, self._split)  # its parts have been imported
         with self._lock:
             if self.episode == episode:
                 self.verdict = (found.status, found.message)
@@ -212,22 +212,9 @@ class Live:
         mask = labs.mask(labs.agents.index(agent), labs.members)
         found: dict[str, dict[str, list[Any]]] = {}
         for verb in self.acts(agent):
-            assert verb.action is not None
-            finite = mask is not None and all(argument.options for argument in verb.arguments)
-            ways = itertools.product(*(argument.options for argument in verb.arguments)) if finite else iter([()])
-            for way in ways:
-                given = {argument.name: value for argument, value in zip(verb.arguments, way, strict=False)}
-                if finite and mask is not None:
-                    try:
-                        action = int(verb.action(given))
-                    except ToolError:
-                        continue
-                    if not mask[0, action]:
-                        continue
-                own = found.setdefault(verb.name, {})
-                for name, value in given.items():
-                    if value not in own.setdefault(name, []):
-                        own[name].append(value)
+            ways = [{}] if mask is None else [given for given, action in verb.ways() if mask[0, action]]
+            if ways:
+                found[verb.name] = {name: list(dict.fromkeys(given[name] for given in ways)) for name in ways[0]}
         return found
 
 

@@ -29,8 +29,8 @@ from chemlab.record import Play, Recorder
 from chemlab.roles.bench import Bench, channel_slices
 from chemlab.roles.manager_state import RUNNING, STATUS_WORDS
 
-from .briefs import brief, opaque_names, renamed
-from .ledger import LEDGER, append_entry
+from .briefs import brief, opaque_names
+from .ledger import LEDGER, append_entry, read_ledger
 from .policies import agent_policy
 from .verbs import Argument, ToolError, Verb, amount_of, bench_verbs, manager_verbs, number_of, plain
 
@@ -133,13 +133,17 @@ class Room:
         """Begin an episode with a goal, or a drawn one; a running episode ends with the status "given up".
 
         Raises:
-            ValueError: the goal is unknown.
+            ValueError: the goal is unknown, or the ledger has an episode with the given salt and seed.
         """
         with self._changed:
             if goal is not None:
                 self.laboratories.goal_index(goal)
-            self.close()
             salt, seed = self._given
+            ledger = Path() if self._folder is None else self._folder / LEDGER
+            given = None not in self._given and ledger.is_file()
+            if given and _commitment(salt, seed) in [entry.get("commitment") for entry in read_ledger(ledger)]:
+                raise ValueError(f"{ledger}: has this episode, which counts once: take another seed, salt or folder")
+            self.close()
             self._salt = secrets.token_hex(16) if salt is None else salt
             self._seed = secrets.randbits(63) if seed is None else seed
             self.laboratories = labs = Laboratories(self.scenario, 1, split=self._split or f"private:{self._salt}")
@@ -180,7 +184,6 @@ class Room:
         if self._folder is None:
             return
         self._folder.mkdir(parents=True, exist_ok=True)
-        commitment = hashlib.sha256(f"{self._salt}:{self._seed}".encode()).hexdigest()
         entry = append_entry(
             self._folder / LEDGER,
             {
@@ -192,7 +195,7 @@ class Room:
                 "names": self._names,
                 "budget": self._budget,
                 "say": self._say,
-                "commitment": commitment,
+                "commitment": _commitment(self._salt, self._seed),
             },
         )
         self._number = entry["number"]
@@ -537,22 +540,13 @@ class Room:
 
     def _impossible(self, agent: str, verb: str, mask: Any) -> str:
         """Return the error text for an illegal action, with the legal arguments of its verb or the legal verbs."""
-        labs, actions = self.laboratories, np.flatnonzero(mask).tolist()
-        if agent != MANAGER_AGENT:
-            bench = labs.benches[labs.agents.index(agent) - 1]
-            kinds = dict.fromkeys(bench.action_meanings[action].partition(",")[0] for action in actions)
-            possible = "; ".join(renamed(plain(kind), self._name) for kind in kinds)
-            return f"{verb}: not possible now (empty vessel or bottle); possible: {possible}"
-        legal = [labs.actions.decode(action) for action in actions]
-        alternatives = [arguments for kind, *arguments in legal if kind == verb]
-        columns = [
-            ", ".join(dict.fromkeys(self._name(str(v)) for v in column)) for column in zip(*alternatives, strict=True)
-        ]
-        names = [argument.name for argument in self._verbs[agent][verb].arguments]
-        if alternatives and len(names) == len(columns):
-            ways = "; ".join(f"{name} {values}" for name, values in zip(names, columns, strict=True))
-            return f"{verb}: not possible with these arguments now; possible: {ways}"
-        return f"{verb}: not possible now; possible verbs: {', '.join(dict.fromkeys(str(kind) for kind, *_ in legal))}"
+        ways = {one.name: [given for given, action in one.ways() if mask[action]] for one in self.verbs(agent)}
+        if not ways[verb]:
+            possible = ", ".join(name for name, legal in ways.items() if legal)
+            return f"{verb}: not possible now; possible verbs: {possible}"
+        columns = {name: dict.fromkeys(str(given[name]) for given in ways[verb]) for name in ways[verb][0]}
+        listed = "; ".join(f"{name} {', '.join(values)}" for name, values in columns.items())
+        return f"{verb}: not possible with these arguments now; possible: {listed}"
 
     def _deliver(self, agent: str, to: str, text: str) -> Reply:
         """Add a message to another seat's notices; ToolError if it has more characters than are left."""
@@ -573,6 +567,10 @@ class Room:
     def brief(self, seat: str) -> str:
         """Return the introduction for a seat: task, score, prices, hidden parameters."""
         return brief(self.laboratories, seat, self.seats, self._name)
+
+
+def _commitment(salt: str | None, seed: int | None) -> str:
+    return hashlib.sha256(f"{salt}:{seed}".encode()).hexdigest()
 
 
 def call_of(text: str) -> tuple[str, dict[str, Any]]:
@@ -614,7 +612,8 @@ def input_schema(verb: Verb) -> dict[str, Any]:
     for argument in verb.arguments:
         schema: dict[str, Any] = {"description": argument.meaning}
         if argument.options:
-            schema["enum"] = list(argument.options)
+            kind = "string" if isinstance(argument.options[0], str) else "integer"
+            schema |= {"type": kind, "enum": list(argument.options)}
         elif argument.longest:
             schema |= {"type": "string", "maxLength": argument.longest}
         else:
@@ -651,17 +650,18 @@ class LabTools:
         self._room, self._agent = room, agent
 
     def reset(self, **row: Any) -> str:
-        """Begin an episode; without a goal, one that runs is kept if this seat has not called in it.
+        """Begin an episode; one that runs is kept if this seat has not called in it, and if it has the goal.
 
         Args:
-            row: a row of a data set; ``goal`` is the goal of the episode, other keys are ignored.
+            row: a row of a data set; ``goal`` is the goal of the episode (default: any), other keys are ignored.
 
         Returns:
             The introduction, and the seat's complete observation.
         """
-        goal = row.get("goal")
+        goal, labs = row.get("goal"), self._room.laboratories
         goal = goal if isinstance(goal, str) else None
-        if goal is not None or self._room.over or self._room.report()["seats"][self._agent]["calls"]:
+        other = goal is not None and {goal} != {labs.scenario.goals[number] for number in labs.state.goal[0].tolist()}
+        if other or self._room.over or self._room.report()["seats"][self._agent]["calls"]:
             self._room.begin(goal)
         return f"{self._room.brief(self._agent)}\n\n{self._room.call(self._agent, 'look').text}"
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import itertools
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -131,6 +133,15 @@ class Verb:
         if not names:
             return "takes no arguments"
         return f"takes {len(names)} argument{'' if len(names) == 1 else 's'} ({', '.join(names)})"
+
+    def ways(self) -> Iterator[tuple[dict[str, Any], Any]]:
+        """Yield the arguments and the action of every call; nothing if an argument is a number or a text."""
+        if self.action is None:
+            return
+        for values in itertools.product(*(argument.options for argument in self.arguments)):
+            given = {argument.name: value for argument, value in zip(self.arguments, values, strict=True)}
+            with contextlib.suppress(ToolError):  # these do not go together
+                yield given, self.action(given)
 
     def checked(self, given: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of all arguments, checked, with defaults.
@@ -285,10 +296,12 @@ def _continuous_verb(bench: Bench, name: Callable[[str], str]) -> Verb:
         numbers = [Argument(f"number_{i}", words, default=0.5) for i, words in enumerate(bench.action_meanings)]
         return Verb("step", "Take one step.", tuple(numbers), lambda given: np.array([given[n.name] for n in numbers]))
     steps = [bench.options.temperature_k.step, bench.options.volume_l.step]
-    changes = [
-        Argument(f"{what}_change", f"change of the {what} in {unit}, {-most:g} to {most:g}", (), -most, most, 0.0)
-        for what, unit, most in zip(("temperature", "volume"), "KL", steps, strict=True)
-    ]
+    changes = []
+    for what, unit, most, words in zip(("temperature", "volume"), "KL", steps, bench.action_meanings, strict=False):
+        changed, _, effect = words.partition(": ")
+        range_words = f"change of the {changed} in {unit}, {-most:g} to {most:g}"
+        meaning = words if effect.startswith("no effect") else range_words
+        changes.append(Argument(f"{what}_change", meaning, (), -most, most, 0.0))
     additions = [
         Argument("add_" + re.sub(r"\W", "_", name(one)), f"share of the {name(one)} that is left, 0 to 1", default=0.0)
         for one in reagents

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
 from chemlab.envs.aec import raw_env
-from chemlab.record import Recorder, read_record
+from chemlab.record import Recorder, RecordError, read_record
 from chemlab.render.mole_balance import PLACES, mole_balance
 from chemlab.roles.manager_state import INSTRUMENTS
 
@@ -163,6 +163,16 @@ def test_spectra_are_those_that_were_seen(scripted: Path) -> None:
     named = {text.get_text() for text in axes.texts}
     assert {"dodecane", "diethyl_ether"} <= named
     assert "water" not in named
+
+
+def test_charts_of_repairs_and_of_spectra_that_nobody_sees(tmp_path: Path) -> None:
+    from chemlab.render.charts import _timeline, draw_spectra
+
+    found = read_record(record_episode(tmp_path / "one.jsonl", "failing"))
+    kinds = {strip.kind for strip in _timeline(found, trust=False).strips["manager_0"]}
+    assert kinds == {"start", "wait", "measure", "submit", "calibrate", "repair"}
+    with pytest.raises(RecordError, match="has no reaction experiment whose spectrum is observed"):
+        draw_spectra(found)
 
 
 def test_timeline_has_every_decision_and_experiment(scripted: Path) -> None:

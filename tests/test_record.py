@@ -198,6 +198,10 @@ def test_a_scenario_of_ones_own_needs_no_file(tmp_path: Path) -> None:
     assert verify_record(path, scenario="salt_from_oil").status == "foreign"
     file.write_text(text)
     assert verify_record(path, scenario=file).status == "ok"
+    for more, status in (((), "foreign"), (("--scenario", file), "ok")):
+        command("replay", path, "--force", *more)
+        assert f'"verified":{{"status":"{status}"' in path.with_suffix(".html").read_text()
+        command("replay", path, "-o", tmp_path / "a.md", "--force", *more)
 
 
 @pytest.mark.parametrize("name", [*SCENARIOS, ""])

@@ -17,6 +17,7 @@ from chemlab.config.draws import Split, WorldSpec
 from chemlab.config.loading import load_scenario
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.experiments import ExperimentBatch
 from chemlab.lab.sampling import (
     WorldDraws,
     compile_draws,
@@ -188,6 +189,20 @@ def test_worlds_that_cannot_be_asked_for(given: dict[str, Any], message: str) ->
     spec = specified(x=number({"kind": "uniform", "low": 0.0, "high": 1.0}), y=identity("choice", 2, ["b", "c"]))
     with pytest.raises(ValueError, match=message):
         given_values(spec, given, MATERIALS)
+
+
+def test_noise_and_orders_of_a_private_split_follow_from_its_salt() -> None:
+    """An agent may know the seed of its episode, and could subtract the noise."""
+    found: list[list[set[int]]] = []
+    for split in ("train", "validation", "private:" + "1" * 32, "private:" + "2" * 32):
+        labs = Laboratories("relay", split=split)
+        batch = ExperimentBatch(labs.scenario.configured(split=split), "rxn")
+        labs.seed(0, 3)
+        batch.seed(0, 3)
+        found.append([set(one.episodes.first[0, :-1].tolist()) for one in (labs, batch)])
+    assert found[0] == found[1], "in public splits, a seed means the same noise"
+    for which in (0, 1):
+        assert not found[0][which] & found[2][which] | found[2][which] & found[3][which]
 
 
 @pytest.mark.parametrize(

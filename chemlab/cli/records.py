@@ -26,16 +26,19 @@ _COLORS = {
 _WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "chosen", "torn", "ok")
 
 
+_RequiredOption = Annotated[
+    str | None,
+    typer.Option(
+        help="Required scenario of the records: a bundled scenario or a path. "
+        "Default: the bundled scenario of the same name."
+    ),
+]
+
+
 @app.command()
 def verify(
     files: Annotated[list[Path], typer.Argument(help="Records (see `chemlab run --record`), or a leaderboard.json.")],
-    scenario: Annotated[
-        str | None,
-        typer.Option(
-            help="Required scenario of the records: a bundled scenario or a path. "
-            "Default: the bundled scenario of the same name."
-        ),
-    ] = None,
+    scenario: _RequiredOption = None,
     trust: TrustOption = False,
     split: Annotated[
         str | None, typer.Option(help="private:SALT, to prove that a record's world follows from its seed.")
@@ -59,7 +62,8 @@ def verify(
         if path.suffix == ".json":
             results.append(_verify_leaderboard(path, as_json))
             continue
-        result = verify_record(path, scenario, trust, split=split)
+        with err.status(plain(path)):
+            result = verify_record(path, scenario, trust, split=split)
         results.append(result.status)
         if as_json:
             typer.echo(json.dumps(vars(result)))
@@ -109,10 +113,12 @@ def replay(
     ] = None,
     force: ForceOption = False,
     show: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    scenario: _RequiredOption = None,
     trust: TrustOption = False,
 ) -> None:
     """Make an interactive HTML page, an animation or a written protocol of a record; the page needs no network."""
     from ..config.files import write_bytes
+    from ..config.loading import load_scenario
     from ..record import read_record
 
     path = output or files[0].with_name(f"{'-'.join(file.stem for file in files)}.html")
@@ -122,23 +128,26 @@ def replay(
     check_result(path, force, *files)
     if not animated and not written and path.suffix not in (".html", ".htm"):
         raise ValueError(f"{path}: unknown suffix {path.suffix or 'none'}; choose from .html, .gif, .webp, .mp4, .md")
+    required = None if scenario is None else load_scenario(scenario)
     records = [read_record(file) for file in files]
     for record in records:
         if record.torn:
             err.print(f"{plain(record.path)}: the end is missing; the available turns are shown")
-    if animated:
-        from ..render.animation import animation
+    with err.status(plain(path)):
+        if animated:
+            from ..render.animation import animation
 
-        content = animation(records[0], path.suffix[1:], trust)
-    elif written:
-        from ..render.protocol import protocol
+            content = animation(records[0], path.suffix[1:], trust, scenario=required)
+        elif written:
+            from ..render.protocol import protocol
 
-        content = protocol(records[0], trust).encode()
-    else:
-        from ..render.replay_page import comparison_page, replay_page
+            content = protocol(records[0], trust, required).encode()
+        else:
+            from ..render.replay_page import comparison_page, replay_page
 
-        page = replay_page(records[0], trust) if len(records) == 1 else comparison_page(records, trust)
-        content = page.encode()
+            alone = len(records) == 1
+            page = replay_page(records[0], trust, required) if alone else comparison_page(records, trust, required)
+            content = page.encode()
     write_bytes(path, content)
     turns = " and ".join(str(len(record.turns)) for record in records)
     out.print(f"{plain(path)}: {turns} turns, {len(content) / 1e3:,.1f} kB")

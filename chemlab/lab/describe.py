@@ -295,19 +295,20 @@ def bench_table(labs: Laboratories) -> FactTable:
 
 
 def wear_words(spec: Scenario) -> list[str]:
-    """Describe the degradation of benches in sentences."""
-    found = []
+    """Describe the degradation of benches in sentences, those of equal benches together."""
+    alike: dict[tuple[str, str], list[str]] = {}
     for key, bench in spec.benches.items():
         if bench.wear is not None:
             wear = bench.wear
             does = {"stir": "Stirring", "heat": "Heating"}[wear.actuator]
-            parts = [f"{does} at `{key}` has {wear.gain:g} times its effect"]
+            parts = [f" has {wear.gain:g} times its effect"]
             parts += [f"give or take a factor of e^{wear.spread:g}"] if wear.spread else []
             parts += [f"drifting by a factor of e^{wear.drift:g} in a tick of work"] if wear.drift else []
             parts += [f"until it breaks after {wear.life:g} ticks of work in the mean"] if wear.life else []
             repair = f" A repair costs {wear.repair_price:g} and takes {wear.repair_ticks} ticks."
-            found.append(f"{', '.join(parts)}.{repair if wear.repair_price or wear.repair_ticks else ''}")
-    return found
+            words = f"{', '.join(parts)}.{repair if wear.repair_price or wear.repair_ticks else ''}"
+            alike.setdefault((does, words), []).append(code(key))
+    return [f"{does} at a new or repaired {' or '.join(keys)}{words}" for (does, words), keys in alike.items()]
 
 
 def limit_words(spec: Scenario) -> str:

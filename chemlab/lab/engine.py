@@ -17,7 +17,7 @@ from ..config.loading import load_scenario
 from ..config.scenario import MANAGER_AGENT, OrderSpec, Scenario, Settings
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
-from ..kernels.rng import as_sequence, seed_streams, uniform
+from ..kernels.rng import as_sequence, uniform
 from ..kernels.tables import Table, put_back
 from ..physics.backends import work_size
 from ..physics.chemistry import AMOUNTS
@@ -291,9 +291,7 @@ class Laboratories:
 
     def seed(self, member: int, seed: int | np.random.SeedSequence) -> None:
         """Seed one laboratory: the same seed gives the same series of episodes, independent of the actions."""
-        sequence = as_sequence(seed)
-        seed_streams(sequence, self._streams()[:-1], member)
-        self.worlds.seed(member, sequence)
+        self.worlds.seed(member, as_sequence(seed), self._streams()[:-1])
         self.episodes.seed(member, self._streams())
 
     def begin(self, seed: int = 0, goal: str | None = None, world: World | None = None) -> None:

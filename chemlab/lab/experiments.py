@@ -14,7 +14,7 @@ from ..config.loading import load_scenario
 from ..config.scenario import Scenario
 from ..kernels.arrays import BoolArray, FloatArray, Handle, IntArray, MaskArray, ObservationArray, StreamArray
 from ..kernels.jit import kernel, opened
-from ..kernels.rng import seed_streams, uniform
+from ..kernels.rng import uniform
 from ..physics.shelf import Shelf, ShelfArrays
 from ..roles.bench import Bench, Experiments, ExperimentState
 from ..roles.kinds import build_bench
@@ -148,9 +148,7 @@ class ExperimentBatch:
 
     def seed(self, member: int, seed: int) -> None:
         """Seed a member: the same seed gives the same series of experiments, independent of the actions."""
-        sequence = np.random.SeedSequence(seed)
-        seed_streams(sequence, (self.experiments.stream, self.start_stream), member)
-        self.worlds.seed(member, sequence)
+        self.worlds.seed(member, np.random.SeedSequence(seed), self._streams()[:-1])
         self.episodes.seed(member, self._streams())
 
     def _streams(self) -> list[StreamArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ from ..config.reactions import equation
 from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray, Handle, IntArray, StreamArray
 from ..kernels.jit import inner, kernel, opened
+from ..kernels.rng import seed_streams
 from ..physics.backends import work_size
 from ..physics.chemistry import AMOUNTS, Chemistry, ChemistryTable, build_chemistry
 from ..physics.shelf import Shelf, ShelfArrays
@@ -313,10 +314,18 @@ class Worlds:
 
     # -- drawing ----------------------------------------------------------------------------------------------
 
-    def seed(self, member: int, seed: np.random.SeedSequence) -> None:
-        """Restart the stream of one laboratory's worlds."""
+    def seed(self, member: int, seed: np.random.SeedSequence, streams: Sequence[StreamArray]) -> None:
+        """Restart the stream of one laboratory's worlds, and the other ``streams`` of its episodes.
+
+        In a private split, all follow from the salt, because agents may know the seed and could subtract the noise.
+        """
+        own, worlds = self.split.sequence(seed), self.table.arrays.stream
+        if self.active and self.split.public == "private":
+            seed_streams(own, [worlds, *streams], member)
+            return
+        seed_streams(seed, streams, member)
         if self.active:
-            self.table.arrays.stream[member, 0] = self.split.sequence(seed).generate_state(1, np.uint64)[0]
+            seed_streams(own, [worlds], member)
 
     def begin(self, members: IntArray, world: World | None = None) -> None:
         """Draw worlds for new episodes and set the parameters of the laboratories' chemistry.

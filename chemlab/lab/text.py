@@ -16,6 +16,7 @@ from ..config.scenario import Scenario
 from ..kernels.arrays import IntArray, ObservationArray
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..roles.bench import Bench, Channel, channel_slices
+from ..roles.grades import REPORT
 from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
 from ..roles.manager_view import order_channels, shown_share
 from .engine import Laboratories
@@ -27,8 +28,14 @@ _LONG = 16
 """Channels with more values are described as curves."""
 _NOISY = 0.05
 """Standard deviation above which a long channel is printed value by value: its curve would have a point at each."""
-_PURE = 5
-"""Minimum number of consecutive pixels of a separately listed layer; thinner ones are part of a mixed zone."""
+_BLANK = 2.0
+"""Resolution (of full scale) above which a channel always reads 0."""
+_PURE = (5, 10, 20, 40)
+"""Minimum number of consecutive pixels of a separately listed layer; thinner ones are part of a mixed zone.
+
+The first that lists at most :data:`_MOST_ZONES` zones is used: a stirred vessel has dozens of random ones.
+"""
+_MOST_ZONES = 6
 _COLUMNS = " | "
 """Between the cells of an order and the heads of their columns."""
 _READING = re.compile(r"(\S+ at tick \S+): (.*)")
@@ -98,8 +105,8 @@ def measured_words(
 
 
 def _as_exact_as(noise: float, values: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Round values to a tenth of the power of ten below their noise, a standard deviation on the same scale."""
-    return np.round(values, 1 - math.floor(math.log10(noise))) if noise > 0.0 else np.asarray(values)
+    """Round values to the largest power of ten within half of their noise, a standard deviation on the same scale."""
+    return np.round(values, math.ceil(-math.log10(0.5 * noise))) if noise > 0.0 else np.asarray(values)
 
 
 def position_words(bench: Bench) -> str:
@@ -107,6 +114,17 @@ def position_words(bench: Bench) -> str:
     first, *others = bench.positions
     clean = f"; {', '.join(others)}: empty, {bench.auxiliary_capacity_l:g} L" if others else ""
     return f"{first}: brought to the bench{clean}"
+
+
+def noisy_channels(bench: Bench) -> list[str]:
+    """Return the names of long channels of which single values tell next to nothing."""
+    long = [channel.name for channel in bench.channels if channel.size > _LONG]
+    return [name for name in long if bench.spec.noise.get(name, 0.0) > _NOISY]
+
+
+def blank_channels(bench: Bench) -> list[str]:
+    """Return the names of channels with a resolution so coarse that they always read 0."""
+    return [name for name, resolution in bench.spec.resolution.items() if resolution > _BLANK]
 
 
 # -- pictures and curves ----------------------------------------------------------------------------------------------
@@ -168,12 +186,10 @@ class Shades:
         while kinds and kinds[-1] == 0:
             kinds.pop()
         zones: list[list[int]] = []
-        for _, group in groupby(kinds):
-            run = list(group)
-            if len(run) < _PURE and zones and not self._is_pure(zones[-1]):
-                zones[-1] += run
-            else:
-                zones.append(run)
+        for least in _PURE:
+            zones = self._zones(kinds, least)
+            if len(zones) <= _MOST_ZONES:
+                break
         words, at, full = [], 0, len(pixels)
         for zone in zones:
             places = f"{100 * at / full:.0f}-{100 * (at + len(zone)) / full:.0f}"
@@ -189,15 +205,23 @@ class Shades:
         return ", ".join(words) or "empty"
 
     @staticmethod
-    def _is_pure(zone: Sequence[int]) -> bool:
-        return len(zone) >= _PURE and len(set(zone)) == 1
+    def _zones(kinds: Sequence[int], least: int) -> list[list[int]]:
+        """Divide pixels into layers of at least ``least`` pixels and mixed zones between them."""
+        zones: list[list[int]] = []
+        for _, group in groupby(kinds):
+            run = list(group)
+            if len(run) < least and zones and not (len(zones[-1]) >= least and len(set(zones[-1])) == 1):
+                zones[-1] += run
+            else:
+                zones.append(run)
+        return zones
 
 
 # -- observation of a role --------------------------------------------------------------------------------------------
 
 
 def _number(value: float) -> str:
-    return f"{value:.4g}"
+    return f"{value * (1.0 + 1e-7):.4g}"  # float32, in which 298.15 may be slightly less, rounds as the number itself
 
 
 def _time(tick: float) -> str:
@@ -228,9 +252,14 @@ class RoleText:
         self._labs, self._manages = laboratories, agent == laboratories.manager.index
         self._role = laboratories.roles[agent].workplace
         self._slices = channel_slices(self._role.channels)
-        self._noise = self._role.spec.noise if isinstance(self._role, Bench) else {}
-        long = [channel.name for channel in self._role.channels if channel.size > _LONG]
-        self.noisy = [name for name in long if self._noise.get(name, 0.0) > _NOISY]
+        bench = self._role if isinstance(self._role, Bench) else None
+        reports = {  # to the manager
+            f"{bench_agent}_reported_{what}": one.spec.report or 0.0
+            for bench_agent, one in zip(laboratories.bench_agents, laboratories.benches, strict=True)
+            for what in REPORT[:2]
+        }
+        self._noise = reports if bench is None else bench.spec.noise
+        self.noisy = [] if bench is None else noisy_channels(bench)
         self._shades = Shades(laboratories.scenario)
         self._name = name or str
         self._subjects = self._group()
@@ -262,7 +291,8 @@ class RoleText:
         known = [f"slot_{s}" for s in range(scenario.shelf.slots)] + self._labs.bench_agents
         known += [order for order, _ in order_channels(scenario)] + list(scenario.instruments)
         subjects: dict[str, list[tuple[str, Channel]]] = {}
-        for channel in self._role.channels:
+        blank = blank_channels(self._role) if isinstance(self._role, Bench) else []
+        for channel in [channel for channel in self._role.channels if channel.name not in blank]:
             fitting = [k for k in known if self._manages and (channel.name == k or channel.name.startswith(f"{k}_"))]
             subject = max(fitting, key=len, default="")
             label = channel.name[len(subject) :].strip("_") if subject else channel.name
@@ -437,6 +467,10 @@ class RoleText:
             chosen = self._chosen(channel, {channel.name: values})
             own = chosen in self._labs.scenario.materials
             return (self._name(chosen) if own else chosen) or "none"
+        if self._manages and label == "calibrated":
+            return f"{before} at tick {_time(self._tick - channel.unscaled(float(values[0])))}"
+        if self._manages and label == "repair":
+            return f"under repair: {_number(channel.unscaled(float(values[0])))} ticks left" if values[0] else ""
         if channel.unit == "0 or 1":
             return before if values[0] > 0.5 else f"not {before}" if label != "broken" else ""
         if channel.name in self.noisy:
@@ -474,20 +508,20 @@ def folded_lines(lines: Sequence[tuple[str, str]], known: Collection[tuple[str, 
     """
     alike: dict[tuple[str, bool], list[str]] = {}
     for subject, words in lines:
-        alike.setdefault((words, (subject, words) in known), []).append(subject)
+        short = (subject, words) in known
+        told = "open (look at orders to read them)" if short and _COLUMNS in words else words
+        alike.setdefault((told, short), []).append(subject)
     found: dict[str, list[str]] = {}
     for (words, short), subjects in alike.items():
         name, reading, row = _together(subjects), _READING.fullmatch(words), words.partition(_COLUMNS)
         if row[1]:
-            numbers = name.partition(" ")[2]
-            head = "open orders (look at orders to read them)" if short else f"orders ({row[2]})"
-            found.setdefault(head, []).append(numbers if short else f"{numbers}: {row[0]}")
+            found.setdefault(f"orders ({row[2]})", []).append(f"{name.partition(' ')[2]}: {row[0]}")
         elif reading is None or not name.startswith("slot"):
             found.setdefault(f"{name}: {words}" if name else words, [])
         else:
             head, words = reading.groups()
             if _SHARES.fullmatch(words):
-                head, words = f"{head} (%)", re.sub("[%,]", "", words)
+                head, words = f"{head} (%)", re.sub("%(,|$)", "", words)
             elif short and words.startswith(("nm:%", "index:%")):
                 head, name, words = f"{head} (look at one slot to read it)", name.partition(" ")[2], ""
             found.setdefault(head, []).append(f"{name} {words}".strip())

@@ -76,7 +76,8 @@ class Replay:
             world = NumberedWorld(number, None if isinstance(world, int) else world)
         labs.seed(0, header.seed or 0)
         labs.reset(labs.members, header.options.get("goal"), world)
-        if header.seed is None:  # the random streams continued from an earlier episode: use the recorded ones
+        # Without a seed, the random streams continued from an earlier episode; without a salt, they are unknown.
+        if header.seed is None or not self.split_known:  # use the recorded ones
             if list(header.streams) != labs.agents:
                 raise ValueError(f"streams: keys must be {', '.join(labs.agents)}, given {short(list(header.streams))}")
             if len(header.goals) != labs.scenario.orders:

@@ -325,10 +325,11 @@ def _notes(check: _Check) -> list[str]:
     if header.policies:
         who = ", ".join(sorted({short(name) for name in header.policies.values()}))
         notes.append(f"claims that {short(who, 200)} played, which cannot be proved")
+    chosen = "its author may have chosen the random streams, goals and world"
     if header.split == "private" and not check.replay.split_known:
-        notes.append("is of a private split: without its salt, its author may have chosen the world")
+        notes.append(f"is of a private split: without its salt, {chosen}")
     if header.seed is None:
-        notes.append("has no seed: its author may have chosen the random streams, goals and world")
+        notes.append(f"has no seed: {chosen}")
     elif header.options:
         requested = [f"{key} {short(value)}" for key, value in header.options.items()]
         notes.append(f"was requested: {', '.join(requested)}")

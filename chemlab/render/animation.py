@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..config.scenario import Scenario
 from ..record import Record, RecordError, Replay
 from .canvas import Image
 from .draw import draw
@@ -23,7 +24,12 @@ _BEGINNING, _END = 1500, 4000
 
 
 def animation(
-    record: Record, form: str, trust: bool = False, frames: int = 80, size: tuple[int, int] = (960, 540)
+    record: Record,
+    form: str,
+    trust: bool = False,
+    frames: int = 80,
+    size: tuple[int, int] = (960, 540),
+    scenario: Scenario | None = None,
 ) -> bytes:
     """Replay a record and return its scenes, with the true contents, as an animated picture, or as a video.
 
@@ -33,13 +39,16 @@ def animation(
         trust: allow imports of code that the record names.
         frames: maximum number of frames, which are evenly spaced over the turns.
         size: width and height in pixels.
+        scenario: a scenario, beside whose file custom parts are looked for; None: beside the record.
 
     Raises:
         ImportError: Pillow is not installed (``pip install '.[plot]'``).
         ValueError: a video is requested, and ffmpeg is not installed.
         RecordError: the record cannot be replayed here.
     """
-    images = [Image.fromarray(draw(scene, *size)) for scene in _scenes(record, frames, trust)]
+    images = [
+        Image.fromarray(draw(scene, *size)) for scene in _scenes(record, frames, Replay(record, trust, beside=scenario))
+    ]
     milliseconds: list[int] = [_BEGINNING, *[_MILLISECONDS] * (len(images) - 2), _END][-len(images) :]
     if form == "mp4":
         return _video(images, milliseconds)
@@ -68,9 +77,9 @@ def _video(images: Sequence[Any], milliseconds: Sequence[int]) -> bytes:
         return path.read_bytes()
 
 
-def _scenes(record: Record, most: int, trust: bool) -> list[Scene]:
+def _scenes(record: Record, most: int, replay: Replay) -> list[Scene]:
     """Return at most ``most`` evenly spaced scenes (at least two), the first and the last included."""
-    replay, count = Replay(record, trust), len(record.turns)
+    count = len(record.turns)
     chosen = {round(turn) for turn in np.linspace(0, count, max(min(most, count + 1), 1))} | {count}
     scenes = [laboratory_scene(replay.laboratories)]
     for number, turn in enumerate(record.turns, start=1):

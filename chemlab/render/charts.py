@@ -16,7 +16,7 @@ from ..config.materials import Material
 from ..config.scenario import Scenario
 from ..kernels.arrays import FloatArray
 from ..lab.engine import Laboratories
-from ..lab.text import action_words
+from ..lab.text import action_words, blank_channels
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..record import Record, RecordError, recorded_scenario
 from ..roles.bench import channel_slices
@@ -119,6 +119,8 @@ class _Timeline:
 
 def _kind(labs: Laboratories, agent: int, action: Any) -> str:
     """Return the kind of an action, a key of :data:`_COLORS`."""
+    if agent == labs.manager.index:
+        return str(labs.actions.decode(int(action))[0])
     words = action_words(labs, agent, action)
     if labs.action_counts[agent]:
         return words.replace(",", " ").split()[0]
@@ -335,7 +337,7 @@ def _reactions(record: Record, trust: bool) -> tuple[Laboratories, list[_Reactio
     spectra = {
         agent: channel_slices(bench.channels)["spectrum"]
         for agent, bench in zip(labs.bench_agents, labs.benches, strict=True)
-        if any(channel.name == "spectrum" for channel in bench.channels)
+        if any(channel.name == "spectrum" for channel in bench.channels) and "spectrum" not in blank_channels(bench)
     }
     running: dict[str, tuple[int, FloatArray, str]] = {}
     reactions = []
@@ -397,7 +399,7 @@ def draw_spectra(record: Record, trust: bool = False) -> Any:
     """
     labs, reactions = _reactions(record, trust)
     if not reactions:
-        raise RecordError(f"{record.path}: has no reaction experiment, so there is no spectrum to draw")
+        raise RecordError(f"{record.path}: has no reaction experiment whose spectrum is observed")
     columns = 1 if len(reactions) == 1 else 2
     rows = -(-len(reactions) // columns)
     width, height = (8.0 if columns == 1 else 13.0), 0.5 + 3.5 * rows

@@ -435,7 +435,8 @@ class _Painter:
         scene, canvas = self.scene, self.canvas
         left, right, y = plan.sidebar.left, plan.sidebar.right, plan.sidebar.top
         if scene.kind == "laboratory":
-            canvas.text(left, y + 24.0, f"{scene.result:+.4f}", 20.0, INK, room=110.0)
+            result = "?" if math.isnan(scene.result) else f"{scene.result:+.4f}"
+            canvas.text(left, y + 24.0, result, 20.0, INK, room=110.0)
             canvas.text(right, y + 13.0, "result if it", 10.0, SOFT, "right")
             canvas.text(right, y + 25.0, "ended now", 10.0, SOFT, "right")
             y = self._section(left, right, y + 38.0, "Costs", f"{sum(cost for _, cost in scene.costs):.4f}")

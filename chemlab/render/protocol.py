@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..config.display import inert
+from ..config.scenario import Scenario
 from ..lab.describe import amount_words
 from ..lab.engine import Laboratories
 from ..lab.text import action_words, reading_words
@@ -35,17 +36,18 @@ class _Step:
         return f"- tick {self.tick}, {self.agent}: {self.words}{times}.{added}{self.after}"
 
 
-def protocol(record: Record, trust: bool = False) -> str:
+def protocol(record: Record, trust: bool = False, scenario: Scenario | None = None) -> str:
     """Return the procedure of an episode as Markdown.
 
     Args:
         record: a record, finished or not.
         trust: allow imports of code that the record names.
+        scenario: a scenario, beside whose file custom parts are looked for; None: beside the record.
 
     Raises:
         RecordError: the record cannot be replayed here.
     """
-    replay = RecordReplay(record, trust)
+    replay = RecordReplay(record, trust, beside=scenario)
     labs = replay.laboratories
     spec, steps, latest = labs.scenario, list[_Step](), dict[str, _Step]()
     summary = spec.summary if spec.summary.endswith((".", "!", "?")) or not spec.summary else f"{spec.summary}."
@@ -60,7 +62,7 @@ def protocol(record: Record, trust: bool = False) -> str:
         for play in move.plays:
             agent, words = labs.agents[play.agent], action_words(labs, play.agent, play.action)
             step = latest.get(agent)
-            if step is None or step.words != words or move.manager or move.started == agent:
+            if step is None or step.words != words or move.manager:
                 step = latest[agent] = _Step(move.tick, agent, words)
                 steps.append(step)
             step.times += 1
@@ -73,6 +75,8 @@ def protocol(record: Record, trust: bool = False) -> str:
                 steps.append(step)
             for i in np.flatnonzero(used > _TRACE_MOL).tolist():
                 step.added[labs.shelf.layout.materials[i]] += used[i].item()
+        for agent in move.scores:  # the next experiment has steps of its own
+            latest.pop(agent, None)
     lines += ["", "## Procedure", "", *(step.line() for step in steps), "", "## Result", ""]
     lines += [f"- score {float(labs.result(labs.members)[0]):.4f}, after {int(labs.state.ticks[0])} ticks"]
     lines += [f"- cost of {item}: {cost:.4g}" for item, cost in labs.costs().items() if cost]
@@ -86,8 +90,9 @@ def _after(labs: Laboratories, move: Move, agent: str) -> str:
     if move.manager and move.manager[0] == "measure":
         _, slot, instrument = move.manager
         return f" Read: {reading_words(labs, int(slot), str(instrument))}."
-    if agent in move.scores:
-        return f" The experiment is over: {move.scores[agent]:+.3f}."
+    ended = move.scores.values() if move.manager else [move.scores[agent]] if agent in move.scores else []
+    if ended:
+        return f" The experiment is over: {', '.join(f'{score:+.3f}' for score in ended)}."
     if move.manager or agent not in labs.bench_agents:
         return ""
     vessel = labs.shelf.vessel(0, labs.bench_roles[labs.bench_agents.index(agent)].first_position)

@@ -20,6 +20,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict
 
 from ..config.datafile import DataError, read_text
+from ..config.scenario import Scenario
 from ..lab.engine import Laboratories
 from ..lab.text import action_words, reading_words
 from ..physics.chemistry import WAVELENGTHS_NM
@@ -208,8 +209,8 @@ class Film:
         labs, chem = self._labs, self._labs.shelf.chem()
         frame = {field.name: getattr(scene, field.name) for field in dataclasses.fields(scene)}
         # Spectra are drawn from amounts per litre of liquid; the volume is stored because amounts alone do not
-        # determine it.
-        frame["liquid_l"] = tuple(liquid_volume(row, chem) for row in labs.shelf.vessels[0])
+        # determine it. Each is a list of its own: a long list of numbers would be stored in thousandths.
+        frame["liquid_l"] = tuple((liquid_volume(row, chem),) for row in labs.shelf.vessels[0])
         self._frames.append(self._pool.frame({key: part for key, part in frame.items() if key not in _STATIC}))
         # With more digits than the page shows: a number that is rounded twice may differ from that of the record.
         self._costs.append([_rounded(cost, 7) for cost in labs.costs().values()])
@@ -304,17 +305,18 @@ def _world_rows(draws: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
-def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
+def replay_data(record: Record, trust: bool = False, scenario: Scenario | None = None) -> dict[str, Any]:
     """Return the data of the replay page as JSON data; ``replay.html`` reads it.
 
     Args:
         record: a record, finished or not. The calls of a transcript beside it (``NAME.transcript.jsonl``) are included.
         trust: allow imports of code that the record names.
+        scenario: required scenario of the record; None: the bundled one of the same name.
 
     Raises:
         RecordError: the record cannot be replayed here, or its transcript cannot be read.
     """
-    replay = Replay(record, trust)
+    replay = Replay(record, trust, beside=scenario)
     film, stopped = Film(replay.laboratories), ""
     for recorded in record.turns:
         tick = int(replay.laboratories.state.ticks[0])
@@ -324,7 +326,7 @@ def replay_data(record: Record, trust: bool = False) -> dict[str, Any]:
             stopped = str(error)
             break
         film.add(tick, plays)  # consequences are those of the replay, not of the file
-    verified, seed = verify_record(record, trust=trust), record.header.get("seed")
+    verified, seed = verify_record(record, scenario, trust), record.header.get("seed")
     return {
         **film.still(),
         "seed": None if seed is None else str(seed),  # JavaScript's numbers have 53 bits
@@ -351,19 +353,19 @@ def _turn(labs: Laboratories, plays: Sequence[Play]) -> dict[str, Any]:
     return facts
 
 
-def replay_page(record: Record, trust: bool = False) -> str:
+def replay_page(record: Record, trust: bool = False, scenario: Scenario | None = None) -> str:
     """Return the complete replay page as HTML.
 
     Arguments and errors are those of :func:`replay_data`; a record with too many turns also raises RecordError.
     """
     if len(record.turns) > MOST_TURNS:
         raise RecordError(f"{record.path}: has {len(record.turns)} turns; a page may have {MOST_TURNS}")
-    return filled_page("replay.html", replay_data(record, trust))
+    return filled_page("replay.html", replay_data(record, trust, scenario))
 
 
-def comparison_page(records: Sequence[Record], trust: bool = False) -> str:
+def comparison_page(records: Sequence[Record], trust: bool = False, scenario: Scenario | None = None) -> str:
     """Return the replay pages of several records side by side; the choice of a turn in one sets the clock of all."""
-    pages = [replay_page(record, trust) for record in records]
+    pages = [replay_page(record, trust, scenario) for record in records]
     frames = {
         f"{number}: {record.path.stem}": f'srcdoc="{html.escape(page)}"'
         for number, (record, page) in enumerate(zip(records, pages, strict=True), start=1)

@@ -222,7 +222,7 @@ class Scene:
     tick_limit: int = 0
     orders: tuple[OrderPicture, ...] = ()
     result: float = 0.0
-    """raw score if the episode ended now: orders filled so far, minus costs"""
+    """raw score if the episode ended now: orders filled so far, minus costs; NaN: not known to the agents"""
     costs: tuple[tuple[str, float], ...] = ()
     """(item, cost in units of the raw score)"""
     budget: float = 0.0
@@ -479,9 +479,6 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
     status, turn = int(state.status[member]), labs.turn(member)
     running = status == RUNNING
     costs = labs.costs(member)
-    result = float(labs.result(np.array([member]))[0])
-    if running and scenario.demand.feedback != 0.0:  # the pay of submissions is not known yet
-        result = -sum(costs.values())
     largest, temperatures = camera.scales(labs.benches, member)
     return Scene(
         kind="laboratory",
@@ -494,7 +491,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
         ticks=int(state.ticks[member]),
         tick_limit=scenario.limits.ticks,
         orders=_orders(labs, member),
-        result=result,
+        result=float(labs.result(np.array([member]))[0]),
         costs=tuple((item, float(costs[item])) for item in COST_ITEMS),
         budget=scenario.limits.budget,
         safety=_events(labs.safety_totals[member], labs.scenario),
@@ -569,12 +566,15 @@ def visible_scene(scene: Scene, scenario: Scenario) -> Scene:
     """Return a scene without properties that agents can only measure.
 
     These are the materials of layers, solutes, temperatures on the shelf, and fill levels beyond their resolution.
-    Orders that have not arrived are removed, too. Without hidden parameters, the scene is returned unchanged.
+    Orders that have not arrived are removed, too, and the result while the pay of submissions is not known. Without
+    hidden parameters, nothing else is removed.
 
     Args:
         scene: scene with the true contents.
         scenario: scenario of the scene.
     """
+    if scenario.demand.feedback != 0.0 and scene.status == STATUS_WORDS[RUNNING]:
+        scene = dataclasses.replace(scene, result=math.nan)
     if not scenario.world.draws:
         return scene
     shelf = tuple(

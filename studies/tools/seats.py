@@ -6,9 +6,7 @@ package bpe-openai contains (``pip install bpe-openai``).
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import itertools
 import statistics
 import sys
 from collections.abc import Callable
@@ -18,7 +16,6 @@ import numpy as np
 
 from chemlab.agents.policies import agent_policy
 from chemlab.agents.seats import Room
-from chemlab.agents.verbs import ToolError
 from chemlab.config.display import markdown_table
 
 Call = tuple[str, dict[str, Any]]
@@ -39,12 +36,8 @@ def _calls(room: Room, agent: str) -> dict[int, Call]:
     """All calls of an agent's discrete verbs, by the action that they stand for."""
     found: dict[int, Call] = {}
     for verb in room.verbs(agent):
-        names = [argument.name for argument in verb.arguments]
-        for values in itertools.product(*(argument.options for argument in verb.arguments)):
-            given = dict(zip(names, values, strict=True))
-            if verb.action is not None:
-                with contextlib.suppress(ToolError):  # these do not go together
-                    found.setdefault(verb.action(given), (verb.name, given))
+        for given, action in verb.ways():
+            found.setdefault(action, (verb.name, given))
     return found
 
 

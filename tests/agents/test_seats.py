@@ -27,11 +27,12 @@ from chemlab.agents.verbs import ToolError, bench_verbs
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.lab.engine import Laboratories
+from chemlab.lab.text import folded_lines
 from chemlab.record import verify_record
 from studies.tools.seats import call_for, measure, play_scripted
 
 SALT = "0123456789abcdef0123456789abcdef"
-TWO, RELAY = ("manager_0", "dit_0"), ("manager_0", "fin_0")
+TWO, RELAY, RUNAWAY = ("manager_0", "dit_0"), ("manager_0", "fin_0"), ("manager_0", "rxn_0")
 
 
 def snapshot(room: Room) -> str:
@@ -89,7 +90,7 @@ def test_details_are_shown_once_and_by_parts(room: Room) -> None:
     while "due at tick" not in (first := relay.call("manager_0", "wait").text):
         assert not relay.over
     assert "orders (goal, due at tick, price, amount at least (mol)): " in first
-    assert "open orders (look at orders to read them): " in relay.call("manager_0", "look").text
+    assert ": open (look at orders to read them)" in relay.call("manager_0", "look").text
     assert first.splitlines()[-1] in relay.call("manager_0", "look", {"at": "orders"}).text
 
 
@@ -139,6 +140,12 @@ def test_what_cannot_be_done_now_is_refused_with_what_is_possible(room: Room) ->
     assert "possible: bench rxn_0, dit_0; slot 0, 1, 2, 3, 4, 5, 6, 7;" in text
     assert "possible verbs: start" in room.call("manager_0", "recall", {"bench": "rxn_0"}).text
     assert snapshot(room) == before
+    room.call("manager_0", "start", {"bench": "dit_0", "slot": 0, "goal": "dodecane"})
+    room.call("manager_0", "wait")
+    empty = room.call("dit_0", "pour", {"vessel": "B1", "target": "B2", "amount": 1}).text
+    assert "possible: vessel DV; target B1; amount 0.1, " in empty
+    one = Room("runaway").call("manager_0", "start", {"slot": 3}).text
+    assert one == "Error: start: not possible with these arguments now; possible: slot 0, 1, 2"
 
 
 def test_a_repeated_call_acts_once(room: Room) -> None:
@@ -348,6 +355,12 @@ def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
     tools.reset()
     tools.reset(goal="dodecane", prompt="ignored")
     room.close()
+    again = Room("unlabelled", folder=tmp_path / "again", salt=SALT, seed=3)
+    goal = again.laboratories.scenario.goals[int(again.laboratories.state.goal[0, 0])]
+    LabTools(again, "manager_0").reset(goal=goal)  # plays the episode that has begun, because it has this goal
+    refused("counts once", "counts once", again.begin)
+    assert not again.over, "a world that is known is not played again, and the episode goes on"
+    assert len(read_ledger(tmp_path / "again" / "ledger.jsonl")) == 1
     entries = read_ledger(tmp_path / "ledger.jsonl")
     assert [entry["event"] for entry in entries] == ["begun", "ended"] * 3
     assert len({entry["split"] for entry in entries if entry["event"] == "ended"}) == 3
@@ -390,6 +403,28 @@ def test_introductions_have_prices_and_names_of_what_is_observed() -> None:
     salt = Room("salt_from_oil", ("ext_0",))
     assert "an extraction bench" in salt.brief("ext_0")
     assert "how much (units of settling time)" in json.dumps(salt.tools("ext_0"))
+    runaway = Room("runaway", RUNAWAY)
+    assert "rxn has 1 times its effect. A repair costs 0.02" in runaway.brief("manager_0")
+    assert "-80000 to 60000 J/mol; effect of heating before repairs (rxn_0)" in runaway.brief("rxn_0")
+    jacketed = json.dumps(runaway.tools("rxn_0"))
+    assert "change of the temperature of the jacket in K, -15 to 15" in jacketed
+    assert "volume: no effect: the vessel is open" in jacketed
+    assert "mostly noise" not in runaway.brief("rxn_0"), "no picture or spectrum is"
+    assert "Resolution (of full scale): layers_DV 0.1, " in Room("crude", ("dit_0",)).brief("dit_0")
+
+
+def test_observations_have_whole_names_and_what_is_measured() -> None:
+    words = "hplc at tick 0: 2,4-difluoronitrobenzene 17%, ethanol 81.5%"
+    assert folded_lines([("slot_0", words)]) == ["hplc at tick 0 (%): slot 0 2,4-difluoronitrobenzene 17 ethanol 81.5"]
+    room, start = Room("failing", ("manager_0", "east_0")), {"bench": "east_0", "slot": 0}
+    assert "gas_chromatograph: calibrated at tick 0" in room.call("manager_0", "start", start).text
+    assert "west_0: idle, under repair: 10 ticks left" in room.call("manager_0", "repair", {"bench": "west_0"}).text
+    assert "east_0 has the turn" in room.call("manager_0", "wait").text
+    assert "spectrum" not in room.call("east_0", "look").text, "it always reads 0"
+    runaway = Room("runaway", RUNAWAY)
+    assert "298.2 K" in runaway.call("manager_0", "start", {"slot": 0}).text
+    runaway.call("manager_0", "wait")
+    assert "temperature 298.2 K" in runaway.call("rxn_0", "look").text, "the same temperature has the same digits"
 
 
 def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:
@@ -414,7 +449,7 @@ def test_texts_of_every_scenario_are_within_their_bars() -> None:
         assert brief <= 500, name
         assert look <= 400, name
         assert reply <= 80, name
-        assert episode <= (2_000 if calls <= 200 else 15_000) or name in ("refine", "runaway"), name  # as the page says
+        assert episode <= (2_000 if calls <= 200 else 15_000) or name == "refine", name  # as the page says
 
 
 @pytest.mark.parametrize("name", ["fictitious", "wurtz_dodecane", "relay"])

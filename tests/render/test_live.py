@@ -342,8 +342,8 @@ def test_a_verdict_is_of_the_episode_that_was_checked(tmp_path: Path, monkeypatc
     while not lab.room.over:
         lab.step()
 
-    def slowly(record: Path) -> Any:
-        found = verify(record)
+    def slowly(*given: Any) -> Any:
+        found = verify(*given)
         lab.begin(1)  # somebody presses "new" meanwhile
         return found
 
@@ -374,6 +374,17 @@ def test_what_fails_is_said(
         monkeypatch.setattr(live.Live, "begin", Mock(side_effect=OSError("disk full")))
         assert lab.order(do="new") == (500, {"error": "the server failed; its terminal shows the error"})
     assert "KeyError: 'beaker'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("split", ["train", "private:" + "5" * 32])
+def test_an_own_scenario_is_played_right(split: str, tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('base = "unlabelled"\nname = "mine"\nsummary = ""\n')
+    lab = live.Live(load_scenario(tmp_path / "mine.toml"), "random", 0, split, tmp_path)
+    lab.step(10_000)
+    lab.check()
+    assert lab.verdict[0] == "ok"
+    assert lab.words()[0] == f"over: score {lab.room.score:.3f}; record checked: right".replace("-", "\u2212")
+    assert lab.room.score < 0.0
 
 
 def test_an_episode_too_long_for_a_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

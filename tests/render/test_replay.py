@@ -22,6 +22,7 @@ from chemlab.agents.seats import Room
 from chemlab.config.loading import dump_scenario, load_scenario, restore_scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
+from chemlab.physics.transfer import liquid_volume
 from chemlab.record import LIMITS, Recorder, Replay, read_record
 from chemlab.render.animation import animation
 from chemlab.render.draw import draw
@@ -56,8 +57,12 @@ def unpack(data: dict[str, Any], value: Any) -> Any:
 # -- the data -------------------------------------------------------------------------------------------------
 
 
-def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
+@pytest.mark.parametrize("slots", [8, 40])
+def test_frames_are_the_laboratory_after_each_turn(slots: int, episode: Path, tmp_path: Path) -> None:
     """Whatever is asked for: contents, steps and costs are those of the simulator at that turn."""
+    if slots > 8:
+        (tmp_path / "many.toml").write_text(f'base = "salt_from_oil"\n[shelf]\nslots = {slots}\n')
+        episode = record_episode(tmp_path / "many.jsonl", tmp_path / "many.toml")
     found = read_record(episode)
     data = replay_data(found)
     assert len(data["frames"]) == len(found.turns) + 1 == len(data["turns"]) + 1
@@ -74,6 +79,8 @@ def test_frames_are_the_laboratory_after_each_turn(episode: Path) -> None:
             assert (picture["vessel"] is not None) == vessel.present
             if vessel.present:
                 assert dict(picture["vessel"]["contents"]) == pytest.approx(vessel.amounts(5e-6), rel=1e-3)
+        litres = [liquid_volume(row, labs.shelf.chem()) for row in labs.shelf.vessels[0]]
+        assert [one for (one,) in frame["liquid_l"]] == pytest.approx(litres, rel=1e-3, abs=1e-9)
         for bench, experiments in zip(frame["benches"], labs.experiments, strict=True):
             assert bench["busy"] == experiments.busy[0]
     assert data["results"][-1] == pytest.approx(found.end["end"]["score"], rel=1e-6)
@@ -105,6 +112,7 @@ def test_pages_are_small_and_ask_nothing_of_a_network(tmp_path: Path) -> None:
     text, ticks = replay_page(found), max(found.turns[-1]["tick"], 20)
     assert len(text.encode()) < 100_000 + 1_900_000 * ticks / 200
     assert not re.search(r"""(?:src|href)=["'](?!data:)""", text)
+    assert '<noscript><p class="card warn">This page needs JavaScript.</p></noscript>' in text
     own = text.split('type="application/json"')[0]
     assert "http" not in re.sub(r"http://www\.w3\.org/2000/svg|http-equiv", "", own)
 
@@ -172,6 +180,9 @@ def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     assert f"- score {float(labs.result(labs.members)[0]):.4f}" in text
     assert any(" Read: " in line for line in steps) == any(" measure " in line for line in steps)
     assert re.search(r"Then \d+\.\d K, \d\.\d+ L\.", text)
+    again = read_record(record_episode(tmp_path / "again.jsonl", "failing", "scripted", seed=0))
+    ended = [f"{score:+.3f}" for turn in again.turns for score in turn.get("scores", {}).values()]
+    assert sorted(re.findall(r" over: (.*)\.\n", protocol(again))) == sorted(ended), "experiments of equal actions"
 
 
 @pytest.mark.parametrize(
@@ -417,6 +428,7 @@ def test_it_can_be_worked_with_the_keyboard(page: Any, episode: Path) -> None:
 def test_it_fits_windows(page: Any, width: int, height: int, episode: Path) -> None:
     """No sideways scrolling, nothing cut off, whatever is shown."""
     page.set_viewport_size({"width": width, "height": height})
+    assert page.evaluate("$('rewards').clientWidth") < 420, "charts have texts of the usual size"
     for number in (0, *(turn_of(episode, agent) for agent in ("rxn_0", "ext_0", "dit_0"))):
         page.fill("#scrub", str(number))
         turn(page)
@@ -461,6 +473,13 @@ def test_text_can_be_read(page: Any, scheme: str) -> None:
         "names => names.map(n => getComputedStyle(document.documentElement).getPropertyValue('--' + n).trim())", names
     )
     color = dict(zip(names, values, strict=True))
+    mixed = page.evaluate(
+        """() => data.materials.map(one => { $("past").style.color = lineColor(one.name);
+        const parts = getComputedStyle($("past")).color.match(/[\\d.]+/g).slice(-3);
+        return "#" + parts.map(x => Math.round(255 * x).toString(16).padStart(2, "0")).join(""); })"""
+    )
+    color |= {f"material {i}": one for i, one in enumerate(mixed)}
+    assert len(set(mixed)) > 10
 
     def luminance(text: str) -> float:
         parts = [int(text[i : i + 2], 16) / 255 for i in (1, 3, 5)]
@@ -474,7 +493,8 @@ def test_text_can_be_read(page: Any, scheme: str) -> None:
     texts = ["ink", "soft", "good"]
     assert min(contrast(text, ground) for text in texts for ground in ("card", "page")) >= 4.5
     assert contrast("ink", "mark") >= 4.5
-    assert min(contrast(line, "card") for line in ["warn", "glass", *(f"a{i}" for i in range(7))]) >= 3.0
+    lines = ["warn", "glass", *(f"a{i}" for i in range(7)), *(f"material {i}" for i in range(len(mixed)))]
+    assert min(contrast(line, "card") for line in lines) >= 3.0
 
 
 def test_two_records_have_one_clock(episode: Path, tmp_path: Path, visitor: Any) -> None:

@@ -228,6 +228,11 @@ def test_pictures_of_hidden_parameters_show_what_people_see() -> None:
     wurtz.reset(seed=0)
     scene = laboratory_scene(wurtz.laboratories)
     assert visible_scene(scene, wurtz.scenario) is scene
+    relay = raw_env("relay")
+    relay.reset(seed=0)
+    scene = laboratory_scene(relay.laboratories)
+    assert scene.result == float(relay.laboratories.result(relay.laboratories.members)[0]) < 0.0
+    assert np.isnan(visible_scene(scene, relay.scenario).result), "its orders are paid at the end"
 
 
 def test_a_bench_shows_nothing_before_its_first_turn() -> None:
