@@ -120,9 +120,9 @@ def test_the_wrong_number_of_a_large_batch_is_found() -> None:
 
 
 def test_arguments_that_name_nothing() -> None:
-    batch = BatchedLaboratory(1, WURTZ)
-    for space in (batch.action_space, batch.observation_space):
-        refused("agent", "unknown agent 'rxn'; agents: manager_0, rxn_0", space, "rxn")
+    for env in (BatchedLaboratory(1, WURTZ), raw_env(WURTZ), parallel_env(WURTZ)):
+        for of_agent in (env.action_space, env.observation_space, getattr(env, "observe", env.action_space)):
+            refused("agent", "unknown agent 'rxn'; agents: manager_0, rxn_0", of_agent, "rxn")
     refused("mode", "one of 'NextStep', 'SameStep', 'Disabled', given 'same'", RoleVectorEnv, autoreset_mode="same")
 
 
@@ -178,7 +178,7 @@ ALL = (*ONE, *SEVERAL)
 WRONG: list[tuple[str, dict[str, Any], str, tuple[str, ...]]] = [
     *(
         (WURTZ, {"seed": seed}, r"seed.*integer of at least 0", ALL)
-        for seed in (-1, 1.9, True, [5, -1, 0], [1.9, "2", 0], np.array([1.0, 2.0, 3.0]))
+        for seed in (-1, 1.9, True, [5, -1, 0], [1.9, "2", 0], np.array([1.0, 2.0, 3.0]), np.array(3))
     ),
     (WURTZ, {"seed": [5, 1, 2]}, r"seed.*integer of at least 0", tuple(ONE)),  # one for each of a batch
     (WURTZ, {"seed": [1, 2]}, "3 members, given 2", tuple(SEVERAL)),
