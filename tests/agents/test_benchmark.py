@@ -282,8 +282,20 @@ def test_a_longer_scale_is_computed_from_its_scores(played: Played, tmp_path: Pa
     assert any("above the oracle's" in fault for fault in check_leaderboard(path)[-1].faults)
 
 
-def test_the_interval_of_a_row_of_several_runs_is_over_runs() -> None:
-    """Runs deal the replications out among themselves; with equally many episodes each it is Student's of the means."""
+def test_the_interval_of_a_row_of_several_runs_is_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs deal the replications out among themselves; with equally many episodes each it is Student's of the means.
+    So it is over all scenarios: replications of one run are one sample."""
+
+    def played(runner: JobRunner, jobs: list[Job]) -> dict[str, Any]:
+        def scores(policy: str = "oracle", episodes: int = 5, **_: Any) -> list[float]:
+            return [{"random": 0.0, "a": 0.2, "b": 0.5}.get(policy, 1.0)] * episodes
+
+        return {job.name: {"scores": scores(**job.arguments), "plans": []} for job in jobs}
+
+    monkeypatch.setattr(JobRunner, "run", played)
+    row = benchmark(["unlabelled"], [Row("r", ("a", "b"))], TINY, 5, baseline="plan")["rows"][2]
+    ends = stats.ttest_1samp([0.2, 0.5], 0.0).confidence_interval(0.95)
+    assert (row["mean"]["low"], row["mean"]["high"]) == pytest.approx((ends.low, ends.high))
     scores = np.array([0.1, 0.2, 0.5, 0.6, 0.3, 0.4, 0.2, 0.1])
     runs = runs_of(2, 4, 8)
     assert runs == [0, 0, 1, 1, 0, 0, 1, 1]

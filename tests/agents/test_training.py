@@ -265,8 +265,9 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     assert "has changed since" in command(*flags, code=2)
 
 
-def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
-    """A sweep, which only looks, holds its runs for a moment all the time, and keeps none from beginning."""
+def test_two_processes_do_not_train_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sweep, which only looks, holds its runs for a moment all the time, and keeps none from beginning. A run that
+    another process has begun and left is not gone on with by other arguments."""
     run, held = Run(tmp_path), threading.Event()
     assert not run.busy()
     with run.locked():
@@ -286,6 +287,14 @@ def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
     with run.locked():
         pass
     looking.join()
+
+    def begin_first(agent: Agent) -> None:
+        monkeypatch.undo()
+        with pytest.raises(Killed):
+            train(small("ppo"), tmp_path, Stop(1))
+
+    monkeypatch.setattr(Agent, "check", begin_first)
+    refused("other", "holds a run with other arguments: .*seed 0", train, small("ppo", seed=1), tmp_path)
 
 
 def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> None:
