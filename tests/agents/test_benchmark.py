@@ -163,6 +163,7 @@ def test_lines_of_several_commands_are_on_one_scale(played: Played, tmp_path: Pa
         {**lower, "policy": "c", "split": "validation"},
         {key: value for key, value in lower.items() if key != "scale"},
     ]
+    others.append({**own["scripted:unsafe"], "policy": "d", "scale": {"random": zero + 0.1, "oracle": half}})
     lines = written(tmp_path / "others", *others)
     assert [lines[line["policy"]] for line in others] == others
 
