@@ -35,6 +35,7 @@ from chemlab.agents.runs import RESULT_SEED, Run, RunBusy, find_runs, training_s
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.seals import seal_file
 from chemlab.agents.train import learn as training
+from chemlab.agents.train import loop
 from chemlab.agents.train.arguments import (
     ALGORITHMS,
     IPPO,
@@ -127,12 +128,17 @@ def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path)
 
 
 @pytest.mark.usefixtures("hasty")
-def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(tmp_path: Path) -> None:
+def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arguments = small("maskable-recurrent-ppo", bc="scripted", bc_steps=50)
     whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
     train(arguments, whole.path)
     assert [one.step for one in whole.evaluations()] == [0, 128, 256, 384]
     assert whole.checkpoint("first") == whole.checkpoints / "first-0"
+    with monkeypatch.context() as patch, pytest.raises(Killed):
+        patch.setattr(loop, "commit_checkpoint", Mock(side_effect=Killed))
+        train(arguments, broken.path)
     watcher = Watcher()
     watcher.evaluated = Mock(side_effect=Killed)  # type: ignore[method-assign]
     with pytest.raises(Killed):
