@@ -126,7 +126,7 @@ def write_leaderboard(path: Path, new: Sequence[Line]) -> None:
         DataError: the existing file is not a leaderboard.
     """
     lines = _merged(leaderboard_lines(path), new)
-    lines.sort(key=lambda line: (line["scenario"], -(line["value"] or -np.inf)))
+    lines.sort(key=lambda line: (line["scenario"], np.inf if line["value"] is None else -line["value"]))
     text = json.dumps({"kind": "leaderboard", "format": 1, "lines": lines}, indent=1, allow_nan=False)
     # Write a list of numbers on one line.
     write_text(path, _NUMBERS.sub(lambda found: re.sub(r"\s+", "", found[0]).replace(",", ", "), text) + "\n")

@@ -161,11 +161,13 @@ def test_lines_of_several_commands_are_on_one_scale(played: Played, tmp_path: Pa
         {**lower, "policy": "a", "scale": {"random": zero + 0.1, "oracle": half}},
         {**lower, "policy": "b", "scenario_hash": "another"},
         {**lower, "policy": "c", "split": "validation"},
-        {key: value for key, value in lower.items() if key != "scale"},
+        {key: value for key, value in lower.items() if key != "scale"} | {"value": -1.0},
     ]
     others.append({**own["scripted:unsafe"], "policy": "d", "scale": {"random": zero + 0.1, "oracle": half}})
     lines = written(tmp_path / "others", *others)
     assert [lines[line["policy"]] for line in others] == others
+    *known, last = [line["value"] for line in lines.values()]
+    assert (known, last) == (sorted(known, reverse=True), None)
 
 
 def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path: Path) -> None:
