@@ -144,7 +144,7 @@ class OneLaboratory(Rendered):
         if labs.experiment_ended:
             for info, score in zip(infos, labs.scores[0].tolist(), strict=True):
                 if score == score:  # NaN if no experiment of the agent has ended
-                    info["experiment_over"], info["score"] = True, score
+                    info["experiment_over"], info["score"] = True, info["score"] + score
         if labs.state.status.item(0) != RUNNING:
             own = infos[labs.manager.index]
             own["experiment_over"], own["score"] = True, labs.result(self._members).item()
