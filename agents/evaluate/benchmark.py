@@ -488,7 +488,7 @@ def _cells(
         # Replications of one run are not independent: together they are one. One without a scale is omitted.
         sample = np.asarray(run_of or [block.number for block in blocks for _ in range(block.count)])
         own = [np.flatnonzero(played & (sample == k)) for k in range(len(blocks))]
-        parts = [part for part in own if len(part) and oracle[part].mean() > random[part].mean()]
+        parts = [part for part in own if len(part) and oracle[part].mean() > random[part].mean() + statistics.TIE]
         cells[name] = {
             **measured,
             "replications": _replications(scores, random, oracle, parts),
@@ -616,7 +616,7 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
             for k, scale in enumerate(one["replications"]):
-                if scale["oracle"] <= scale["random"]:
+                if scale["oracle"] <= scale["random"] + statistics.TIE:
                     continue
                 first, count, ends = scale["first"], scale["count"], (scale["random"], scale["oracle"])
                 returns = _normalised(cell["scores"][first : first + count], *ends)

@@ -312,7 +312,8 @@ def test_the_interval_of_a_row_of_several_runs_is_over_runs(monkeypatch: pytest.
 
 def test_where_nobody_is_above_random_play_there_is_no_scale() -> None:
     """A cell of such episodes is empty, instead of a score divided by next to nothing."""
-    assert on_scale(np.array([-0.1, -0.2]), np.zeros(2), np.zeros(2)) is None
+    for rounding in (0.0, 1e-17):
+        assert on_scale(np.array([-0.1, -0.2]), np.zeros(2), np.full(2, rounding)) is None
     half: Any = on_scale(np.array([0.0, 0.5]), np.zeros(2), np.array([0.0, 1.0]))
     assert half["value"] == 0.5
     assert half["low"] is None, "without the second episode there is no scale, so nobody knows how it varies"
