@@ -114,9 +114,9 @@ def checked_actions(
     if isinstance(space, gymnasium.spaces.Discrete):
         last = int(space.n) - 1
         if values.dtype.kind in "iu" and values.shape == (count,):
-            numbers = np.ascontiguousarray(values, dtype=np.int64)
+            numbers = values
             if _all_within(numbers if rows is None else numbers[rows], 0, last):
-                return numbers
+                return np.ascontiguousarray(numbers, dtype=np.int64)
         raise ValueError(
             f"{agent}: actions must be {count} integers from 0 to {last}, given {_given(actions, numbers, last, rows)}"
         )

@@ -113,6 +113,7 @@ def test_the_wrong_number_of_a_large_batch_is_found() -> None:
     rows = np.arange(2000) > 10
     for space, actions, found in (
         (gymnasium.spaces.Discrete(41), numbers, "99 at [1500]"),
+        (gymnasium.spaces.Discrete(41), np.where(numbers, 2**64 - 1, 0).astype(np.uint64), f"{2**64 - 1} at [1500]"),
         (gymnasium.spaces.Box(0.0, 1.0, (6,)), boxes, "nan at [1500, 4]"),
     ):
         message = refused(found, "x: actions must be", checked_actions, "x", actions, 2000, space, rows)
