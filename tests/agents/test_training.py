@@ -136,9 +136,10 @@ def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(
     train(arguments, whole.path)
     assert [one.step for one in whole.evaluations()] == [0, 128, 256, 384]
     assert whole.checkpoint("first") == whole.checkpoints / "first-0"
-    with monkeypatch.context() as patch, pytest.raises(Killed):
+    with monkeypatch.context() as patch:
         patch.setattr(loop, "commit_checkpoint", Mock(side_effect=Killed))
-        train(arguments, broken.path)
+        with pytest.raises(Killed):
+            train(arguments, broken.path)
     watcher = Watcher()
     watcher.evaluated = Mock(side_effect=Killed)  # type: ignore[method-assign]
     with pytest.raises(Killed):
