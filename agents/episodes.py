@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.envs.aec import raw_env
+from chemlab.envs.inputs import parsed_seeds
 from chemlab.envs.players import Players, Policy
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import FloatArray, IntArray
@@ -93,7 +94,7 @@ def play_bench(
     """
     n, limit = env.num_envs, env.bench.spec.step_limit
     goals = np.array([goal] * n if isinstance(goal, str) else goal)
-    seeds = [seed + i for i in range(n)] if isinstance(seed, int) else list(seed)
+    seeds = parsed_seeds(seed, n)
     for i, name in enumerate(dict.fromkeys(goals.tolist())):
         # The first reset must include all environments; those with other goals are then reset again.
         reset = goals == name if i else np.ones(n, dtype=np.bool_)

@@ -30,6 +30,7 @@ import numpy.typing as npt
 
 from chemlab.config.extras import needs
 from chemlab.envs.aec import raw_env
+from chemlab.envs.inputs import checked_options
 from chemlab.kernels.arrays import IntArray
 from chemlab.kernels.rng import checked_seed
 from chemlab.lab.episode_streams import INTERRUPTED, Guarded
@@ -106,7 +107,7 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         """
         seed = checked_seed(seed)
         super().reset(seed=seed, options=options)
-        labs, asked = self.laboratory.laboratories, options or {}
+        labs, asked = self.laboratory.laboratories, checked_options(options, self.laboratory.scenario.lab_goals)
         if asked.get("goal") is not None:
             labs.goal_index(asked["goal"])
         if asked.get("world") is not None:

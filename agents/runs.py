@@ -248,21 +248,16 @@ class Run:
                 shutil.copyfile(file, folder / file.name)
 
     def rewind(self, step: int) -> None:
-        """Restore curve and evaluations to the last checkpoint at ``step`` (0: there is none).
+        """Restore curve and evaluations to the last checkpoint at ``step``; without one, they are emptied.
 
         Later lines are removed, and lost ones restored: a system crash, or a version control system that restores an
         earlier file, may affect them but not the checkpoints.
         """
-        last = self.checkpoint("last")
-
-        def source(file: Path) -> Path:
+        last, kinds = self.checkpoint("last"), {self.curve_file: CurvePoint, self.evaluations_file: Evaluation}
+        for file, kind in kinds.items():
             copy = file if last is None else last / file.name
-            return copy if copy.exists() else file
-
-        points = [line for line in _lines(source(self.curve_file), CurvePoint) if line.step <= step]
-        scores = [line for line in _lines(source(self.evaluations_file), Evaluation) if line.step <= step]
-        for file, lines in ((self.curve_file, points), (self.evaluations_file, scores)):
-            write_text(file, "".join(json.dumps(asdict(line)) + "\n" for line in lines))
+            lines = iter(()) if last is None else _lines(copy if copy.exists() else file, kind)
+            write_text(file, "".join(json.dumps(asdict(line)) + "\n" for line in lines if line.step <= step))
 
     def checkpoint(self, kind: str) -> Path | None:
         """Return the folder of the newest complete ``last``, ``best`` or ``first`` checkpoint, or None."""

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from chemlab.config.extras import needs
+from chemlab.envs.inputs import parsed_seeds
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.episode_streams import Guarded
 
@@ -101,10 +102,14 @@ class ChemlabVecEnv(Guarded, VecEnv):
         super().__init__(batch.num_envs, space, env.single_action_space)
 
     def seed(self, seed: int | Sequence[int] | None = None) -> Sequence[int | None]:
-        """Set the seeds of the members at the next reset: of member i, seed + i, or each its own."""
-        if seed is None or isinstance(seed, (int, np.integer)):
+        """Set the seeds of the members at the next reset: of member i, seed + i, or each its own; None: draw them.
+
+        Raises:
+            ValueError: a seed is not a non-negative integer, or they are not one for each member.
+        """
+        if seed is None:
             return super().seed(seed)
-        self._seeds = list(seed)
+        self._seeds = parsed_seeds(seed, self.num_envs)
         return self._seeds
 
     @staticmethod

@@ -160,7 +160,7 @@ def test_rounds_of_the_parallel_environment(tmp_path: Path) -> None:
     labs: Laboratories = env.unwrapped.laboratories
     recorder = Recorder(path, labs, rounds=True)
     observations, infos = env.reset(seed=4)
-    recorder.begin(4)
+    recorder.begin(np.int64(4))  # type: ignore[arg-type]
     rng, together = np.random.default_rng(0), 0
     rare = np.where(np.isin(labs.actions.table[:, 0], (START, WAIT)), 1.0, 0.03)
     rare[labs.actions.table[:, 0] == SUBMIT] = 1e-4

@@ -1,7 +1,8 @@
 """Measure what a scenario requires of its agents: ``chemlab audit``.
 
 Scores are normalized: 0 is random legal play, 1 the oracle. All compared policies play the same episodes, of the split
-``test`` where the scenario has hidden parameters. Policies, plans and donors are chosen on other episodes.
+``test`` where the scenario has hidden parameters. Policies, plans and donors are chosen on other episodes. The best of
+several rows is the one with the highest score in the scored episodes.
 
 | measure | definition |
 |---|---|

@@ -3,9 +3,10 @@
 Every row (a policy) plays the same episodes of each scenario, in worlds of the split ``test``. Episodes and scale are
 those of :mod:`~chemlab.agents.evaluate.audit`: 0 is random legal play, 1 the oracle. The episodes are divided into
 replications. Each replication has separate worlds, and a separate training run if a row has several (a folder of runs
-that differ in their seeds). Statistics are over replications: interquartile mean, performance profile and probability
-of improvement over the baseline, with 95 % intervals (:mod:`~chemlab.agents.evaluate.statistics`). The interval of a
-cell is over its episodes, or over runs if several runs have played them.
+that differ in their seeds); those of one run count as one. Statistics are over replications: interquartile mean,
+performance profile and probability of improvement over the baseline, with 95 % intervals
+(:mod:`~chemlab.agents.evaluate.statistics`). The interval of a cell is over its episodes, or over runs if several runs
+have played them.
 
 | row | policy |
 |---|---|
@@ -484,9 +485,10 @@ def _cells(
         if measured is None:
             cells[name] = missing("no policy scores above random play in these episodes: there is no scale")
             continue
-        # A replication without a score above random play has no scale and is omitted.
-        blockwise = [block.first + np.flatnonzero(block.of(played)) for block in blocks]
-        parts = [part for part in blockwise if len(part) and oracle[part].mean() > random[part].mean()]
+        # Replications of one run are not independent: together they are one. One without a scale is omitted.
+        sample = np.asarray(run_of or [block.number for block in blocks for _ in range(block.count)])
+        own = [np.flatnonzero(played & (sample == k)) for k in range(len(blocks))]
+        parts = [part for part in own if len(part) and oracle[part].mean() > random[part].mean() + statistics.TIE]
         cells[name] = {
             **measured,
             "replications": _replications(scores, random, oracle, parts),
@@ -614,7 +616,7 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
             for k, scale in enumerate(one["replications"]):
-                if scale["oracle"] <= scale["random"]:
+                if scale["oracle"] <= scale["random"] + statistics.TIE:
                     continue
                 first, count, ends = scale["first"], scale["count"], (scale["random"], scale["oracle"])
                 returns = _normalised(cell["scores"][first : first + count], *ends)

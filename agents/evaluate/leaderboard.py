@@ -126,7 +126,7 @@ def write_leaderboard(path: Path, new: Sequence[Line]) -> None:
         DataError: the existing file is not a leaderboard.
     """
     lines = _merged(leaderboard_lines(path), new)
-    lines.sort(key=lambda line: (line["scenario"], -(line["value"] or -np.inf)))
+    lines.sort(key=lambda line: (line["scenario"], np.inf if line["value"] is None else -line["value"]))
     text = json.dumps({"kind": "leaderboard", "format": 1, "lines": lines}, indent=1, allow_nan=False)
     # Write a list of numbers on one line.
     write_text(path, _NUMBERS.sub(lambda found: re.sub(r"\s+", "", found[0]).replace(",", ", "), text) + "\n")
@@ -251,13 +251,15 @@ def _scores(line: Line | None, like: Line) -> FloatArray | None:
 
 
 def _recomputed(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[str, Any] | None:
-    """Compute a line's statistics from the scores of all lines; None if scores are missing."""
+    """Compute a line's statistics from the scores of all lines; None if scores are missing or of other episodes."""
     if not line.get("scores") or line.get("value") is None:
         return None
     random, oracle = (_scores(lines.get(_key(line, name)), line) for name in ("random", "oracle"))
     scores = np.array(line["scores"], dtype=np.float64)
     played = np.isfinite(scores)
     if random is None or oracle is None or not played.any() or not np.isfinite([random[played], oracle[played]]).all():
+        return None
+    if not _equal((line.get("scale") or {}).get("random"), float(random[played].mean())):
         return None
     other = _scores(lines.get(_key(line, line.get("baseline") or "")), line) if line.get("over_baseline") else None
     train_scores = line.get("train_scores") or []

@@ -24,7 +24,7 @@ class Scale:
             each episode is one.
 
     Attributes:
-        span: mean score of the oracle minus that of random play.
+        span: mean score of the oracle minus that of random play; 0 if it is a rounding error.
     """
 
     def __init__(self, random: FloatArray, oracle: FloatArray, groups: Sequence[int] | None = None) -> None:
@@ -34,16 +34,16 @@ class Scale:
         kept = [group_of != name for name in names] if len(names) > 1 else []
         self._kept = np.array([np.ones(len(group_of), dtype=np.bool_), *kept])
         self._zero = self._means(random)
-        self._one = self._means(oracle)
-        self.span = float(self._one[0] - self._zero[0])
+        span = self._means(oracle) - self._zero
+        self._span = np.where(span > statistics.TIE, span, 0.0)
+        self.span = float(self._span[0])
 
     def _means(self, scores: FloatArray) -> FloatArray:
         return np.asarray((self._kept @ np.asarray(scores, dtype=np.float64)) / self._kept.sum(axis=1))
 
     def _scaled(self, values: FloatArray) -> FloatArray:
-        span = self._one - self._zero
-        scaled: FloatArray = np.divide(values, span, out=np.full(len(values), np.nan), where=span > 0.0)
-        return scaled
+        nothing = np.full(len(values), np.nan)
+        return np.asarray(np.divide(values, self._span, out=nothing, where=self._span > 0.0))
 
     def mean(self, scores: FloatArray) -> FloatArray:
         """Return [1 + G] normalized means: of all episodes, then without each group; NaN if the scale has no span."""

@@ -52,12 +52,13 @@ def train(arguments: Arguments, out: Path, watcher: Watcher | None = None) -> Ru
     finished = run.result()
     if finished is not None:
         return finished
-    is_new = run.checkpoint("last") is None
-    if is_new:
+    if run.checkpoint("last") is None:
         trainee.check()
     # The order of sums depends on the number of threads. With a second core, the critic has a thread of its own.
     torch.set_num_threads(1)
     with run.locked():
+        _check_same(run, trainee.config)  # another process may have begun here since
+        is_new = run.checkpoint("last") is None
         if run.config() is None:
             write_json(run.config_file, trainee.config.model_dump(exclude_none=True))
         run.failed_file.unlink(missing_ok=True)

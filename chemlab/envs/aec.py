@@ -21,10 +21,11 @@ an order with terms, minus all costs and penalties for orders that pay nothing. 
 ### Infos
 Infos are numbers and arrays with the same keys, types and shapes in every step. Every agent has:
 
-- `cost`: weighted safety events of its last action; `events`: the same by kind, [kinds, as in `safety_events`].
+- `cost`: weighted safety events of its last action, and of an experiment's beginning since; `events`: the same by kind,
+  [kinds, as in `safety_events`].
 - `illegal_action`: its last action was invalid.
-- `experiment_over` and `score`: whether its last turn ended its experiment, and the score, else 0; for the manager,
-  those of the episode.
+- `experiment_over` and `score`: whether its experiment has ended by its last action or since, and the score (the sum,
+  should several have ended), else 0; for the manager, those of the episode.
 - `elapsed_ticks`: on its turn and at the end, ticks since its previous turn or the beginning of the episode (the
   discount of a semi-Markov step); else 0.
 - `action_mask` for discrete actions: int8; without the turn only `wait` or `end` is legal.
@@ -191,9 +192,9 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         if manages and labs.state.begun.item(0) >= 0:  # an experiment may start with a safety event
             for other, cost in enumerate(labs.cost[0].tolist()):
                 if cost:
-                    name = self.possible_agents[other]
-                    unread = {key: infos[name][key] for key in ("experiment_over", "score")}
-                    infos[name] = {**self._info(other), **unread}
+                    info = infos[self.possible_agents[other]]
+                    info["cost"] += cost
+                    info["events"] = info["events"] + labs.roles[other].events[0]
         status = labs.state.status.item(0)
         if labs.experiment_ended or status != RUNNING:
             self._add_scores(list(infos.values()))

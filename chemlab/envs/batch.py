@@ -33,7 +33,7 @@ class BatchedLaboratory:
         num_envs: number of laboratories N.
         scenario: a bundled name, a path to a TOML file, or a loaded scenario.
         idle_observations: whether observations of agents without the turn are updated as well; otherwise their rows
-            keep the last ones, which saves most of the observation time.
+            keep the last ones of the episode (before them, zeros), which saves most of the observation time.
         copy: whether returned arrays are copies; if False, the next step overwrites them.
         autoreset: whether a laboratory whose episode ends is reset in the same step; otherwise the caller resets it
             before the next one by ``options["reset_mask"]``, and its arrays show the end until then.
@@ -145,6 +145,8 @@ class BatchedLaboratory:
     def _restart(self, members: IntArray, goal: str | None = None, world: World | None = None) -> None:
         self.laboratories.reset(members, goal, world)
         self._last_turn[:, members] = 0
+        for seen in self._observations:
+            seen[members] = 0.0
 
     def step(
         self, actions: Mapping[str, Any]

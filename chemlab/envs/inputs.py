@@ -114,9 +114,9 @@ def checked_actions(
     if isinstance(space, gymnasium.spaces.Discrete):
         last = int(space.n) - 1
         if values.dtype.kind in "iu" and values.shape == (count,):
-            numbers = np.ascontiguousarray(values, dtype=np.int64)
+            numbers = values
             if _all_within(numbers if rows is None else numbers[rows], 0, last):
-                return numbers
+                return np.ascontiguousarray(numbers, dtype=np.int64)
         raise ValueError(
             f"{agent}: actions must be {count} integers from 0 to {last}, given {_given(actions, numbers, last, rows)}"
         )
@@ -127,6 +127,17 @@ def checked_actions(
             return numbers
     given = _given(actions, numbers, 1.0, rows)
     raise ValueError(f"{agent}: actions must be {list(shape)} finite numbers from 0 to 1, given {given}")
+
+
+def parsed_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+    """Return a seed or None for each of ``count`` members; arguments and errors are those of :func:`parsed_reset`."""
+    if isinstance(seed, str) or not np.ndim(seed):  # type: ignore[arg-type]
+        first = checked_seed(seed)
+        return [None if first is None else first + i for i in range(count)]
+    seeds = [checked_seed(own, f"seed[{i}]") for i, own in enumerate(seed)]  # type: ignore[arg-type]
+    if len(seeds) != count:
+        raise ValueError(f"seed: needs one for each of {count} members, given {len(seeds)}")
+    return seeds
 
 
 def parsed_reset(
@@ -163,14 +174,7 @@ def parsed_reset(
         raise ValueError(f"reset_mask must be {count} booleans, given {mask.dtype} of shape {mask.shape}")
     if not (begun or mask.all()):
         raise ValueError("reset_mask: the first reset must be of all members")
-    seeds: list[int | None]
-    if isinstance(seed, (Sequence, np.ndarray)) and not isinstance(seed, str):
-        seeds = [checked_seed(own, f"seed[{i}]") for i, own in enumerate(seed)]
-        if len(seeds) != count:
-            raise ValueError(f"seed: needs one for each of {count} members, given {len(seeds)}")
-    else:
-        first = checked_seed(seed)
-        seeds = [None if first is None else first + i for i in range(count)]
+    seeds = parsed_seeds(seed, count)
     if not begun and None in seeds:
         drawn = random.integers(2**63, size=count).tolist()
         seeds = [one if own is None else own for own, one in zip(seeds, drawn, strict=True)]

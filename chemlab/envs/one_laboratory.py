@@ -18,7 +18,7 @@ from ..lab.text import describe_laboratory
 from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
 from .global_state import GlobalState
-from .inputs import checked_options
+from .inputs import checked_options, number_of
 from .rendering import Rendered
 
 if TYPE_CHECKING:
@@ -65,16 +65,20 @@ class OneLaboratory(Rendered):
         return f"<{type(self).__name__} of {self.scenario.name}: {', '.join(self.possible_agents)}>"
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Box:
-        """Return the agent's observation space (always the same object)."""
-        return self.observation_spaces[agent]
+        """Return the agent's observation space (always the same object); ValueError if it is unknown."""
+        return self.observation_spaces[self._known(agent)]
 
     def action_space(self, agent: str) -> gymnasium.Space[Any]:
-        """Return the agent's action space (always the same object)."""
-        return self.action_spaces[agent]
+        """Return the agent's action space (always the same object); ValueError if it is unknown."""
+        return self.action_spaces[self._known(agent)]
+
+    def _known(self, agent: str) -> str:
+        return self.possible_agents[number_of(agent, self.possible_agents)]
 
     def observe(self, agent: str) -> npt.NDArray[np.float32]:
-        """Return the agent's current observation; zeros for a bench without an experiment."""
-        seen: npt.NDArray[np.float32] = self.laboratories.observe(self._number[agent], self._members)[0]
+        """Return the agent's current observation, zeros for a bench without an experiment; ValueError if unknown."""
+        number = number_of(agent, self.possible_agents)
+        seen: npt.NDArray[np.float32] = self.laboratories.observe(number, self._members)[0]
         return seen
 
     def state(self) -> npt.NDArray[np.float32]:
@@ -140,7 +144,7 @@ class OneLaboratory(Rendered):
         if labs.experiment_ended:
             for info, score in zip(infos, labs.scores[0].tolist(), strict=True):
                 if score == score:  # NaN if no experiment of the agent has ended
-                    info["experiment_over"], info["score"] = True, score
+                    info["experiment_over"], info["score"] = True, info["score"] + score
         if labs.state.status.item(0) != RUNNING:
             own = infos[labs.manager.index]
             own["experiment_over"], own["score"] = True, labs.result(self._members).item()

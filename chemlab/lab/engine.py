@@ -375,7 +375,7 @@ class Laboratories:
             return
         known = [*self.scenario.benches, SUBMIT]
         unknown = [stage for stage in shares if stage not in known]
-        if unknown or min(shares.values()) < 0.0 or sum(shares.values()) > 1.0 + 1e-9:
+        if unknown or not (min(shares.values()) >= 0.0 and sum(shares.values()) <= 1.0 + 1e-9):
             raise ValueError(f"prepare: shares of {', '.join(known)} must sum to at most 1; given {dict(shares)}")
         pools = []
         for stage in shares:

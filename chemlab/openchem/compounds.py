@@ -84,7 +84,7 @@ def compounds(texts: Sequence[str], named: Mapping[str, str] | None = None) -> l
     return list(found.values())
 
 
-def _looks(compound: Compound, used: list[float], liquid: bool) -> dict[str, Any]:
+def appearance(compound: Compound, used: list[float], liquid: bool) -> dict[str, Any]:
     """Return the appearance of a material: a colour, a grey value distinct from others', two absorption bands.
 
     The grey value of a liquid is also distinct from water's.
@@ -139,7 +139,7 @@ def _table(compound: Compound, found: Properties, used: list[float]) -> tuple[di
         put(values, source, "melting_point_k", melts, needed=False)
     put(values, source, "boiling_point_k", found.boiling_point)
     put(values, source, "vaporization_enthalpy_j_mol", found.vaporization_enthalpy)
-    values |= {"role": role, **_looks(compound, used, role == "solvent")}
+    values |= {"role": role, **appearance(compound, used, role == "solvent")}
     source["color_shade_absorption"] = _DESIGN
     if role in ("solvent", "solute"):
         if found.vapor_pressure is None:

@@ -72,7 +72,7 @@ def _effective(concentration: float) -> float:
 
 
 @helper
-def _rates(
+def rates(
     constants: FloatArray, chem: Handle, start: FloatArray, extent: FloatArray, conc: FloatArray, out: FloatArray
 ) -> float:
     """Compute concentrations and rates at given extents; return the lowest concentration.
@@ -141,22 +141,22 @@ def _take_stages(chem: Handle, rows: _Rows, h: float) -> float:
     n_reactions = opened(Chemistry, chem).stoichiometry.shape[0]
     for r in range(n_reactions):
         trial[r] = extent[r] + h * _A21 * k[0, r]
-    lowest = _rates(constants, chem, start, trial, conc, k[1])
+    lowest = rates(constants, chem, start, trial, conc, k[1])
     for r in range(n_reactions):
         trial[r] = extent[r] + h * (_A31 * k[0, r] + _A32 * k[1, r])
-    lowest = min(lowest, _rates(constants, chem, start, trial, conc, k[2]))
+    lowest = min(lowest, rates(constants, chem, start, trial, conc, k[2]))
     for r in range(n_reactions):
         trial[r] = extent[r] + h * (_A41 * k[0, r] + _A42 * k[1, r] + _A43 * k[2, r])
-    lowest = min(lowest, _rates(constants, chem, start, trial, conc, k[3]))
+    lowest = min(lowest, rates(constants, chem, start, trial, conc, k[3]))
     for r in range(n_reactions):
         trial[r] = extent[r] + h * (_A51 * k[0, r] + _A52 * k[1, r] + _A53 * k[2, r] + _A54 * k[3, r])
-    lowest = min(lowest, _rates(constants, chem, start, trial, conc, k[4]))
+    lowest = min(lowest, rates(constants, chem, start, trial, conc, k[4]))
     for r in range(n_reactions):
         trial[r] = extent[r] + h * (_A61 * k[0, r] + _A62 * k[1, r] + _A63 * k[2, r] + _A64 * k[3, r] + _A65 * k[4, r])
-    lowest = min(lowest, _rates(constants, chem, start, trial, conc, k[5]))
+    lowest = min(lowest, rates(constants, chem, start, trial, conc, k[5]))
     for r in range(n_reactions):
         trial[r] = extent[r] + h * (_B1 * k[0, r] + _B3 * k[2, r] + _B4 * k[3, r] + _B5 * k[4, r] + _B6 * k[5, r])
-    return min(lowest, _rates(constants, chem, start, trial, conc, k[6]))
+    return min(lowest, rates(constants, chem, start, trial, conc, k[6]))
 
 
 @inner
@@ -221,7 +221,7 @@ def integrate(
     for j in range(n_species):
         start[j] = row[AMOUNTS + chemistry.species[j]] / volume
         now[j] = start[j]
-    _rates(constants, chem, start, extent, conc, k[0])
+    rates(constants, chem, start, extent, conc, k[0])
     h = _first_step(chem, rows, dt)
     if h == 0.0:
         return 0
@@ -249,7 +249,7 @@ def integrate(
                     part = min(part, max(now[j], 0.0) / (now[j] - conc[j]))
             for r in range(n_reactions):
                 trial[r] = extent[r] + part * (trial[r] - extent[r])
-            _rates(constants, chem, start, trial, conc, k[6])
+            rates(constants, chem, start, trial, conc, k[6])
             error = 1.0
         done += h
         for r in range(n_reactions):

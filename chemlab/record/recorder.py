@@ -19,6 +19,7 @@ from ..config.datamodel import validated
 from ..config.files import check_target, locked, naming, sync_folder, write_bytes
 from ..config.loading import dump_scenario
 from ..kernels.arrays import IntArray, MaskArray, ObservationArray
+from ..kernels.rng import checked_seed
 from ..lab.engine import Laboratories
 from ..physics.chemistry import AMOUNTS, PRESENT, TEMPERATURE
 from ..roles.manager_state import RUNNING, STATUS_WORDS
@@ -286,7 +287,7 @@ class Recorder:
         """
         if self._file is not None or self._held:
             raise ValueError(f"{self.path}: its episode is not over; a record holds one episode")
-        self._lines = EpisodeLines(self._labs, self._member)
+        seed, self._lines = checked_seed(seed), EpisodeLines(self._labs, self._member)
         opening = self._lines.opening(seed, options or {}, self._rounds, self._policies, environment_here())
         validated(Header, opening, f"{self.path}: header")  # values that could not be read back are not written
         self.part.parent.mkdir(parents=True, exist_ok=True)

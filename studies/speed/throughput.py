@@ -36,7 +36,7 @@ from chemlab.kernels.arrays import FloatArray, Handle, IntArray
 from chemlab.kernels.jit import kernel
 from chemlab.laboratory import env as laboratory_env
 from chemlab.physics.chemistry import AMOUNTS
-from chemlab.physics.mass_action import _rates
+from chemlab.physics.mass_action import rates as reaction_rates
 from chemlab.physics.stratification import profile
 from chemlab.record import Recorder, verify_record
 from chemlab.roles.operation_bench import OperationBench
@@ -138,7 +138,7 @@ def parts(name: str, seconds: float) -> dict[str, float]:
 @kernel
 def _rates_once(rows: FloatArray, chem: Handle, work: FloatArray) -> None:
     for b in range(rows.shape[0]):
-        _rates(work[0], chem, rows[b, AMOUNTS:], work[1], work[2], work[3])
+        reaction_rates(work[0], chem, rows[b, AMOUNTS:], work[1], work[2], work[3])
 
 
 @kernel

@@ -28,7 +28,7 @@ from chemlab.config.materials import Material, shipped_materials
 from chemlab.config.pairs import log_activity_coefficients, shipped_pairs
 from chemlab.config.reactions import shipped_reactions_folder
 from chemlab.openchem.activity import is_molecule, quick_pairs
-from chemlab.openchem.compounds import _looks, checked_materials, compounds, doubts, estimates, material_tables
+from chemlab.openchem.compounds import appearance, checked_materials, compounds, doubts, estimates, material_tables
 from chemlab.openchem.identity import canonical, molar_mass
 from chemlab.openchem.names import spellings as spelled
 from chemlab.openchem.properties import Value
@@ -62,7 +62,7 @@ SULFURIC = 98.079 / 1.83 / 1000.0, 138.9
 
 def looks(key: str, used: list[float]) -> dict[str, Any]:
     """Colour, grey value and bands of something that is no molecule."""
-    return _looks(cast(Any, SimpleNamespace(inchi_key=key)), used, False)
+    return appearance(cast(Any, SimpleNamespace(inchi_key=key)), used, False)
 
 
 def salt_table(key: str, row: Mapping[str, Any], atoms: Mapping[str, int], used: list[float]) -> dict[str, Any]:

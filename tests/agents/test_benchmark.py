@@ -161,10 +161,13 @@ def test_lines_of_several_commands_are_on_one_scale(played: Played, tmp_path: Pa
         {**lower, "policy": "a", "scale": {"random": zero + 0.1, "oracle": half}},
         {**lower, "policy": "b", "scenario_hash": "another"},
         {**lower, "policy": "c", "split": "validation"},
-        {key: value for key, value in lower.items() if key != "scale"},
+        {key: value for key, value in lower.items() if key != "scale"} | {"value": -1.0},
     ]
+    others.append({**own["scripted:unsafe"], "policy": "d", "scale": {"random": zero + 0.1, "oracle": half}})
     lines = written(tmp_path / "others", *others)
     assert [lines[line["policy"]] for line in others] == others
+    *known, last = [line["value"] for line in lines.values()]
+    assert (known, last) == (sorted(known, reverse=True), None)
 
 
 def test_a_line_follows_from_the_scores_of_its_episodes(played: Played, tmp_path: Path) -> None:
@@ -282,8 +285,20 @@ def test_a_longer_scale_is_computed_from_its_scores(played: Played, tmp_path: Pa
     assert any("above the oracle's" in fault for fault in check_leaderboard(path)[-1].faults)
 
 
-def test_the_interval_of_a_row_of_several_runs_is_over_runs() -> None:
-    """Runs deal the replications out among themselves; with equally many episodes each it is Student's of the means."""
+def test_the_interval_of_a_row_of_several_runs_is_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs deal the replications out among themselves; with equally many episodes each it is Student's of the means.
+    So it is over all scenarios: replications of one run are one sample."""
+
+    def played(runner: JobRunner, jobs: list[Job]) -> dict[str, Any]:
+        def scores(policy: str = "oracle", episodes: int = 5, **_: Any) -> list[float]:
+            return [{"random": 0.0, "a": 0.2, "b": 0.5}.get(policy, 1.0)] * episodes
+
+        return {job.name: {"scores": scores(**job.arguments), "plans": []} for job in jobs}
+
+    monkeypatch.setattr(JobRunner, "run", played)
+    row = benchmark(["unlabelled"], [Row("r", ("a", "b"))], TINY, 5, baseline="plan")["rows"][2]
+    ends = stats.ttest_1samp([0.2, 0.5], 0.0).confidence_interval(0.95)
+    assert (row["mean"]["low"], row["mean"]["high"]) == pytest.approx((ends.low, ends.high))
     scores = np.array([0.1, 0.2, 0.5, 0.6, 0.3, 0.4, 0.2, 0.1])
     runs = runs_of(2, 4, 8)
     assert runs == [0, 0, 1, 1, 0, 0, 1, 1]
@@ -297,7 +312,8 @@ def test_the_interval_of_a_row_of_several_runs_is_over_runs() -> None:
 
 def test_where_nobody_is_above_random_play_there_is_no_scale() -> None:
     """A cell of such episodes is empty, instead of a score divided by next to nothing."""
-    assert on_scale(np.array([-0.1, -0.2]), np.zeros(2), np.zeros(2)) is None
+    for rounding in (0.0, 1e-17):
+        assert on_scale(np.array([-0.1, -0.2]), np.zeros(2), np.full(2, rounding)) is None
     half: Any = on_scale(np.array([0.0, 0.5]), np.zeros(2), np.array([0.0, 1.0]))
     assert half["value"] == 0.5
     assert half["low"] is None, "without the second episode there is no scale, so nobody knows how it varies"

@@ -102,7 +102,7 @@ def test_wrong_shares() -> None:
     """And of a scenario that nobody has played."""
     labs = Laboratories("wurtz_dodecane")
     refused("oven", "shares of rxn, ext, dit, submit", labs.prepare, {"oven": 0.5})
-    for shares in ({"dit": -0.1}, {"dit": 0.7, "ext": 0.7}):
+    for shares in ({"dit": -0.1}, {"dit": 0.7, "ext": 0.7}, {"dit": 0.5, "ext": float("nan")}):
         refused("sum", "sum to at most 1", labs.prepare, shares)
     scenario = labs.scenario.model_copy(update={"name": "never_played", "origin": "/nowhere/x.toml"})
     never = r"recorded for never_played; run: chemlab export starts FILE\.toml"

@@ -92,7 +92,7 @@ def test_cases_are_what_is_in_the_vessel() -> None:
         assert cases[member].startswith("without") != ("Na+" in single.batch.shelf.vessel(0, 0).amounts(1e-6))
     assert set(play_bench(env, policy, "NaCl", 5).cases) == {"with dodecane", "without dodecane"}
     rxn = Target(load_scenario("wurtz_dodecane"), "rxn").environment(2)
-    assert play_bench(rxn, bench_policy("scripted", rxn.bench), "NaCl", 0).cases == ["", ""]
+    assert play_bench(rxn, bench_policy("scripted", rxn.bench), "NaCl", np.int64(0)).cases == ["", ""]
 
 
 def test_report_is_made_of_the_returns() -> None:

@@ -90,6 +90,8 @@ def test_seeds_are_used_once() -> None:
     again = [venv.reset() for _ in range(12)]
     np.testing.assert_array_equal(first, again)
     venv.seed(6)
+    for wrong in (1.5, True, [1], [1, -1]):
+        refused(str(wrong), "seed.*given", venv.seed, wrong)
     other = [venv.reset() for _ in range(12)]
     np.testing.assert_array_equal(np.array(other)[:, 0], np.array(first)[:, 1])  # seed 6 is member 0's now
 

@@ -35,6 +35,7 @@ from chemlab.agents.runs import RESULT_SEED, Run, RunBusy, find_runs, training_s
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.agents.seals import seal_file
 from chemlab.agents.train import learn as training
+from chemlab.agents.train import loop
 from chemlab.agents.train.arguments import (
     ALGORITHMS,
     IPPO,
@@ -127,12 +128,18 @@ def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path)
 
 
 @pytest.mark.usefixtures("hasty")
-def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(tmp_path: Path) -> None:
+def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     arguments = small("maskable-recurrent-ppo", bc="scripted", bc_steps=50)
     whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
     train(arguments, whole.path)
     assert [one.step for one in whole.evaluations()] == [0, 128, 256, 384]
     assert whole.checkpoint("first") == whole.checkpoints / "first-0"
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "commit_checkpoint", Mock(side_effect=Killed))
+        with pytest.raises(Killed):
+            train(arguments, broken.path)
     watcher = Watcher()
     watcher.evaluated = Mock(side_effect=Killed)  # type: ignore[method-assign]
     with pytest.raises(Killed):
@@ -265,8 +272,9 @@ def test_a_finished_run_is_not_run_again_and_another_is_refused(
     assert "has changed since" in command(*flags, code=2)
 
 
-def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
-    """A sweep, which only looks, holds its runs for a moment all the time, and keeps none from beginning."""
+def test_two_processes_do_not_train_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A sweep, which only looks, holds its runs for a moment all the time, and keeps none from beginning. A run that
+    another process has begun and left is not gone on with by other arguments."""
     run, held = Run(tmp_path), threading.Event()
     assert not run.busy()
     with run.locked():
@@ -286,6 +294,14 @@ def test_two_processes_do_not_train_one_run(tmp_path: Path) -> None:
     with run.locked():
         pass
     looking.join()
+
+    def begin_first(agent: Agent) -> None:
+        monkeypatch.undo()
+        with pytest.raises(Killed):
+            train(small("ppo"), tmp_path, Stop(1))
+
+    monkeypatch.setattr(Agent, "check", begin_first)
+    refused("other", "holds a run with other arguments: .*seed 0", train, small("ppo", seed=1), tmp_path)
 
 
 def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> None:

@@ -161,6 +161,7 @@ def test_wrong_settings_and_steps_are_named() -> None:
     env.reset(seed=0)
     refused("turn", "manager_0: has the turn", env.step, {"rxn_0": np.zeros(4)})
     refused("action", r"manager_0: .*given -1", env.step, {"manager_0": -1})
+    refused("options", 'options must be a dict such as {"goal": "dodecane"}', env.reset, options=["goal"])
 
 
 # -- what RLlib makes of it -----------------------------------------------------------------------------------------

@@ -185,37 +185,40 @@ def test_every_way_to_write_an_action_is_the_same_action() -> None:
 
 @pytest.mark.parametrize("name", FEATURED)
 def test_no_reward_is_lost(name: str) -> None:
-    """What ``last()`` gives = what the environment pays = scores of experiments and the manager's result."""
+    """What ``last()`` gives = what the environment pays = scores of experiments and the manager's result, less costs,
+    which are also in the infos."""
     env, rng = laboratory_env(name), np.random.default_rng(1)
     inner: Any = env.unwrapped
     env.reset(seed=3)
     agents, labs = inner.possible_agents, inner.laboratories
-    seen, paid, scored = (dict.fromkeys(agents, 0.0) for _ in range(3))
+    price = inner.scenario.safety.reward_price
+    seen, paid, scored, told = (dict.fromkeys(agents, 0.0) for _ in range(4))
     for agent in env.agent_iter():
-        _, reward, terminated, truncated, _ = env.last()
+        _, reward, terminated, truncated, info = env.last()
         seen[agent] += reward
+        told[agent] += info["score"] - price * info["cost"]
         if terminated or truncated:
             env.step(None)
             continue
         env.step(random_turn(inner, rng))
         for other, value in env.rewards.items():
             paid[other] += value
-        scored[agent] -= inner.scenario.safety.reward_price * inner.infos[agent]["cost"]
+        scored[agent] -= price * inner.infos[agent]["cost"]
         for i in np.flatnonzero(np.isfinite(labs.scores[0])):
             scored[agents[i]] += float(labs.scores[0, i])
-            assert inner.infos[agents[i]]["score"] == labs.scores[0, i]
     scored["manager_0"] = float(labs.result(labs.members)[0])
     assert seen == pytest.approx(paid, rel=1e-12, abs=1e-12)
     assert paid == pytest.approx(scored, rel=1e-12, abs=1e-12)
+    assert told == pytest.approx(scored, rel=1e-12, abs=1e-12)
 
 
 # -- endings --------------------------------------------------------------------------------------------------------
 
 
-def test_a_start_with_a_safety_event_keeps_an_unread_score() -> None:
+def test_a_start_and_a_recall_keep_what_is_unread() -> None:
     env = laboratory(WURTZ)
     labs, act = env.laboratories, env.laboratories.act
-    env.infos["rxn_0"] |= {"experiment_over": True, "score": 0.5}
+    env.infos["rxn_0"] |= {"experiment_over": True, "score": 0.5, "cost": 0.5}
 
     def eventful(number: int, *arguments: Any) -> None:
         act(number, *arguments)
@@ -224,7 +227,9 @@ def test_a_start_with_a_safety_event_keeps_an_unread_score() -> None:
     labs.act = eventful  # type: ignore[method-assign]
     manager(env, "start", "rxn_0", 0, "dodecane")
     told = env.infos["rxn_0"]
-    assert (told["cost"], told["experiment_over"], told["score"]) == (0.25, True, 0.5)
+    assert (told["cost"], told["experiment_over"], told["score"]) == (0.75, True, 0.5)
+    manager(env, "recall", "rxn_0")
+    assert (told["experiment_over"], told["score"]) == (True, 0.5 + labs.scores[0, 1])
 
 
 def test_submitting_terminates_for_all() -> None:

@@ -99,6 +99,8 @@ def test_seeds_of_members_and_resets_of_some() -> None:
     for now, was, then in zip(batch.laboratories.snapshot()[:3], first, moved, strict=False):
         np.testing.assert_array_equal(now[1], was[1])
         np.testing.assert_array_equal(now[[0, 2, 3]], then[[0, 2, 3]])
+    batch.step({"manager_0": np.full(4, batch.laboratories.actions.encode("wait"))})
+    np.testing.assert_equal(batch.reset(seed=[7, 3, 7, 5])[0], seen, "a seed gives the same observations of all agents")
     batch.reset(seed=1, options={"goal": "NaCl"})
     goals = batch.laboratories.state.goal[:, 0]
     assert {batch.scenario.goals[goal] for goal in goals} == {"NaCl"}

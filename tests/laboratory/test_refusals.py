@@ -113,6 +113,7 @@ def test_the_wrong_number_of_a_large_batch_is_found() -> None:
     rows = np.arange(2000) > 10
     for space, actions, found in (
         (gymnasium.spaces.Discrete(41), numbers, "99 at [1500]"),
+        (gymnasium.spaces.Discrete(41), np.where(numbers, 2**64 - 1, 0).astype(np.uint64), f"{2**64 - 1} at [1500]"),
         (gymnasium.spaces.Box(0.0, 1.0, (6,)), boxes, "nan at [1500, 4]"),
     ):
         message = refused(found, "x: actions must be", checked_actions, "x", actions, 2000, space, rows)
@@ -120,9 +121,9 @@ def test_the_wrong_number_of_a_large_batch_is_found() -> None:
 
 
 def test_arguments_that_name_nothing() -> None:
-    batch = BatchedLaboratory(1, WURTZ)
-    for space in (batch.action_space, batch.observation_space):
-        refused("agent", "unknown agent 'rxn'; agents: manager_0, rxn_0", space, "rxn")
+    for env in (BatchedLaboratory(1, WURTZ), raw_env(WURTZ), parallel_env(WURTZ)):
+        for of_agent in (env.action_space, env.observation_space, getattr(env, "observe", env.action_space)):
+            refused("agent", "unknown agent 'rxn'; agents: manager_0, rxn_0", of_agent, "rxn")
     refused("mode", "one of 'NextStep', 'SameStep', 'Disabled', given 'same'", RoleVectorEnv, autoreset_mode="same")
 
 
@@ -178,7 +179,7 @@ ALL = (*ONE, *SEVERAL)
 WRONG: list[tuple[str, dict[str, Any], str, tuple[str, ...]]] = [
     *(
         (WURTZ, {"seed": seed}, r"seed.*integer of at least 0", ALL)
-        for seed in (-1, 1.9, True, [5, -1, 0], [1.9, "2", 0], np.array([1.0, 2.0, 3.0]))
+        for seed in (-1, 1.9, True, [5, -1, 0], [1.9, "2", 0], np.array([1.0, 2.0, 3.0]), np.array(3))
     ),
     (WURTZ, {"seed": [5, 1, 2]}, r"seed.*integer of at least 0", tuple(ONE)),  # one for each of a batch
     (WURTZ, {"seed": [1, 2]}, "3 members, given 2", tuple(SEVERAL)),
