@@ -39,9 +39,7 @@ def _beside(record: Path, kind: str) -> Path:
 @plot.command()
 def curves(
     folders: Annotated[list[Path], typer.Argument(help="Training runs, or folders that contain training runs.")],
-    output: Annotated[Path, typer.Option("--out", "-o", help="Output file, .png, .svg or .pdf.")] = Path(
-        "curves.png"
-    ),
+    output: Annotated[Path, typer.Option("--out", "-o", help="Output file, .png, .svg or .pdf.")] = Path("curves.png"),
     force: ForceOption = False,
 ) -> None:
     """Draw learning curves of training runs, finished or not, with evaluations and the scripted policy's score."""
