@@ -106,7 +106,7 @@ def test_account_tells_who_does_what() -> None:
 
 MISTAKES = {
     "run no_such": ["no_such", "wurtz_dodecane"],
-    "run wurtz_dodecane --policy clever": ["clever", "scripted"],
+    "run wurtz_dodecane --policy clever --record new/x.jsonl": ["clever", "scripted"],
     "run missing/file.toml": ["missing/file.toml", "no such file"],
     "play fictitious --role chef --record x.jsonl": ["no agent is called chef"],
     "play fictitious --background clever --record x.jsonl": ["clever"],
@@ -409,7 +409,7 @@ def test_what_the_system_says_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
     cases = [
         (["run", str(folder)], f"error: {folder}: is not a regular file"),
         (["evaluate", "fictitious", "--episodes", "1", "--update", str(tmp_path / "no.md")], "no such file"),
-        (["run", "fictitious", "--record", str(tmp_path / "file" / "x.jsonl")], os.strerror(errno.EEXIST)),
+        (["run", "fictitious", "--record", str(tmp_path / "file" / "x.jsonl")], os.strerror(errno.ENOTDIR)),
         (["export", "starts", "fictitious", "--episodes", "1", "-o", str(folder)], "is a folder; give a file's name"),
     ]
     for arguments, words in cases:

@@ -190,6 +190,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("Na = 2.0 }", "Na = 0.0 }", ["benches.rxn", "reagents", "Na", "0.0"]),
         ("{ water = 0.001 }", "{ water = -0.001 }", ["costs.stock_per_mol.water", "-0.001"]),
         # Shelf.
+        ("[[shelf.vessel]]", "[shelf.vessel]", ["shelf.vessel: must be a list of tables, each under [[shelf.vessel]]"]),
         ("slots = 3", "slots = 0", ["shelf.slots", "greater than or equal to 1", "0"]),
         ("[benches.rxn]", "[[shelf.vessel]]\ncapacity_l = 1.0\n" * 3 + "[benches.rxn]", ["4 vessels", "on 3 slots"]),
         # Benches.
@@ -197,6 +198,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         (*ext("chemlab.roles:Nothing"), ["benches.ext.kind", "'chemlab.roles:Nothing'"]),
         (*ext("math:pi"), ["benches.ext.kind", "'math:pi'"]),
         (*ext(".bench:Bench"), ["benches.ext.kind", "'.bench:Bench'"]),
+        (*ext("extraction", "step_limits = 5"), ["benches.ext: step_limits: unknown key", "did you mean step_limit?"]),
         (*ext("extraction", 'shape = "round"'), ["benches.ext", "shape", "unknown key", "'round'"]),
         (*ext("extraction", "count = 0"), ["benches.ext.count", "greater than or equal to 1"]),
         # Of a kind that chemlab has no data on.
@@ -568,6 +570,7 @@ def test_the_advice_about_an_empty_table_works(tmp_path: Path) -> None:
     [
         ('base = "wurtz_dodecan"', r"base: unknown 'wurtz_dodecan'; choose from .*wurtz_dodecane.*optimize_coupling"),
         ('base = "nowhere.toml"', r"base: unknown 'nowhere.toml'"),
+        ('bases = "wurtz_dodecane"', r"bases: unknown key; did you mean base\?"),
         ('base = "a.toml"', r"inherits from this scenario"),
         ('remove = ["instruments"]' + BASE, "remove: requires a base, and this scenario has none"),
     ],

@@ -222,6 +222,7 @@ FEED = {"of": ["slot_0"], "material": "1-chlorohexane"}
 BOTTLE = {"of": ["stock"], "material": "Na", "inert": "water"}
 RATE = {"what": "pre_exponential", "of": [WURTZ], **between(0.5, 1.5)}
 WIDE: dict[str, Any] = {"distribution": {"kind": "lognormal", "median": 1.0, "sigma": 1.0}}
+UNKNOWN = {"distribution": {"kind": "uniform", "min": 0.4}}
 NORMAL: dict[str, Any] = {"distribution": {"kind": "normal", "mean": 1.0, "sd": 1.0}}
 
 
@@ -241,8 +242,9 @@ def file(**draw: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("what", "more", "message"),
     [
-        ("titre", FEED, "x: inert: required for a titre"),
-        ("titer", {**FEED, "inert": "water"}, "x: inert: .* not allowed otherwise; given what = 'titer'"),
+        ("titre", FEED, "x: inert: required for titre"),
+        ("titer", {**FEED, "inert": "water"}, "x: inert: only for what = 'titre', given what = 'titer'"),
+        ("ambient_pressure", UNKNOWN, "uniform.min: unknown key, given 0.4; known: kind, low, high"),
         ("amount", {"of": ["slot_0"]}, "x: material: required for amount"),
         ("amount", {"of": [], "material": "Na"}, "x: of: name at least one vessel"),
         ("amount", {"of": ["slot_2"], "material": "Na"}, "unknown vessel 'slot_2'; choose from slot_0, slot_1, rxn"),
@@ -257,7 +259,7 @@ def file(**draw: Any) -> dict[str, Any]:
         (
             "titre",
             {**BOTTLE, **between(0.5, 1.5)},
-            "x: a titre must be from 0 to 1, and may be from 0.5 to 1.5; give lo",
+            "x: a titre must be from 0 to 1, given draws from 0.5 to 1.5; set low",
         ),
         ("amount", {**FEED, **WIDE}, "x: slot_0: .* must be at least 0 and fit in capacity_l = 1; give low and high"),
         ("identity", FEED, "x: distribution: must be a choice or a permutation of materials"),

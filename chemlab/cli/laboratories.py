@@ -226,15 +226,13 @@ def run(
 
 @app.command()
 def warm(
-    scenarios: Annotated[
-        list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Default: all bundled scenarios.")
-    ] = None,
+    scenario: Annotated[list[str] | None, typer.Argument(help="Default: all bundled scenarios.")] = None,
     trust: TrustOption = False,
 ) -> None:
     """Compile the kernels of scenarios ahead, by playing an episode of each; later starts load them from the cache."""
     from ..config.inherit import campaign_names, scenario_names, synthesis_names
 
-    names = scenarios or [*scenario_names(), *campaign_names(), *synthesis_names()]
+    names = scenario or [*scenario_names(), *campaign_names(), *synthesis_names()]
     prepared = [prepare(name, quiet=True) for name in names]
     with counting() as progress:
         task = progress.add_task("scenarios", total=len(names))

@@ -19,7 +19,7 @@ from .. import __version__
 from ..config.datafile import DataError
 from ..config.files import check_apart, check_target, write_json
 from ..config.inherit import files_of, split_level
-from ..config.parts import strangers_code
+from ..config.parts import PartError, strangers_code
 from .screen import err, page, plain
 
 if TYPE_CHECKING:
@@ -43,6 +43,13 @@ def readable_errors() -> Iterator[None]:
             raise
         err.print(f"[red]error[/red]: {plain(_message(error))}")
         raise typer.Exit(getattr(error, "exit_code", 2)) from error
+    except PartError as error:
+        if _shown["traceback"]:
+            raise
+        if error.__cause__ is not None:  # raised by the part's code, whose author needs the line
+            traceback.print_exception(error.__cause__)
+        err.print(f"[red]error[/red]: {plain(str(error))}")
+        raise typer.Exit(2) from error
     except ArithmeticError as error:
         # Too stiff reactions; other arithmetic errors are defects of chemlab and show their traceback.
         if _shown["traceback"] or type(error) is not ArithmeticError:

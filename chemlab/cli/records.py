@@ -98,7 +98,6 @@ def replay(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE [OTHER]",
             help="A record, finished or not (see `chemlab run --record`). Two are shown side by side, in step.",
         ),
     ],

@@ -238,7 +238,7 @@ def train(
     target: Annotated[
         str,
         typer.Argument(
-            metavar="SCENARIO",
+            metavar="scenario",
             help="A scenario (name or path), or the id of an environment of one agent (chemlab/WurtzReaction-v0).",
         ),
     ],
@@ -267,7 +267,7 @@ def train(
     arguments = load_arguments(config, _given(ctx.obj, target))
     place = folder or Path("runs") / arguments.folder()
     if not Run(place).result_file.exists():  # the folder of a finished run is only read
-        check_folder(place, create=False)
+        check_folder(place)
     from ..agents.train import learn
 
     _watched(place, quiet, as_json, lambda watcher: learn.train(arguments, place, watcher))

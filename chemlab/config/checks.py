@@ -203,7 +203,7 @@ def _check_terms(spec: Scenario, draw: Draw, where: str) -> None:
 def _check_titre(draw: Draw, where: str) -> None:
     low, high = draw_limits(draw)
     if draw.what == "titre" and not 0.0 <= low <= high <= 1.0:
-        raise DataError(f"{where}: a titre must be from 0 to 1, and may be from {low:g} to {high:g}; give low and high")
+        raise DataError(f"{where}: a titre must be from 0 to 1, given draws from {low:g} to {high:g}; set low and high")
 
 
 def check_materials(named: list[tuple[str, str]], known: Materials, where: str) -> None:

@@ -48,26 +48,31 @@ def _models(annotation: Any) -> Iterator[type[BaseModel]]:
         yield from _models(inner)
 
 
-def _hint(kind: Any, place: Sequence[int | str]) -> str:
+def _hint(kind: Any, place: Sequence[int | str], others: Sequence[str]) -> str:
     """Return what an unknown key may have meant, as the end of a sentence."""
     *path, key = place
     models = list(_models(kind))
-    for part in path:  # an index, or a key of a table of models, is no field
+    for part in path:  # an index, a key of a table of models, or the kind of one of several models is no field
         inside = [
             one
             for model in models
             if part in model.model_fields
             for one in _models(model.model_fields[str(part)].annotation)
         ]
-        models = inside or models
-    known = list(dict.fromkeys(field for model in models for field in model.model_fields))
+        one_kind = [
+            one
+            for one in models
+            if "kind" in one.model_fields and part in get_args(one.model_fields["kind"].annotation)
+        ]
+        models = inside or one_kind or models
+    known = [*dict.fromkeys(field for model in models for field in model.model_fields), *others]
     near = difflib.get_close_matches(str(key), known, 1)
     if near:
         return f"; did you mean {near[0]}?"
     return f"; known: {', '.join(known)}" if known else ""
 
 
-def _described(error: ValidationError, where: str, kind: Any) -> str:
+def _described(error: ValidationError, where: str, kind: Any, others: Sequence[str]) -> str:
     """Turn a pydantic error into lines ``where: key: problem (given value)``."""
     found = error.errors(include_url=False)
     lines = []
@@ -75,8 +80,10 @@ def _described(error: ValidationError, where: str, kind: Any) -> str:
         place = ".".join(str(part) for part in item["loc"] if not _ALTERNATIVE.match(str(part)))
         message = _WORDS.get(item["type"]) or re.sub(r"^Value error, ", "", item["msg"])
         given = item.get("input")
+        if item["type"] in ("tuple_type", "list_type") and isinstance(given, dict):
+            message = f"must be a list of tables, each under [[{place}]]"
         bare = isinstance(given, (dict, list, tuple, BaseModel)) or item["type"] == "missing"
-        hint = _hint(kind, item["loc"]) if item["type"] == "extra_forbidden" else ""
+        hint = _hint(kind, item["loc"], others) if item["type"] == "extra_forbidden" else ""
         words = message + ("" if bare else f", given {shown(given)}") + hint
         lines.append(": ".join(filter(None, (where, place, words))))
     if len(found) > _LINES:
@@ -87,8 +94,8 @@ def _described(error: ValidationError, where: str, kind: Any) -> str:
 _reader: Callable[[Any], TypeAdapter[Any]] = functools.cache(TypeAdapter)
 
 
-def validated(kind: type[T], values: Any, where: str) -> T:
-    """Build ``kind``, a model or a dataclass, from ``values``.
+def validated(kind: type[T], values: Any, where: str, others: Sequence[str] = ()) -> T:
+    """Build ``kind``, a model or a dataclass, from ``values``; an error about an unknown key also proposes ``others``.
 
     Raises:
         DataError: a value is invalid; the message names ``where`` and the key.
@@ -97,7 +104,7 @@ def validated(kind: type[T], values: Any, where: str) -> T:
         found: T = _reader(kind).validate_python(dict(values) if isinstance(values, Mapping) else values)
         return found
     except ValidationError as error:
-        raise DataError(_described(error, where, kind)) from error
+        raise DataError(_described(error, where, kind, others)) from error
 
 
 def written(model: BaseModel, without: Set[str] = frozenset()) -> dict[str, Any]:

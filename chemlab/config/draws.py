@@ -164,10 +164,10 @@ class Draw(DataModel):
         vessel = self.what in VESSEL_QUANTITIES
         if vessel and self.material is None:
             raise ValueError(f"material: required for {self.what}: the declared material in the vessels")
-        if (self.what == "titre") != (self.inert is not None):
-            raise ValueError(
-                f"inert: required for a titre (its remainder), and not allowed otherwise; given what = {self.what!r}"
-            )
+        if self.what == "titre" and self.inert is None:
+            raise ValueError("inert: required for titre: the material that makes up the rest")
+        if self.what != "titre" and self.inert is not None:
+            raise ValueError(f"inert: only for what = 'titre', given what = {self.what!r}")
         if not vessel and self.material is not None:
             raise ValueError(f"material: only for {', '.join(VESSEL_QUANTITIES)}; put materials under of")
         if vessel and not self.of:

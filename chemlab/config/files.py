@@ -148,19 +148,13 @@ def _sweep(folder: Path) -> None:
                         os.unlink(entry.path)
 
 
-def check_folder(path: Path, create: bool = True) -> None:
-    """Create a folder if necessary and check that it is writable, before any results exist.
-
-    Args:
-        path: the folder.
-        create: if False, nothing is created, and the nearest folder above it that exists is checked instead.
+def check_folder(path: Path) -> None:
+    """Check that a folder, or the nearest one above it that exists, is writable, before any results exist.
 
     Raises:
         ValueError: it is not writable.
     """
     try:
-        if create:
-            path.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=next(at for at in (path, *path.absolute().parents) if at.exists())):
             pass
     except OSError as error:
@@ -168,7 +162,7 @@ def check_folder(path: Path, create: bool = True) -> None:
 
 
 def check_target(path: Path, force: bool) -> None:
-    """Check that a file can be written and create its folder, before any results exist.
+    """Check that a file can be written, before any results exist.
 
     Raises:
         ValueError: it exists, unless ``force`` allows to overwrite it, or cannot be written.

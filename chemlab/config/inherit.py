@@ -6,6 +6,7 @@ It works on parsed files before they are validated by the models of :mod:`chemla
 from __future__ import annotations
 
 import copy
+import difflib
 import functools
 import importlib.resources
 import os.path
@@ -183,6 +184,8 @@ def _whole(bench: Mapping[str, Any], where: str) -> dict[str, Any]:
 def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple[str, ...]) -> dict[str, Any]:
     own = dict(values)
     if "base" not in own:
+        if misspelt := difflib.get_close_matches("base", own, 1, 0.7):
+            raise DataError(f"{where}: {misspelt[0]}: unknown key; did you mean base?")
         if "remove" in own:
             raise DataError(f"{where}: remove: requires a base, and this scenario has none")
         return own

@@ -520,7 +520,10 @@ class Bench(ABC):
         self.chemistry = chemistry
         self.goals = Goals.of(scenario)
         self.options: Any = validated(
-            self.options_model, self.spec.model_extra or {}, f"{scenario.origin}: benches.{key}"
+            self.options_model,
+            self.spec.model_extra or {},
+            f"{scenario.origin}: benches.{key}",
+            others=list(type(self.spec).model_fields),
         )
         self.auxiliary_capacity_l = float(getattr(self.options, "auxiliary_capacity_l", 1.0))
         self.step_limit = self.spec.step_limit
