@@ -134,7 +134,8 @@ def _in_order(policies: Mapping[str, Policy], agents: Sequence[str]) -> list[Pol
         ValueError: the keys differ from the agents' names; roles (``rxn``) instead of agents are an error, too.
     """
     if set(policies) != set(agents):
-        raise ValueError(f"policies: needs one for each of {', '.join(agents)}, given {', '.join(map(str, policies))}")
+        given = ", ".join(map(str, policies)) or "none"
+        raise ValueError(f"policies: needs one for each of {', '.join(agents)}, given {given}")
     return [policies[agent] for agent in agents]
 
 

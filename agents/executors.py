@@ -368,8 +368,8 @@ def connected(address: str | None, runners: int) -> Iterator[Any]:
                 ray.init(address, **quiet)
             except (OSError, RuntimeError, ValueError) as error:  # a ConnectionError is an OSError
                 raise ValueError(
-                    f"address: no Ray cluster to join at {address!r} ({error}); give auto or HOST:PORT of a cluster; ray "
-                    "start --head starts one (with token authentication, set RAY_AUTH_MODE=token here as well)"
+                    f"address: no Ray cluster to join at {address!r} ({error}); give auto or a cluster's HOST:PORT; "
+                    "ray start --head starts one (with token authentication, set RAY_AUTH_MODE=token here as well)"
                 ) from error
     try:
         cpus = int(ray.cluster_resources().get("CPU", 0))

@@ -98,7 +98,7 @@ class _Enforced(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
 
 
 class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
-    """The laboratory without wrappers; it checks every action itself.
+    """The laboratory as a PettingZoo AEC environment, without wrappers; it checks every action itself.
 
     Args:
         scenario: a bundled name, a path to a TOML file, or a loaded scenario.

@@ -41,7 +41,7 @@ from .rendering import RENDER_MODES
 
 
 class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]):
-    """The laboratory for all agents at once; it checks every action itself.
+    """The laboratory as a PettingZoo parallel environment, for all agents at once; it checks every action itself.
 
     Args:
         scenario: a bundled name, a path to a TOML file, or a loaded scenario.

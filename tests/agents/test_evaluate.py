@@ -162,6 +162,7 @@ def test_policies_are_for_the_agents_that_are_there() -> None:
     for wrong in ({**policies, "manager": policies["manager_0"]}, {"rxn_0": policies["rxn_0"]}):
         refused("episode", said, play_episode, env, wrong, 0)
         refused("laboratory", said, play_laboratory, env.laboratories, wrong, None, 0)
+    refused("without", f"{said}none", play_episode, env, {}, 0)
 
 
 def test_command_for_people_and_programs(tmp_path: Path) -> None:

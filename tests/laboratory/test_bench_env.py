@@ -322,13 +322,14 @@ def test_a_step_after_the_end_is_refused(name: str) -> None:
         ({"bench": "lathe"}, r"rxn.*given 'lathe'"),
         ({"goals": "gold"}, r"goals: .*given 'gold'"),
         ({"goals": []}, r"goals"),
+        ({"goal": "E"}, r"unknown arguments: goal; choose from .* goals, "),
         ({"render_mode": "holography"}, r"render_mode.*given 'holography'"),
         ({"starts": "moon"}, r"'paper', 'lab' or 'both', given 'moon'"),
     ],
 )
 def test_unknown_arguments(arguments: dict[str, Any], message: str) -> None:
     for make in (RoleEnv, RoleVectorEnv):
-        with pytest.raises(ValueError, match=message):
+        with pytest.raises((ValueError, TypeError), match=message):
             make(**{"bench": "rxn", **arguments})
 
 
