@@ -114,6 +114,15 @@ def _make_pairs(
     return pair_text(rows, command), rows
 
 
+def _make_tables(new: Sequence[Compound], own: dict[str, Any]) -> dict[str, Any]:
+    """Return the tables of new materials, with a progress line."""
+    from ..openchem.compounds import material_tables
+
+    with counting() as progress:
+        task = progress.add_task("materials", total=len(new))
+        return material_tables(new, own, lambda _: progress.advance(task))
+
+
 def _unbundled(names: Iterable[str]) -> list[tuple[str, str]]:
     """Return every pair of some materials that no bundled pair file has."""
     from ..config.pairs import shipped_pairs
@@ -175,9 +184,7 @@ def material(
     tables: dict[str, Any] = {}
     texts: dict[Path, str] = {}
     if new:
-        with counting() as progress:
-            task = progress.add_task("materials", total=len(new))
-            tables = compounds.material_tables(new, own, lambda _: progress.advance(task))
+        tables = _make_tables(new, own)
         words = [*(what or []), *_words({"--name": name, "--values": values})]
         texts[output] = material_text(tables, _command("data", "material", *words))
     keys = [*bundled.values(), *tables]
@@ -192,7 +199,7 @@ def material(
         typer.echo(json.dumps({"materials": tables, "shipped": bundled, "pairs": len(missing) if pairs else 0}))
         return
     for key, bundled_key in bundled.items():
-        out.print(f"{plain(key)}: is bundled as {plain(bundled_key)} ({plain(_identify(requested, key))})")
+        out.print(f"{plain(key)}: not written: bundled as {plain(bundled_key)} ({plain(_identify(requested, key))})")
     _show_materials(tables, requested)
     _show_ideal(rows)
     if new:
@@ -321,7 +328,7 @@ def reactions(
     tables: dict[str, Any] = {}
     if new:
         _check_output(material_file, force, *read)
-        tables = compounds.material_tables(new, own_values)
+        tables = _make_tables(new, own_values)
         known |= compounds.checked_materials(tables)
     elif own_values:
         raise ValueError(f"--values: {min(own_values)}: is not written by this command: all materials are known")
