@@ -99,6 +99,11 @@ def may_run(otherwise: bool) -> bool:
     return otherwise if told is None else told
 
 
+def _imported(one: Any, module: ModuleType) -> bool:
+    """Return whether a name of a module is another module, or a class or function of one."""
+    return isinstance(one, ModuleType) or (hasattr(one, "__qualname__") and one.__module__ != module.__name__)
+
+
 def load_part(
     name: str,
     scenario: Scenario,
@@ -136,7 +141,8 @@ def load_part(
         else:
             module = importlib.import_module(where)
         if not hasattr(module, wanted):
-            there = ", ".join(n for n in vars(module) if not n.startswith("_"))
+            own = (n for n, one in vars(module).items() if not n.startswith("_") and not _imported(one, module))
+            there = ", ".join(own)
             raise AttributeError(f"{where} has no {wanted!r}; it has {there:.500}")
         part = getattr(module, wanted)
         if base is not None and not (isinstance(part, type) and issubclass(part, base)):
