@@ -197,7 +197,7 @@ def scalar(bench, shelf, experiments, members):
     ("old", "new", "says"),
     [
         ("my_parts.py:REFRACTOMETER", "no_file.py:REFRACTOMETER", "refractometer.kind: .*no file .*no_file.py"),
-        ("my_parts.py:REFRACTOMETER", "my_parts.py:SPECTROMETER", r"no 'SPECTROMETER'; it has (?!.*Sequence).*REFRACTO"),
+        ("my_parts.py:REFRACTOMETER", "my_parts.py:SPECTROMETER", r"no 'SPECTROMETER'; it has (?!.*Turn).*REFRACTO"),
         ("my_parts.py:REFRACTOMETER", "refractometer", "unknown kind 'refractometer'; choose from uv_vis"),
         ("my_parts.py:REFRACTOMETER", "my_parts.py:EVAPORATE", "must be a chemlab.roles.instruments.Instrument"),
         ("my_parts.py:EVAPORATE", "my_parts.py:REFRACTOMETER", "must be a chemlab.roles.operations.Operation"),
