@@ -224,9 +224,10 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
         **settings: Unpack[Settings],
     ) -> None:
         mode = _mode(autoreset_mode)
-        if unknown := settings.keys() - Settings.__annotations__:
+        for unknown in settings.keys() - Settings.__annotations__:
             known = ["scenario", "agent", "policies", "bench", "goals", "starts", *Settings.__annotations__]
-            raise TypeError(f"unknown arguments: {', '.join(sorted(unknown))}; choose from {', '.join(known)}")
+            # Python's words, which TorchRL searches for.
+            raise TypeError(f"unexpected keyword argument {unknown!r}; choose from {', '.join(known)}")
         check_count("num_envs", num_envs, "scenario")
         if threads is not None:
             check_count("threads", threads)

@@ -322,7 +322,7 @@ def test_a_step_after_the_end_is_refused(name: str) -> None:
         ({"bench": "lathe"}, r"rxn.*given 'lathe'"),
         ({"goals": "gold"}, r"goals: .*given 'gold'"),
         ({"goals": []}, r"goals"),
-        ({"goal": "E"}, r"unknown arguments: goal; choose from .* goals, "),
+        ({"goal": "E"}, r"unexpected keyword argument 'goal'; choose from .* goals, "),
         ({"render_mode": "holography"}, r"render_mode.*given 'holography'"),
         ({"starts": "moon"}, r"'paper', 'lab' or 'both', given 'moon'"),
     ],
