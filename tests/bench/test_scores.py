@@ -88,6 +88,17 @@ def test_absolute_purity_counts_everything() -> None:
     assert measured(salt, {"NaCl": 0.2, "Na+": 0.4, "Cl-": 0.4, "water": 0.6}) == pytest.approx(0.6 * 0.5, rel=1e-14)
 
 
+def test_a_salt_counts_in_purity_among_as_much_dissolved_as_not() -> None:
+    """Of 0.5 mol of salt and 0.3 mol of dodecane, whatever else is there; never more than 1."""
+    among = {"NaCl": {"purity_among": ["NaCl", "dodecane"]}}
+    batch = ExperimentBatch(load_scenario({**mapping("wurtz_dodecane"), "specifications": among}), "ext")
+    batch.reset(batch.members, batch.scenario.goals.index("NaCl"))
+    for solid, ions in ((0.5, 0.0), (0.1, 0.4)):
+        measured(batch, {"water": 20.0, "NaCl": solid, "Na+": ions, "Cl-": ions, "dodecane": 0.3})
+        found = batch.bench.best(batch.shelf, batch.experiments, batch.members)
+        assert found[0] == pytest.approx([0.5, 0.5 / 0.8], rel=1e-14)
+
+
 @pytest.mark.parametrize("bench", ["ext", "dit"])
 def test_lost_product_counts_against_the_agent(bench: str) -> None:
     """With everything gone the measure is 0, so the score is minus what there was at the start."""
