@@ -196,6 +196,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         # Benches.
         (*ext("alchemy"), ["benches.ext.kind", "'alchemy'", "extraction"]),
         (*ext("chemlab.roles:Nothing"), ["benches.ext.kind", "'chemlab.roles:Nothing'"]),
+        (*ext("extraction", "report = true"), ["benches.ext: report: must not be true or false, given true"]),
         (*ext("math:pi"), ["benches.ext.kind", "'math:pi'"]),
         (*ext(".bench:Bench"), ["benches.ext.kind", "'.bench:Bench'"]),
         (*ext("extraction", 'shape = "round"'), ["benches.ext", "shape", "unknown key", "'round'"]),
