@@ -193,6 +193,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ("slots = 3", "slots = 0", ["shelf.slots", "greater than or equal to 1", "0"]),
         ("slots = 3", "slots = 2", ["shelf.slots", "bench 'ext' needs at least 3 slots, given 2"]),
         ("[benches.rxn]", "[[shelf.vessel]]\ncapacity_l = 1.0\n" * 3 + "[benches.rxn]", ["4 vessels", "on 3 slots"]),
+        ("[instruments]", "[demand]\nfeedback = 'all'\n[instruments]", ["demand.feedback: Input should be 'none'"]),
         # Benches.
         (*ext("alchemy"), ["benches.ext.kind", "'alchemy'", "extraction"]),
         (*ext("chemlab.roles:Nothing"), ["benches.ext.kind", "'chemlab.roles:Nothing'"]),

@@ -360,7 +360,7 @@ class OrderTerms(OrderSpec):
 class GradeSpec(OrderSpec):
     """Quality requirement of an experiment, chosen by the manager and observed by the bench's agent.
 
-    An experiment that fails it scores 0.
+    An experiment that fails it scores 0, or its loss.
     """
 
     ticks: int | None = Field(default=None, ge=1, le=10_000)

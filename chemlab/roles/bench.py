@@ -707,7 +707,8 @@ class Bench(ABC):
         """End experiments and return their scores [B]."""
         score: FloatArray = self.measure(shelf, experiments, members) - experiments.baseline[members]
         if self.grades.names:
-            score = score * self.grades.met(experiments.grade[members], self.best(shelf, experiments, members))
+            met = self.grades.met(experiments.grade[members], self.best(shelf, experiments, members))
+            score = np.where(met, score, np.minimum(score, 0.0))
         experiments.busy[members] = False
         self.release(shelf, experiments, members)
         return score

@@ -224,7 +224,6 @@ def test_levels_reveal_and_grow(name: str) -> None:
         ({**mapping("campaign"), "levels": {"2": {"remove": "costs"}}}, r"levels\.2: remove: must be a list of keys"),
         ({**mapping("campaign"), "levels": {"3": {}}}, r"levels: must be tables \[levels\.1\] and \[levels\.2\]"),
         ({**mapping("campaign"), "name": "campaign@1"}, r"name: 'campaign@1' must not have a level"),
-        ({**mapping("campaign"), "demand": {"feedback": "all"}}, r"demand\.feedback: Input should be 'none', given 'all'"),
     ],
 )
 def test_levels_that_do_not_exist_are_refused(given: Any, message: str) -> None:
