@@ -28,7 +28,7 @@ from .config.inherit import declared_levels
 from .config.loading import load_scenario, reachable_materials
 from .config.materials import Material, atoms_of
 from .config.reactions import equation
-from .config.scenario import Scenario
+from .config.scenario import OrderSpec, Scenario
 from .envs.aec import raw_env
 from .envs.batch import BatchedLaboratory
 from .envs.parallel import parallel_env
@@ -106,6 +106,15 @@ def doubts(scenario: Scenario) -> list[str]:
         if 0.0 < barrier < _LEAST_BARRIER_J_MOL:
             lines.append(
                 f"reactions: {equation(step)}: activation_energy_j_mol = {barrier:g}; give it in J/mol, not kJ"
+            )
+    demand, wanted = scenario.demand, scenario.specifications
+    least = [order.amount_at_least_mol for order in demand.order] or [0.0] * (demand.missed > 0.0)
+    amounts_drawn = any(draw.what == "amount_at_least_mol" for draw in scenario.world.draws.values())
+    for goal in scenario.lab_goals if 0.0 in least and not amounts_drawn and demand.fill_at_least == 0.0 else ():
+        if wanted.get(goal, OrderSpec()).amount_at_least_mol == 0.0:
+            lines.append(
+                f"demand: an order is met by any trace of {goal!r}: give specifications.{goal}.amount_at_least_mol or "
+                "demand.fill_at_least"
             )
     if custom:
         return lines

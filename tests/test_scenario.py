@@ -192,10 +192,13 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         # Shelf.
         ("[[shelf.vessel]]", "[shelf.vessel]", ["shelf.vessel: must be a list of tables, each under [[shelf.vessel]]"]),
         ("slots = 3", "slots = 0", ["shelf.slots", "greater than or equal to 1", "0"]),
+        ("slots = 3", "slots = 2", ["shelf.slots", "bench 'ext' needs at least 3 slots, given 2"]),
         ("[benches.rxn]", "[[shelf.vessel]]\ncapacity_l = 1.0\n" * 3 + "[benches.rxn]", ["4 vessels", "on 3 slots"]),
+        ("[instruments]", "[demand]\nfeedback = 'all'\n[instruments]", ["demand.feedback: Input should be 'none'"]),
         # Benches.
         (*ext("alchemy"), ["benches.ext.kind", "'alchemy'", "extraction"]),
         (*ext("chemlab.roles:Nothing"), ["benches.ext.kind", "'chemlab.roles:Nothing'"]),
+        (*ext("extraction", "report = true"), ["benches.ext: report: must not be true or false, given true"]),
         (*ext("math:pi"), ["benches.ext.kind", "'math:pi'"]),
         (*ext(".bench:Bench"), ["benches.ext.kind", "'.bench:Bench'"]),
         (*ext("extraction", "step_limits = 5"), ["benches.ext: step_limits: unknown key", "did you mean step_limit?"]),
@@ -508,19 +511,21 @@ def test_a_file_with_a_base_says_only_what_is_different(tmp_path: Path) -> None:
     assert list(dear.instruments) == list(base.instruments), "and the order is the base's"
 
 
-def test_files_and_parts_of_a_base_are_found_beside_it(tmp_path: Path) -> None:
+def test_files_and_parts_of_a_base_are_found_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = min(load_scenario("crude").pairs, key=sorted)
     rest = 'a = [0, 0], b = [7, 7], alpha = 0.3, low_k = 270, high_k = 400, error = 0, source = "made up"'
     row = f"{{ of = {sorted(names)}, {rest} }}"
     (tmp_path / "p.toml").write_text(f'pairs = [{row}]\n[lock]\nmade = "up"\n')
     key = min(load_scenario("crude").benches)
-    model = f'[benches.{key}]\nmodel = "parts.py:Slow"\n'
+    model = f'[benches.{key}]\nmodel = "parts.py:Slow"\n[levels.2]\npair_files = ["p.toml"]'
     (tmp_path / "first.toml").write_text(f'base = "crude"\nname = "first"\npair_files = ["p.toml"]\n{model}')
     (tmp_path / "below").mkdir()
     (tmp_path / "below" / "second.toml").write_text('base = "../first.toml"\nname = "second"\n')
-    second = load_scenario(tmp_path / "below" / "second.toml")
-    assert second.pairs[names].b == (7.0, 7.0)
-    assert second.benches[key].model == "../parts.py:Slow"
+    monkeypatch.chdir(tmp_path)
+    for path in (tmp_path / "below" / "second.toml", "below/second.toml", "below/second.toml@2"):
+        second = load_scenario(path)
+        assert second.pairs[names].b == (7.0, 7.0)
+        assert second.benches[key].model == "../parts.py:Slow"
 
 
 def derived(folder: Path, text: str, base: str = "wurtz_dodecane") -> Scenario:
@@ -572,6 +577,7 @@ def test_the_advice_about_an_empty_table_works(tmp_path: Path) -> None:
         ('base = "nowhere.toml"', r"base: unknown 'nowhere.toml'"),
         ('bases = "wurtz_dodecane"', r"bases: unknown key; did you mean base\?"),
         ('base = "a.toml"', r"inherits from this scenario"),
+        ('base = "unlabelled@1"', r"base: 'unlabelled@1' must not have a level"),
         ('remove = ["instruments"]' + BASE, "remove: requires a base, and this scenario has none"),
     ],
 )

@@ -297,7 +297,12 @@ def test_errors_name_file_key_and_bound(what: str, more: dict[str, Any], message
         (
             {"what": "titre", "inert": "dodecane", **FEED},
             {"what": "titre", "inert": "water", **FEED},
-            "world.draws.other: slot_0: world.draws.one draws the titre of '1-chlorohexane' in it already; remove one",
+            "world.draws.other: slot_0: world.draws.one draws its titre already; remove one",
+        ),
+        (
+            {**RATE, "change": "offset", **between(-0.9, 0.0)},
+            {**RATE, "change": "offset", **between(-0.9, 0.0)},
+            r"world.draws.other: 2 .*: world.draws.one draws its pre_exponential already; remove one",
         ),
         (
             {"what": "amount", **FEED, **choice(3.0)},

@@ -104,12 +104,16 @@ def check_charges(spec: Scenario, known: Materials, family: ReactionFamily, wher
 
 
 def check_draws(spec: Scenario, known: Materials, where: str) -> None:
-    """Check that drawn vessels exist, that nothing of them is drawn twice, and that drawn contents fit."""
+    """Check that nothing is drawn twice, that drawn vessels exist, and that drawn contents fit."""
     starts = {name: vessel for name, (_, vessel) in _vessels(spec).items()}
     drawn: dict[tuple[str, str, str], str] = {}
     most: dict[str, dict[str, float]] = {}
     for key, draw in spec.world.draws.items():
         here = f"{where}: world.draws.{key}"
+        for name in draw.of or ("the laboratory",):
+            other = drawn.setdefault((name, str(draw.material), draw.what), key)
+            if other != key:
+                raise DataError(f"{here}: {name}: world.draws.{other} draws its {draw.what} already; remove one")
         if draw.what in DEVICE_QUANTITIES:
             _check_devices(spec, draw, here)
         if draw.what in ORDER_QUANTITIES:
@@ -127,12 +131,6 @@ def check_draws(spec: Scenario, known: Materials, where: str) -> None:
                 held = f"{', '.join(contents)} only" if contents else "nothing"
                 raise DataError(f"{here}.material: {draw.material!r} is not in {name}, which has {held}")
             material = str(draw.material)
-            other = drawn.setdefault((name, material, draw.what), key)
-            if other != key:
-                raise DataError(
-                    f"{here}: {name}: world.draws.{other} draws the {draw.what} of {material!r} in it already; "
-                    "remove one"
-                )
             _check_titre(draw, f"{here}: {name}")
             if draw.what == "amount":
                 least, highest = changed_limits(draw, starts[name].contents[material])

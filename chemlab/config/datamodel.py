@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, model_validator
 
 from .datafile import DataError, shown
 
@@ -21,9 +21,17 @@ T = TypeVar("T")
 
 
 class DataModel(BaseModel):
-    """Immutable values of a file; unknown keys, NaN and infinity are errors."""
+    """Immutable values of a file; unknown keys, NaN, infinity, and booleans as numbers are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _no_boolean(cls, values: Any) -> Any:
+        for key, field in cls.model_fields.items() if isinstance(values, Mapping) else ():
+            if isinstance(values.get(key), bool) and field.annotation not in (bool, Any):
+                raise ValueError(f"{key}: must not be true or false, given {str(values[key]).lower()}")
+        return values
 
 
 _WORDS = {
@@ -36,7 +44,7 @@ _WORDS = {
 """Problems in the words of files, by pydantic's name."""
 
 
-_ALTERNATIVE = re.compile(r"tuple\[|constrained-")
+_ALTERNATIVE = re.compile(r"tuple\[|constrained-|literal\[")
 """Pydantic's names of some alternatives of a value's type, which are no keys."""
 
 

@@ -190,6 +190,8 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
             raise DataError(f"{where}: remove: requires a base, and this scenario has none")
         return own
     base, remove = own.pop("base"), own.pop("remove", [])
+    if split_level(str(base))[1] is not None:
+        raise DataError(f"{where}: base: {base!r:.200} must not have a level; give the level to this scenario: NAME@1")
     path = shipped_file(base) or folder / str(base)
     if path.suffix != ".toml" or not os.path.isfile(path):
         shipped = ", ".join([*scenario_names(), *campaign_names(), *synthesis_names()])
@@ -199,11 +201,7 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
     if len(above) >= _LONGEST_CHAIN:
         raise DataError(f"{where}: base: more than {_LONGEST_CHAIN} nested bases")
     under = _inherited(read_toml(path), str(path), path.parent, (*above, str(path.resolve())))
-    for key in ("material_files", "pair_files", "reactions"):
-        # Paths are relative to the file that contains them.
-        if key not in own and key in under:
-            under[key] = _absolute(under[key], path.parent)
-    under = _parts_from(under, folder, path.parent)
+    under = _files_from(under, folder, path.parent)
     _check_remove(remove, where)
     for entry in remove:
         under = _without(under, dotted_key(entry, f"{where}: remove"), entry, f"{where}: remove", str(base))
@@ -213,21 +211,26 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
 def _absolute(files: Any, folder: Path) -> Any:
     if isinstance(files, list):
         return [_absolute(file, folder) for file in files]
-    return str(folder / files) if str(files).endswith(".toml") else files
+    return str((folder / files).resolve()) if str(files).endswith(".toml") else files
 
 
+_DATA = ("material_files", "pair_files", "reactions")
 _PARTS = ("kind", "model", "observe", "reward")
-"""Keys whose values name parts, anywhere in the file."""
+"""Keys whose values name data files, and keys whose values name parts, anywhere in the file."""
 
 
-def _parts_from(value: Any, folder: Path, base: Path) -> Any:
-    """Rewrite the parts (``file.py:NAME``) of a base's tables relative to another folder."""
+def _files_from(value: Any, folder: Path, base: Path) -> Any:
+    """Rewrite the data files and the parts (``file.py:NAME``) of a base's tables relative to another folder."""
     if isinstance(value, list):
-        return [_parts_from(item, folder, base) for item in value]
+        return [_files_from(item, folder, base) for item in value]
     if not isinstance(value, Mapping):
         return value
     return {
-        key: _part_from(item, folder, base) if key in _PARTS else _parts_from(item, folder, base)
+        key: _absolute(item, base)
+        if key in _DATA
+        else _part_from(item, folder, base)
+        if key in _PARTS
+        else _files_from(item, folder, base)
         for key, item in value.items()
     }
 

@@ -271,8 +271,8 @@ class CostSpec(DataModel):
 class SafetySpec(DataModel):
     """Weights of safety events in ``info["cost"]``, and the price of that cost in the reward."""
 
-    weights: dict[Key, Price]
-    """Weight of each kind of event in the cost."""
+    weights: dict[Key, Price] = dict.fromkeys(SAFETY_EVENTS, 1.0)
+    """Weight of each kind of event in the cost; without this key, 1 for each built-in kind."""
     events: dict[Key, str] = Field(default={}, max_length=32)
     """Your own kinds of events with their meanings; your own benches or operations report them."""
     reward_price: Price = 0.0
@@ -342,7 +342,7 @@ class ProductSpec(OrderSpec):
     purity_among: tuple[Key, ...] = Field(default=(), max_length=64)
     """Materials among which the purity is computed, as in a chromatogram of products without solvents and salts.
 
-    The score uses this purity as well. Empty: everything in the vessel.
+    The score uses this purity as well. A salt counts dissolved, too. Empty: everything in the vessel.
     """
 
 
@@ -360,7 +360,7 @@ class OrderTerms(OrderSpec):
 class GradeSpec(OrderSpec):
     """Quality requirement of an experiment, chosen by the manager and observed by the bench's agent.
 
-    An experiment that fails it scores 0.
+    An experiment that fails it scores 0, or its loss.
     """
 
     ticks: int | None = Field(default=None, ge=1, le=10_000)
@@ -377,7 +377,10 @@ class DemandSpec(DataModel):
     order: tuple[OrderTerms, ...] = Field(default=(), max_length=16)
     """Terms of every order; empty: all orders exist from the beginning and are paid by amount and purity."""
     missed: float = Field(default=0.0, ge=0.0, le=100.0)
-    """Penalty of an order that pays nothing by the end of the episode, as a share of its price (1 without terms)."""
+    """Penalty of an order that pays nothing by the end of the episode, as a share of its price (1 without terms).
+
+    A least amount or ``fill_at_least`` prevents that a trace avoids it.
+    """
     fill_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
     """Minimum fill level, as the manager observes it, of a vessel that may be submitted."""
     feedback: Annotated[float, Field(ge=0.0, le=1.0)] | Literal["none"] = 0.0
@@ -471,7 +474,7 @@ class Scenario(DataModel):
     """Limits at which an episode ends without the last submission."""
     costs: CostSpec = CostSpec()
     """Costs subtracted from the score."""
-    safety: SafetySpec = SafetySpec(weights=dict.fromkeys(SAFETY_EVENTS, 1.0))
+    safety: SafetySpec = SafetySpec()
     """Weights and price of safety events."""
     rewards: Annotated[RewardSpec, BeforeValidator(_reward_mix)] = RewardSpec()
     """Reward mix: numbers, or a mix's name."""

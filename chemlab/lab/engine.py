@@ -119,6 +119,9 @@ class Laboratories:
         kinds = {key: build_bench(key, spec, chemistry) for key in spec.benches}
         self.benches: list[Bench] = [kinds[key] for key, bench in spec.benches.items() for _ in range(bench.count)]
         positions = np.array([len(bench.positions) for bench in self.benches], dtype=np.int64)
+        if (most := int(positions.max())) > slots:
+            key = self.benches[int(positions.argmax())].key
+            raise DataError(f"{spec.origin}: shelf.slots: bench {key!r} needs at least {most} slots, given {slots}")
         first = slots + np.concatenate(([0], np.cumsum(positions)[:-1])).astype(np.int64)
         self.vessels_per_laboratory = int(slots + positions.sum())
         self.shelf = Shelf(chemistry, n, self.vessels_per_laboratory)

@@ -192,7 +192,8 @@ class Goals:
                     absolute[g, i] = 0.5 if role == "ion" else 1.0
                     solute[g, i] = ion if role == "ion" else 2.0 * ion if name in salts else float(counted)
         among = [scenario.specifications.get(goal, ProductSpec()).purity_among or names for goal in scenario.goals]
-        weighed = np.array([[name in own for name in names] for own in among], dtype=np.float64)
+        alike = {name: {name} | {s.solid for s in salts.values() if name in (s.cation, s.anion)} for name in names}
+        weighed = np.array([[not alike[name].isdisjoint(own) for name in names] for own in among], dtype=np.float64)
         return cls(tuple(scenario.goals), parts, solute, absolute, absolute * weighed)
 
 
@@ -709,7 +710,8 @@ class Bench(ABC):
         """End experiments and return their scores [B]."""
         score: FloatArray = self.measure(shelf, experiments, members) - experiments.baseline[members]
         if self.grades.names:
-            score = score * self.grades.met(experiments.grade[members], self.best(shelf, experiments, members))
+            met = self.grades.met(experiments.grade[members], self.best(shelf, experiments, members))
+            score = np.where(met, score, np.minimum(score, 0.0))
         experiments.busy[members] = False
         self.release(shelf, experiments, members)
         return score

@@ -7,7 +7,7 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from ..config.scenario import Scenario
-from ..kernels.arrays import Field, FloatArray, IntArray, StreamArray
+from ..kernels.arrays import BoolArray, Field, FloatArray, IntArray, StreamArray
 from ..kernels.jit import kernel
 from ..kernels.rng import normal
 from ..physics.chemistry import AMOUNTS
@@ -52,10 +52,9 @@ class Grades:
         columns = [np.minimum(self.amount / self.largest, 1.0), self.purity, self.ticks / limit]
         self.shown = np.stack(columns, axis=-1)
 
-    def met(self, grade: IntArray, found: FloatArray) -> IntArray:
-        """Return [B] 1 if the amounts and purities ``found`` [B, 2] meet the requirement, else 0."""
-        enough = (found[:, 0] >= self.amount[grade]) & (found[:, 1] >= self.purity[grade])
-        return enough.astype(np.int64)
+    def met(self, grade: IntArray, found: FloatArray) -> BoolArray:
+        """Return [B] whether the amounts and purities ``found`` [B, 2] meet the requirement."""
+        return np.asarray((found[:, 0] >= self.amount[grade]) & (found[:, 1] >= self.purity[grade]))
 
 
 def best_vessel(rows: FloatArray, parts: IntArray, counts: FloatArray) -> FloatArray:

@@ -26,5 +26,6 @@ def kept(bench: Bench, shelf: Shelf, experiments: Experiments, members: IntArray
     mol, purity = pot(bench, shelf, experiments, members)
     grade = experiments.grade[members]
     gain = bench.measure(shelf, experiments, members) - experiments.baseline[members]
-    score = gain * bench.grades.met(grade, bench.best(shelf, experiments, members))
+    met = bench.grades.met(grade, bench.best(shelf, experiments, members))
+    score = np.where(met, gain, np.minimum(gain, 0.0))
     return np.where(experiments.ended[members], mol * (purity >= bench.grades.purity[grade]) - score, 0.0)

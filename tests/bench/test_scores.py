@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from helpers import mapping, play_experiments
 from chemlab.agents.policies import scripted_bench
 from chemlab.agents.random_policy import RandomPolicy
 from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.backends import most_steps
@@ -20,7 +22,7 @@ from chemlab.roles.operation_bench import OperationBench
 # -- scores of given contents -------------------------------------------------------------------------------------
 
 
-def arena_for(bench: str, goal: str, scenario: str = "wurtz_dodecane", members: int = 1) -> ExperimentBatch:
+def arena_for(bench: str, goal: str, scenario: str | Scenario = "wurtz_dodecane", members: int = 1) -> ExperimentBatch:
     """A running experiment of each member, on its paper's starting state."""
     batch = ExperimentBatch(scenario, bench, members)
     for member in batch.members:
@@ -88,10 +90,21 @@ def test_absolute_purity_counts_everything() -> None:
     assert measured(salt, {"NaCl": 0.2, "Na+": 0.4, "Cl-": 0.4, "water": 0.6}) == pytest.approx(0.6 * 0.5, rel=1e-14)
 
 
+def test_a_salt_counts_in_purity_among_as_much_dissolved_as_not() -> None:
+    """Of 0.5 mol of salt and 0.3 mol of dodecane, whatever else is there; never more than 1."""
+    among = {"NaCl": {"purity_among": ["NaCl", "dodecane"]}}
+    batch = arena_for("ext", "NaCl", load_scenario({**mapping("wurtz_dodecane"), "specifications": among}))
+    for solid, ions in ((0.5, 0.0), (0.1, 0.4)):
+        measured(batch, {"water": 20.0, "NaCl": solid, "Na+": ions, "Cl-": ions, "dodecane": 0.3})
+        found = batch.bench.best(batch.shelf, batch.experiments, batch.members)
+        assert found[0] == pytest.approx([0.5, 0.5 / 0.8], rel=1e-14)
+
+
+@pytest.mark.parametrize("grades", [{}, {"pure": {"purity_at_least": 1.0}}])
 @pytest.mark.parametrize("bench", ["ext", "dit"])
-def test_lost_product_counts_against_the_agent(bench: str) -> None:
-    """With everything gone the measure is 0, so the score is minus what there was at the start."""
-    batch = arena_for(bench, "dodecane")
+def test_lost_product_counts_against_the_agent(bench: str, grades: dict[str, Any]) -> None:
+    """With everything gone the measure is 0, so the score is minus what there was at the start, whatever was asked."""
+    batch = arena_for(bench, "dodecane", load_scenario({**mapping("wurtz_dodecane"), "grades": grades}))
     start = float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0])
     assert start > 0.1
     assert measured(batch) == 0.0
