@@ -208,12 +208,6 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
     return _merged(under, own, where, ())
 
 
-def _absolute(files: Any, folder: Path) -> Any:
-    if isinstance(files, list):
-        return [_absolute(file, folder) for file in files]
-    return str((folder / files).resolve()) if str(files).endswith(".toml") else files
-
-
 _DATA = ("material_files", "pair_files", "reactions")
 _PARTS = ("kind", "model", "observe", "reward")
 """Keys whose values name data files, and keys whose values name parts, anywhere in the file."""
@@ -226,26 +220,24 @@ def _files_from(value: Any, folder: Path, base: Path) -> Any:
     if not isinstance(value, Mapping):
         return value
     return {
-        key: _absolute(item, base)
-        if key in _DATA
-        else _part_from(item, folder, base)
-        if key in _PARTS
+        key: _file_from(item, folder, base, key in _PARTS)
+        if key in (*_DATA, *_PARTS)
         else _files_from(item, folder, base)
         for key, item in value.items()
     }
 
 
-def _part_from(name: Any, folder: Path, base: Path) -> Any:
+def _file_from(name: Any, folder: Path, base: Path, part: bool) -> Any:
     if isinstance(name, list):
-        return [_part_from(item, folder, base) for item in name]
-    file, _, wanted = str(name).rpartition(":")
-    if not isinstance(name, str) or not file.endswith(".py"):
+        return [_file_from(item, folder, base, part) for item in name]
+    file, _, wanted = str(name).rpartition(":") if part else (str(name), "", "")
+    if not isinstance(name, str) or not file.endswith(".py" if part else ".toml"):
         return name
     try:
         path = os.path.relpath(base / file, folder)
     except ValueError:  # another drive
         path = str((base / file).resolve())
-    return f"{Path(path).as_posix()}:{wanted}"
+    return f"{Path(path).as_posix()}:{wanted}" if part else Path(path).as_posix()
 
 
 def _without(table: Mapping[str, Any], key: list[str], entry: str, where: str, base: str) -> dict[str, Any]:

@@ -271,12 +271,18 @@ class CostSpec(DataModel):
 class SafetySpec(DataModel):
     """Weights of safety events in ``info["cost"]``, and the price of that cost in the reward."""
 
-    weights: dict[Key, Price] = dict.fromkeys(SAFETY_EVENTS, 1.0)
+    weights: dict[Key, Price]
     """Weight of each kind of event in the cost; without this key, 1 for each built-in kind."""
     events: dict[Key, str] = Field(default={}, max_length=32)
     """Your own kinds of events with their meanings; your own benches or operations report them."""
     reward_price: Price = 0.0
     """Price of a unit of that cost in the agent's reward."""
+
+    @model_validator(mode="before")
+    @classmethod
+    def _weighed(cls, values: Any) -> Any:
+        # Not a default, which hashes of scenarios leave out.
+        return {"weights": dict.fromkeys(SAFETY_EVENTS, 1.0), **values} if isinstance(values, Mapping) else values
 
     @model_validator(mode="after")
     def _known(self) -> SafetySpec:
@@ -474,7 +480,7 @@ class Scenario(DataModel):
     """Limits at which an episode ends without the last submission."""
     costs: CostSpec = CostSpec()
     """Costs subtracted from the score."""
-    safety: SafetySpec = SafetySpec()
+    safety: SafetySpec = SafetySpec(weights=dict.fromkeys(SAFETY_EVENTS, 1.0))
     """Weights and price of safety events."""
     rewards: Annotated[RewardSpec, BeforeValidator(_reward_mix)] = RewardSpec()
     """Reward mix: numbers, or a mix's name."""
