@@ -26,7 +26,7 @@ from chemlab.render.draw import GlassBox, draw, paint
 from chemlab.render.frames import Viewer
 from chemlab.render.scene import Scene, VesselPicture, laboratory_scene
 
-CROWDS = [(12, 2, 2, 3), (8, 2, 2, 2), (26, 1, 1, 1), (1, 1, 1, 1), (6, 16, 1, 1)]
+CROWDS = [(12, 2, 2, 3), (8, 2, 2, 2), (26, 1, 1, 1), (3, 1, 1, 1), (6, 16, 1, 1)]
 
 
 def rgb(color: str) -> tuple[int, ...]:
