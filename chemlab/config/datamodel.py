@@ -29,7 +29,8 @@ class DataModel(BaseModel):
     @classmethod
     def _no_boolean(cls, values: Any) -> Any:
         for key, field in cls.model_fields.items() if isinstance(values, Mapping) else ():
-            if isinstance(values.get(key), bool) and field.annotation not in (bool, Any):
+            kinds = (field.annotation, *get_args(field.annotation))
+            if isinstance(values.get(key), bool) and bool not in kinds and Any not in kinds:
                 raise ValueError(f"{key}: must not be true or false, given {str(values[key]).lower()}")
         return values
 
