@@ -526,6 +526,7 @@ def test_files_and_parts_of_a_base_are_found_beside_it(tmp_path: Path, monkeypat
         second = load_scenario(path)
         assert second.pairs[names].b == (7.0, 7.0)
         assert second.benches[key].model == "../parts.py:Slow"
+        assert second.pair_files == ("../p.toml",)  # not where the folder is, which would be in the scenario's hash
 
 
 def derived(folder: Path, text: str, base: str = "wurtz_dodecane") -> Scenario:

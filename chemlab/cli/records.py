@@ -29,7 +29,7 @@ _WORST_FIRST = ("tampered", "unchecked", "other", "foreign", "chosen", "torn", "
 _RequiredOption = Annotated[
     str | None,
     typer.Option(
-        help="Required scenario of the records: a bundled scenario or a path. "
+        help="The scenario that a record must be of: a bundled name or a path. "
         "Default: the bundled scenario of the same name."
     ),
 ]

@@ -208,9 +208,8 @@ def _inherited(values: Mapping[str, Any], where: str, folder: Path, above: tuple
     return _merged(under, own, where, ())
 
 
-_DATA = ("material_files", "pair_files", "reactions")
-_PARTS = ("kind", "model", "observe", "reward")
-"""Keys whose values name data files, and keys whose values name parts, anywhere in the file."""
+_FILES = ("material_files", "pair_files", "reactions", "kind", "model", "observe", "reward")
+"""Keys whose values name data files (``file.toml``) or parts (``file.py:NAME``), anywhere in the file."""
 
 
 def _files_from(value: Any, folder: Path, base: Path) -> Any:
@@ -220,24 +219,22 @@ def _files_from(value: Any, folder: Path, base: Path) -> Any:
     if not isinstance(value, Mapping):
         return value
     return {
-        key: _file_from(item, folder, base, key in _PARTS)
-        if key in (*_DATA, *_PARTS)
-        else _files_from(item, folder, base)
+        key: _file_from(item, folder, base) if key in _FILES else _files_from(item, folder, base)
         for key, item in value.items()
     }
 
 
-def _file_from(name: Any, folder: Path, base: Path, part: bool) -> Any:
+def _file_from(name: Any, folder: Path, base: Path) -> Any:
     if isinstance(name, list):
-        return [_file_from(item, folder, base, part) for item in name]
-    file, _, wanted = str(name).rpartition(":") if part else (str(name), "", "")
-    if not isinstance(name, str) or not file.endswith(".py" if part else ".toml"):
+        return [_file_from(item, folder, base) for item in name]
+    found = _FILE.match(name) if isinstance(name, str) else None
+    if found is None:
         return name
     try:
-        path = os.path.relpath(base / file, folder)
+        path = os.path.relpath(base / found[0], folder)
     except ValueError:  # another drive
-        path = str((base / file).resolve())
-    return f"{Path(path).as_posix()}:{wanted}" if part else Path(path).as_posix()
+        path = str((base / found[0]).resolve())
+    return f"{Path(path).as_posix()}{name[found.end() :]}"
 
 
 def _without(table: Mapping[str, Any], key: list[str], entry: str, where: str, base: str) -> dict[str, Any]:

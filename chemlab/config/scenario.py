@@ -348,7 +348,7 @@ class ProductSpec(OrderSpec):
     purity_among: tuple[Key, ...] = Field(default=(), max_length=64)
     """Materials among which the purity is computed, as in a chromatogram of products without solvents and salts.
 
-    The score uses this purity as well. A salt counts dissolved, too. Empty: everything in the vessel.
+    The score uses this purity as well. Dissolved ions of a salt count as the salt. Empty: everything in the vessel.
     """
 
 
@@ -366,7 +366,7 @@ class OrderTerms(OrderSpec):
 class GradeSpec(OrderSpec):
     """Quality requirement of an experiment, chosen by the manager and observed by the bench's agent.
 
-    An experiment that fails it scores 0, or its loss.
+    An experiment that fails it is not paid, but its losses count: it scores at most 0.
     """
 
     ticks: int | None = Field(default=None, ge=1, le=10_000)
@@ -385,7 +385,7 @@ class DemandSpec(DataModel):
     missed: float = Field(default=0.0, ge=0.0, le=100.0)
     """Penalty of an order that pays nothing by the end of the episode, as a share of its price (1 without terms).
 
-    A least amount or ``fill_at_least`` prevents that a trace avoids it.
+    Without a least amount or ``fill_at_least``, a submission with a trace of the goal avoids it.
     """
     fill_at_least: float = Field(default=0.0, ge=0.0, le=1.0)
     """Minimum fill level, as the manager observes it, of a vessel that may be submitted."""

@@ -39,7 +39,7 @@ def animation(
         trust: allow imports of code that the record names.
         frames: maximum number of frames, which are evenly spaced over the turns.
         size: width and height in pixels.
-        scenario: a scenario, beside whose file custom parts are looked for; None: beside the record.
+        scenario: custom parts are looked for in the folder of its file; None: in the record's folder.
 
     Raises:
         ImportError: Pillow is not installed (``pip install '.[plot]'``).

@@ -42,7 +42,7 @@ def protocol(record: Record, trust: bool = False, scenario: Scenario | None = No
     Args:
         record: a record, finished or not.
         trust: allow imports of code that the record names.
-        scenario: a scenario, beside whose file custom parts are looked for; None: beside the record.
+        scenario: custom parts are looked for in the folder of its file; None: in the record's folder.
 
     Raises:
         RecordError: the record cannot be replayed here.
