@@ -34,6 +34,8 @@ def _run(source: str) -> str:
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
         exec(compile(source, "<page>", "exec"), {"__name__": "__main__"})
+    if pyplot := sys.modules.get("matplotlib.pyplot"):
+        pyplot.close("all")  # a block is a program of its own: the next one begins with an empty figure
     return said.getvalue()
 
 

@@ -180,11 +180,13 @@ def test_code_runs(page: Path, folder: Path) -> None:
 
 @pytest.mark.parametrize("page", EXACT, ids=lambda page: page.stem)
 def test_pages_show_exactly_what_their_code_prints(page: Path) -> None:
-    pytest.importorskip("matplotlib").use("Agg")
+    pyplot = pytest.importorskip("matplotlib.pyplot")
+    pyplot.switch_backend("Agg")
     made = script("docs/printed.py")
     assert [DOCS / name for name in made.PAGES] == sorted(EXACT, key=lambda one: one.name != "sandbox.md")
     text = page.read_text(encoding="utf-8")
     assert made.printed(text) == text, f"run: python docs/printed.py {page.relative_to(DOCS)}"
+    assert not pyplot.get_fignums(), "the next page would draw over these figures"
     if page.name != "sandbox.md":
         assert (DOCS / "images" / f"{page.stem}.png").stat().st_size < 120_000
 
