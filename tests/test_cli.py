@@ -339,6 +339,7 @@ def test_hidden_parameters_grades_and_reports_are_described(name: str, observers
     assert re.search(r"observed *$", shown, re.M)
     assert re.search(r"quick +0 +0 +8", shown)
     assert "rxn (0.03), fin (0.03)" in " ".join(shown.split())
+    assert all(re.search(f"{what} 0 to 7 ", shown) for what in ("slot", "order")) == (not name.endswith("@1"))
 
 
 @pytest.mark.parametrize("name", ["crude", "failing", "wurtz_two_lines"])

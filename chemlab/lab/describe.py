@@ -50,6 +50,23 @@ def _span(start: int, size: int) -> str:
     return str(start) if size == 1 else f"{start} to {start + size - 1}"
 
 
+def _alike(name: str, rows: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]]:
+    """Return rows of numbered things, with equal ones that follow each other as one row."""
+    groups = ((row, [i for i, _ in group]) for row, group in groupby(enumerate(rows), key=lambda item: item[1]))
+    return [(f"{name} {_span(at[0], len(at))}", *row) for row, at in groups]
+
+
+def _ranges(names: Sequence[str]) -> str:
+    """List names, with three or more consecutive numbers of one name as a range."""
+
+    def series(item: tuple[int, str]) -> tuple[str, int]:
+        stem, _, number = item[1].rpartition("_")
+        return (stem, int(number) - item[0]) if number.isdigit() else (item[1], 0)
+
+    groups = ([name for _, name in group] for _, group in groupby(enumerate(names), key=series))
+    return ", ".join(f"{code(one[0])} to {code(one[-1])}" if len(one) > 2 else codes(one) for one in groups)
+
+
 def amount_words(amounts: Mapping[str, float]) -> str:
     """Format amounts of materials (mol)."""
     return ", ".join(f"{amount:g} mol `{name}`" for name, amount in amounts.items()) or "nothing"
@@ -165,15 +182,14 @@ def order_table(spec: Scenario) -> FactTable:
     """Return the terms of each order."""
     rows = [
         (
-            f"order {i}",
             f"{order.arrives:g}",
             "" if order.within is None else f"{order.within:g}",
             *(f"{value:g}" for value in (order.price, order.amount_at_least_mol, order.purity_at_least)),
         )
-        for i, order in enumerate(spec.demand.order)
+        for order in spec.demand.order
     ]
     head = ("order", "arrives (tick)", "due within (ticks)", "price", "least mol", "least purity")
-    return _facts(head, rows, range(1, 6), note="draws below may change these" if spec.world.draws else "")
+    return _facts(head, _alike("order", rows), range(1, 6), note="draws below may change these" if spec.world.draws else "")
 
 
 def needed_words(goal: str, wanted: ProductSpec) -> str:
@@ -190,8 +206,8 @@ def needed_words(goal: str, wanted: ProductSpec) -> str:
 
 def vessel_table(spec: Scenario) -> FactTable:
     """Return the vessels at the start of an episode."""
-    rows = [(f"slot {i}", f"{v.capacity_l:g} L", amount_words(v.contents)) for i, v in enumerate(spec.shelf.vessel)]
-    return _facts(("place", "capacity", "contents"), rows)
+    rows = ((f"{vessel.capacity_l:g} L", amount_words(vessel.contents)) for vessel in spec.shelf.vessel)
+    return _facts(("place", "capacity", "contents"), _alike("slot", rows))
 
 
 _HIDDEN = {
@@ -224,7 +240,7 @@ def world_table(spec: Scenario) -> FactTable:
             if value != ()
         )
         what = f"{draw.what} of {code(draw.material)}" if draw.material else draw.what
-        whose = codes(draw.of) or "the laboratory"
+        whose = _ranges(draw.of) or "the laboratory"
         each = "one number" if draw.variables == 1 else "each its own"
         changes = draw.what not in ("identity", "titre")  # which are values
         change = {"factor": "x ", "offset": "+ ", "value": "= "}[draw.change] if changes else ""
@@ -316,7 +332,7 @@ def limit_words(spec: Scenario) -> str:
     limits, costs = spec.limits, spec.costs
     return (
         f"At most {limits.manager_actions} manager actions and {limits.ticks} ticks; at most {limits.budget:g} may be "
-        f"spent on measuring. A tick costs {_number(costs.tick)}, a litre of waste {costs.waste_per_l:g}, a masked "
+        f"spent on measuring. A tick costs {_number(costs.tick)}, a litre of waste {costs.waste_per_l:g}, an invalid "
         f"action {costs.illegal_action:g}."
     )
 
@@ -324,10 +340,9 @@ def limit_words(spec: Scenario) -> str:
 def safety_words(spec: Scenario) -> str:
     """Describe the weights and the price of safety events."""
     weights = ", ".join(f"`{kind}` {weight:g}" for kind, weight in spec.safety.weights.items())
-    return (
-        f'Weights of safety events in `info["cost"]`: {weights}. '
-        f"A unit of that cost lowers the reward by {spec.safety.reward_price:g}."
-    )
+    price = spec.safety.reward_price
+    change = f"A unit of that cost lowers the reward by {price:g}." if price else "That cost does not lower the reward."
+    return f'Weights of safety events in `info["cost"]`: {weights}. {change}'
 
 
 def reward_words(spec: Scenario) -> str:
