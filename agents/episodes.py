@@ -17,7 +17,7 @@ from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.kernels.arrays import FloatArray, IntArray
 from chemlab.lab.engine import Laboratories
 from chemlab.record import Play, Recorder
-from chemlab.roles.manager_state import COST_ITEMS, LIMIT, STATUS_WORDS
+from chemlab.roles.manager_state import COST_ITEMS, COST_WORDS, LIMIT, STATUS_WORDS
 
 _TRACE_MOL = 1e-6
 """Smallest amount of a material that counts as present."""
@@ -222,7 +222,7 @@ class EpisodeResult:
 
     def words(self) -> str:
         """Return a line with the outcome, the costs and the score."""
-        items = {**self.costs, "missed orders" if self.orders > 1 else "missed order": self.missed}
+        items = {**dict(zip(COST_WORDS, self.costs.values(), strict=True)), "missed orders" if self.orders > 1 else "missed order": self.missed}
         costs = ", ".join(f"{item} {value:.4f}" for item, value in items.items() if value > 0.0)
         end = f"submitted {self.submitted_mol:.3f} mol {self.goal} at purity {self.purity:.3f}"
         if self.orders > 1:

@@ -159,12 +159,12 @@ class Live:
                 return f"stopped: a page shows at most {MOST_TURNS} turns; begin a new episode", "warn"
             if at in self.taken:
                 return f"waiting for the person at {at}", "warn"
-            return "spectators see the truth", "soft"
+            return "true contents: for spectators", "soft"
         status, message = self.verdict
         over = f"over: score {self.room.score:.3f}".replace("-", "\u2212")  # a minus sign, as elsewhere on the page
         if not status:
             return f"{over}; the record is being checked", "soft"
-        checked = "record checked: right" if status == "ok" else f"record {status}: {message}"
+        checked = "record verified" if status == "ok" else f"record {status}: {message}"
         return f"{over}; {checked}", "good" if status == "ok" else "warn"
 
     def check(self) -> None:

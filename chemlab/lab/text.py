@@ -17,7 +17,7 @@ from ..kernels.arrays import IntArray, ObservationArray
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..roles.bench import Bench, Channel, channel_slices
 from ..roles.grades import REPORT
-from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
+from ..roles.manager_state import COST_ITEMS, COST_WORDS, RUNNING, STATUS_WORDS
 from ..roles.manager_view import order_channels, shown_share
 from .engine import Laboratories
 
@@ -580,7 +580,7 @@ def describe_laboratory(labs: Laboratories) -> str:
         else:
             doing = "idle"
         lines.append(f"  {experiments.agent:<7} {doing}")
-    charged = zip(COST_ITEMS, known["costs"].tolist(), strict=True)
+    charged = zip(COST_WORDS, known["costs"].tolist(), strict=True)
     costs = ", ".join(f"{item} {value:.4f}" for item, value in charged if value > 0.0)
     lines.append(f"  costs: {costs or 'none'}")
     return "\n".join(lines)

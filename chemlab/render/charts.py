@@ -20,7 +20,7 @@ from ..lab.text import action_words, blank_channels
 from ..physics.chemistry import WAVELENGTHS_NM
 from ..record import Record, RecordError, recorded_scenario
 from ..roles.bench import channel_slices
-from ..roles.manager_state import COST_ITEMS
+from ..roles.manager_state import COST_WORDS
 from .draw import FAINT, INK, SOFT
 from .figure import new_figure
 from .history import RecordReplay
@@ -212,9 +212,9 @@ def draw_timeline(record: Record, trust: bool = False) -> Any:
     half = (width - 4.6) / 2.0
     at = np.arange(units + 1)
     costs = figure.add_axes(place(top, graph, 0.95, half))
-    items = [(name, line) for name, line in zip(COST_ITEMS, np.array(timeline.costs).T, strict=True) if line[-1] > 0.0]
+    items = [(name, line) for name, line in zip(COST_WORDS, np.array(timeline.costs).T, strict=True) if line[-1] > 0.0]
     if items:
-        costs.stackplot(at, [line for _, line in items], labels=[name.replace("_", " ") for name, _ in items],
+        costs.stackplot(at, [line for _, line in items], labels=[name for name, _ in items],
                         colors=_LINES[: len(items)], step="post", linewidth=0.0)  # fmt: skip
         handles, labels = costs.get_legend_handles_labels()
         costs.legend(handles[::-1], labels[::-1], loc="upper left", bbox_to_anchor=(1.0, 1.05), frameon=False)

@@ -437,13 +437,13 @@ class _Painter:
         if scene.kind == "laboratory":
             result = "?" if math.isnan(scene.result) else f"{scene.result:+.4f}"
             canvas.text(left, y + 24.0, result, 20.0, INK, room=110.0)
-            canvas.text(right, y + 13.0, "result if it", 10.0, SOFT, "right")
+            canvas.text(right, y + 13.0, "score if it", 10.0, SOFT, "right")
             canvas.text(right, y + 25.0, "ended now", 10.0, SOFT, "right")
             y = self._section(left, right, y + 38.0, "Costs", f"{sum(cost for _, cost in scene.costs):.4f}")
             for item, cost in scene.costs:
                 color = INK if cost > 0.0 else FAINT
-                name = item.replace("_", " ")
-                canvas.text(left, y, f"{name} (of {scene.budget:g})" if item == "instruments" else name, 10.0, SOFT)
+                limit = f" (of {scene.budget:g})" if item == "instruments" else ""
+                canvas.text(left, y, item + limit, 10.0, SOFT)
                 canvas.text(right, y, f"{cost:.4f}", 10.0, color, "right")
                 y += _LINE
             y -= 4.0
@@ -506,7 +506,7 @@ class _Painter:
         if vessel is None:
             if slot.reserved_for:
                 y = (rect.top + rect.bottom) / 2
-                canvas.text(middle, y - 2.0, "kept for", 10.0, FAINT, "center", room=rect.width - 6.0)
+                canvas.text(middle, y - 2.0, "reserved for", 10.0, FAINT, "center", room=rect.width - 6.0)
                 canvas.text(middle, y + 11.0, slot.reserved_for, 10.0, FAINT, "center", room=rect.width - 6.0)
             return
         if slot.origin:

@@ -14,6 +14,7 @@ from ..lab.engine import Laboratories
 from ..lab.text import action_words, reading_words
 from ..physics.chemistry import TEMPERATURE
 from ..record import Record
+from ..roles.manager_state import COST_WORDS
 from .history import Move, RecordReplay
 
 _TRACE_MOL = 1e-9
@@ -79,7 +80,7 @@ def protocol(record: Record, trust: bool = False, scenario: Scenario | None = No
             latest.pop(agent, None)
     lines += ["", "## Procedure", "", *(step.line() for step in steps), "", "## Result", ""]
     lines += [f"- score {float(labs.result(labs.members)[0]):.4f}, after {int(labs.state.ticks[0])} ticks"]
-    lines += [f"- cost of {item}: {cost:.4g}" for item, cost in labs.costs().items() if cost]
+    lines += [f"- cost of {item}: {cost:.4g}" for item, cost in zip(COST_WORDS, labs.costs().values(), strict=True) if cost]
     return "\n".join(map(inert, lines)) + "\n"
 
 
@@ -92,7 +93,7 @@ def _after(labs: Laboratories, move: Move, agent: str) -> str:
         return f" Read: {reading_words(labs, int(slot), str(instrument))}."
     ended = move.scores.values() if move.manager else [move.scores[agent]] if agent in move.scores else []
     if ended:
-        return f" The experiment is over: {', '.join(f'{score:+.3f}' for score in ended)}."
+        return f" The experiment is over: bench score {', '.join(f'{score:+.3f}' for score in ended)}."
     if move.manager or agent not in labs.bench_agents:
         return ""
     vessel = labs.shelf.vessel(0, labs.bench_roles[labs.bench_agents.index(agent)].first_position)

@@ -28,7 +28,7 @@ from ..physics.transfer import liquid_volume
 from ..record import LIMITS, Play, Record, RecordError, Replay, verify_record
 from ..record.recorder import turn_facts
 from ..roles.manager_actions import SECOND
-from ..roles.manager_state import COST_ITEMS
+from ..roles.manager_state import COST_WORDS
 from .scene import Camera, Scene, event_words, laboratory_scene
 
 _DIGITS = 4
@@ -269,7 +269,7 @@ class Film:
                 *(f"slot_{s}" for s in range(scenario.shelf.slots)),
                 *(f"{role.name}.{place}" for role in labs.bench_roles for place in role.workplace.positions),
             ],
-            "cost_items": list(COST_ITEMS),
+            "cost_items": list(COST_WORDS),
             "hidden": _world_rows(labs.worlds.values(0)) if labs.worlds.active else [],
         }
 

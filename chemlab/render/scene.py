@@ -32,7 +32,7 @@ from ..physics.constants import FIRST_PHASE, SOLIDS
 from ..physics.shelf import Shelf
 from ..physics.stratification import profile
 from ..roles.bench import CAMERA_PIXELS, Bench, Experiments, channel_slices
-from ..roles.manager_state import COST_ITEMS, RUNNING, STATUS_WORDS
+from ..roles.manager_state import COST_WORDS, RUNNING, STATUS_WORDS
 from ..roles.manager_view import shown_share
 
 MIXTURE_SLICES = 40
@@ -492,7 +492,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
         tick_limit=scenario.limits.ticks,
         orders=_orders(labs, member),
         result=float(labs.result(np.array([member]))[0]),
-        costs=tuple((item, float(costs[item])) for item in COST_ITEMS),
+        costs=tuple(zip(COST_WORDS, costs.values(), strict=True)),
         budget=scenario.limits.budget,
         safety=_events(labs.safety_totals[member], labs.scenario),
         stock=_stock(scenario, labs.shelf, member),

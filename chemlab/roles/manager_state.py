@@ -8,6 +8,8 @@ from ..kernels.arrays import BoolArray, Field, FloatArray, IntArray, StreamArray
 
 COST_ITEMS: tuple[str, ...] = ("instruments", "stock", "waste", "time", "illegal_actions", "safety")
 """Cost items of the manager's score, in units of the score; calibrations are part of instruments, repairs of time."""
+COST_WORDS: tuple[str, ...] = (*COST_ITEMS[:4], "invalid actions", COST_ITEMS[5])
+"""The items as people read them."""
 INSTRUMENTS, STOCK, WASTE, TIME, ILLEGAL, SAFETY = range(len(COST_ITEMS))
 
 RUNNING, CLOSED, LIMIT = range(3)

@@ -6,6 +6,7 @@ import asyncio
 import http.client
 import json
 import logging
+import re
 import threading
 import time
 from collections.abc import Iterator
@@ -93,7 +94,7 @@ def test_an_episode_is_watched_to_its_end(tmp_path: Path, visitor: Any) -> None:
         other.get_by_label("Speed").select_option("60")
         other.keyboard.press(" ")
         for page in (one, other):
-            page.get_by_text("record checked: right").wait_for()
+            page.get_by_text("record verified").wait_for()
             assert page.evaluate("count") == lab.lives[0].film.turns
         with one.expect_download() as download:
             one.get_by_role("button", name="Download record").click()
@@ -172,6 +173,8 @@ def test_nothing_is_cut_or_overlaps(tmp_path: Path, visitor: Any, width: int) ->
             if address == "/":
                 goal = page.locator(".bench > button > span").first
                 goal.evaluate("e => e.textContent = 'ortho_pyrrolidinyl, 58/60'")
+                marks = page.locator("#rewards svg text", has_text=re.compile("start|tick")).all_text_contents()
+                assert marks == ["start"], "no labels over each other before the first turn"
             assert page.evaluate("document.documentElement.scrollWidth <= innerWidth + 1"), address
             cut = page.evaluate(
                 """[...document.querySelectorAll("button, label, select, td, th, h1, h2")].filter(e => {
@@ -383,7 +386,7 @@ def test_an_own_scenario_is_played_right(split: str, tmp_path: Path) -> None:
     lab.step(10_000)
     lab.check()
     assert lab.verdict[0] == "ok"
-    assert lab.words()[0] == f"over: score {lab.room.score:.3f}; record checked: right".replace("-", "\u2212")
+    assert lab.words()[0] == f"over: score {lab.room.score:.3f}; record verified".replace("-", "\u2212")
     assert lab.room.score < 0.0
 
 

@@ -182,7 +182,7 @@ def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     assert re.search(r"Then \d+\.\d K, \d\.\d+ L\.", text)
     again = read_record(record_episode(tmp_path / "again.jsonl", "failing", "scripted", seed=0))
     ended = [f"{score:+.3f}" for turn in again.turns for score in turn.get("scores", {}).values()]
-    assert sorted(re.findall(r" over: (.*)\.\n", protocol(again))) == sorted(ended), "experiments of equal actions"
+    assert sorted(re.findall(r" over: bench score (.*)\.\n", protocol(again))) == sorted(ended), "experiments of equal actions"
 
 
 @pytest.mark.parametrize(
@@ -339,14 +339,14 @@ def test_the_switch_hides_what_agents_do_not_see(page: Any) -> None:
     assert "dodecane" in shown
     assert re.search(r"\d\.\d{3} mol", shown)
     colors = page.locator("#benches svg rect").count()
-    page.click("text=What the agent sees")
+    page.click("text=Agent's view")
     hidden = page.inner_text("#composition")
-    assert "not seen by ext_0" in hidden
+    assert "not observed by ext_0" in hidden
     assert " mol" not in hidden
     assert page.locator("#spectrum svg").count() == 3
     assert page.locator("#benches svg rect").count() > colors + 250
     assert not re.search(r"\d L", page.inner_text("#benches"))
-    page.click("text=What is true")
+    page.click("text=True contents")
     assert page.inner_text("#composition") == shown
 
 
@@ -355,7 +355,7 @@ def test_what_was_measured_is_what_the_manager_sees(page: Any, episode: Path) ->
     number = next(i for i, t in enumerate(turns) if t.get("reading", {}).get("instrument") == "gas_chromatograph")
     reading = turns[number]["reading"]
     page.fill("#scrub", str(number + 1))
-    page.click("text=What the agent sees")
+    page.click("text=Agent's view")
     shown = page.inner_text("#composition")
     assert "just now" in shown
     assert f"{100 * max(reading['values']):.1f} %" in shown
@@ -451,6 +451,9 @@ def test_signs_and_names_are_whole(page: Any) -> None:
         return svg.getBoundingClientRect().left - svg.querySelector("text").getBoundingClientRect().left; }"""
     )
     assert cut <= 0.0
+    numbers = page.evaluate("[3e-4, -3e-4, 6e-4, -6e-4].map(x => signed(x)).concat(data.cost_items[4])")
+    assert numbers == ["0.000", "0.000", "+0.001", "\u22120.001", "invalid actions"], "zero has no sign"
+    assert "ext_0" in page.inner_text("#look option >> nth=0")
     lines = page.evaluate(
         """() => [...document.querySelectorAll(".bench > button")].map(button => { button.lastChild.textContent =
         "4-ethyl-5-methylnonane, 14/20"; return button.querySelector("b").getBoundingClientRect().height; })"""
@@ -503,7 +506,7 @@ def test_two_records_have_one_clock(episode: Path, tmp_path: Path, visitor: Any)
     command("replay", episode, other, "-o", both)
     frames = visitor(both.as_uri()).frames[1:]
     for frame in frames:
-        frame.get_by_text("record checked: right").wait_for()
+        frame.get_by_text("record verified").wait_for()
     for leader, follower in (frames, frames[::-1]):
         for place in ("#first", "#last"):
             leader.locator(place).click()
