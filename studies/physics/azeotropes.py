@@ -36,7 +36,7 @@ MEASURED: tuple[tuple[str, str, float, float], ...] = (
     ("1,4-dioxane", "water", 361.0, 0.475),
     ("acetonitrile", "water", 349.4, 0.69),
     ("pyridine", "water", 367.0, 0.24),
-    ("formic_acid", "water", 380.4, 0.57),
+    ("formic_acid", "water", 380.8, 0.57),
     ("benzene", "ethanol", 341.2, 0.552),
     ("benzene", "methanol", 331.4, 0.39),
     ("benzene", "cyclohexane", 350.7, 0.54),
