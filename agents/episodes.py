@@ -222,8 +222,9 @@ class EpisodeResult:
 
     def words(self) -> str:
         """Return a line with the outcome, the costs and the score."""
-        items = {**dict(zip(COST_WORDS, self.costs.values(), strict=True)), "missed orders" if self.orders > 1 else "missed order": self.missed}
-        costs = ", ".join(f"{item} {value:.4f}" for item, value in items.items() if value > 0.0)
+        items = (*COST_WORDS, "missed orders" if self.orders > 1 else "missed order")
+        charged = zip(items, (*self.costs.values(), self.missed), strict=True)
+        costs = ", ".join(f"{item} {value:.4f}" for item, value in charged if value > 0.0)
         end = f"submitted {self.submitted_mol:.3f} mol {self.goal} at purity {self.purity:.3f}"
         if self.orders > 1:
             end = f"{self.paid} of {self.orders} orders paid; {end}"

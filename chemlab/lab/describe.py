@@ -189,7 +189,8 @@ def order_table(spec: Scenario) -> FactTable:
         for order in spec.demand.order
     ]
     head = ("order", "arrives (tick)", "due within (ticks)", "price", "least mol", "least purity")
-    return _facts(head, _alike("order", rows), range(1, 6), note="draws below may change these" if spec.world.draws else "")
+    note = "draws below may change these" if spec.world.draws else ""
+    return _facts(head, _alike("order", rows), range(1, 6), note)
 
 
 def needed_words(goal: str, wanted: ProductSpec) -> str:

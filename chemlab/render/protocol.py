@@ -80,7 +80,8 @@ def protocol(record: Record, trust: bool = False, scenario: Scenario | None = No
             latest.pop(agent, None)
     lines += ["", "## Procedure", "", *(step.line() for step in steps), "", "## Result", ""]
     lines += [f"- score {float(labs.result(labs.members)[0]):.4f}, after {int(labs.state.ticks[0])} ticks"]
-    lines += [f"- cost of {item}: {cost:.4g}" for item, cost in zip(COST_WORDS, labs.costs().values(), strict=True) if cost]
+    costs = zip(COST_WORDS, labs.costs().values(), strict=True)
+    lines += [f"- cost of {item}: {cost:.4g}" for item, cost in costs if cost]
     return "\n".join(map(inert, lines)) + "\n"
 
 

@@ -148,11 +148,13 @@ def figure(found: dict[str, Any], path: Path) -> None:
     import matplotlib.pyplot as plt
 
     fig, axes = plt.subplots(figsize=(7.0, 4.2))
-    for name, curves in found["regret"].items():
+    for i, (name, curves) in enumerate(found["regret"].items()):
         curve = np.array(curves)
         mean, low, high = np.array([interval(column) for column in curve.T]).T
         n = np.arange(1, curve.shape[1] + 1)
-        axes.plot(n, mean, label=name)
+        axes.plot(
+            n, mean, ("-", "--", "-.", ":")[i % 4], label=name
+        )  # the colours alone are not told apart by everyone
         axes.fill_between(n, low, high, alpha=0.15)
     axes.set(xlabel="experiments", ylabel="regret (0: oracle, 1: random recipe)", ylim=(0.0, 1.0))
     axes.legend(frameon=False)

@@ -182,7 +182,9 @@ def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     assert re.search(r"Then \d+\.\d K, \d\.\d+ L\.", text)
     again = read_record(record_episode(tmp_path / "again.jsonl", "failing", "scripted", seed=0))
     ended = [f"{score:+.3f}" for turn in again.turns for score in turn.get("scores", {}).values()]
-    assert sorted(re.findall(r" over: bench score (.*)\.\n", protocol(again))) == sorted(ended), "experiments of equal actions"
+    assert sorted(re.findall(r" over: bench score (.*)\.\n", protocol(again))) == sorted(ended), (
+        "experiments of equal actions"
+    )
 
 
 @pytest.mark.parametrize(
