@@ -152,9 +152,7 @@ def figure(found: dict[str, Any], path: Path) -> None:
         curve = np.array(curves)
         mean, low, high = np.array([interval(column) for column in curve.T]).T
         n = np.arange(1, curve.shape[1] + 1)
-        axes.plot(
-            n, mean, ("-", "--", "-.", ":")[i % 4], label=name
-        )  # the colours alone are not told apart by everyone
+        axes.plot(n, mean, ("-", "--", "-.", ":")[i % 4], label=name)  # not everyone tells the colours apart
         axes.fill_between(n, low, high, alpha=0.15)
     axes.set(xlabel="experiments", ylabel="regret (0: oracle, 1: random recipe)", ylim=(0.0, 1.0))
     axes.legend(frameon=False)
