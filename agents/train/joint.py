@@ -122,9 +122,7 @@ class Team(Trainee):
         pairs = [part.partition("=") for part in text.split(",")]
         named = {role: policy for role, equals, policy in pairs if equals}
         if named and len(named) < len(pairs):
-            raise ValueError(
-                f"begin_from: must be one policy or folder, or ROLE=POLICY,... by role; given {text!r}"
-            )
+            raise ValueError(f"begin_from: must be one policy or folder, or ROLE=POLICY,... by role; given {text!r}")
         unknown = [role for role in named if role not in self.learning]
         if unknown:
             raise ValueError(f"begin_from: no {', '.join(unknown)} learns; roles: {', '.join(self.learning)}")

@@ -723,7 +723,9 @@ class PPOTeam:
         """
         s = self.settings
         if self.practices and done < s.practice:
-            return self._practise(1.0 - done)
+            learned = {role: practice.learn(1.0 - done, self.rng) for role, practice in self.practices.items()}
+            self.turns = {role: turns + learned.get(role, 0) for role, turns in self.turns.items()}
+            return sum(learned.values())
         # Help in the laboratory fades from the end of practice on.
         remaining = (1.0 - done) / (1.0 - (s.practice if self.practices else 0.0))
         # With a manager that starts them at random, benches would forget their skills.
@@ -732,15 +734,6 @@ class PPOTeam:
         self.collect(remaining)
         learning = roles if s.regime == "together" else [roles[rounds // s.period % len(roles)]]
         return max(self.update(remaining, 1.0 - done, learning), 1)
-
-    def _practise(self, remaining: float) -> int:
-        """Let each bench practise and learn; return the number of turns."""
-        turns = 0
-        for role, practice in self.practices.items():
-            learned = practice.learn(remaining, self.rng)
-            self.turns[role] += learned
-            turns += learned
-        return turns
 
     def _helps(self, share: float, done: float) -> BoolArray:
         """Return [N] True in laboratories where help that lasts for a share of training is still given."""
