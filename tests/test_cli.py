@@ -388,14 +388,14 @@ def test_a_bar_shows_its_clocks(width: int, tmp_path: Path, monkeypatch: pytest.
     def run(watcher: Any) -> Any:
         watcher.begun(0, 1_000_000)
         for step in range(100_000, 1_000_000, 100_000):
-            watcher.advanced(step, 0.5)
+            watcher.advanced(step, 0.5 if step < 900_000 else None)  # no episode ended in the last one
         raise RuntimeError("enough")
 
     with pytest.raises(RuntimeError, match="enough"):
         training._watched(tmp_path, quiet=False, as_json=False, run=run)
     lines = Text.from_ansi(console.file.getvalue()).plain.splitlines()  # type: ignore[attr-defined]
     bar = next(line for line in reversed(lines) if "steps" in line)
-    assert re.search(r" 90 % 0:00:\d\d left (-:--:--|0:00:\d\d) 900,000 steps, ", bar)
+    assert re.search(r" 90 % 0:00:\d\d left (-:--:--|0:00:\d\d) 900,000 steps, return", bar)
     assert len(bar) <= width
 
 

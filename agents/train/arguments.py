@@ -72,7 +72,7 @@ ABOUT: dict[str, str] = {
     "envs": "Number of environments in the batch.",
     "rollout": "Steps in each environment before each update (ippo, mappo: half a manager's action limit, 32 to 128).",
     "learning_rate": "Learning rate.",
-    "gamma": "Discount.",
+    "gamma": "Discount (ippo, mappo: of benches).",
     "net_arch": "Sizes of the hidden layers; repeat the option for each.",
     "evaluations": "Evaluations during training, evenly spread.",
     "eval_episodes": "Episodes per goal of each evaluation.",
@@ -190,14 +190,18 @@ class Arguments(BaseModel):
         """Return the defaults that depend on other arguments."""
         return {}
 
+    def unusual(self) -> list[str]:
+        """Return the arguments whose values are not those of the preset or the defaults."""
+        defaults = {name: field.default for name, field in type(self).model_fields.items()}
+        usual = defaults | self.implied(self.__dict__) | PRESETS[self.preset]
+        return [name for name in type(self).model_fields if getattr(self, name) != usual[name]]
+
     def flags(self) -> list[str]:
         """Return the options of ``chemlab train`` for these arguments, without the scenario."""
-        defaults = {name: field.default for name, field in type(self).model_fields.items()}
-        implied = defaults | self.implied(self.__dict__) | PRESETS[self.preset]
-        words = []
+        words, given = [], self.unusual()
         for name in type(self).model_fields:
             value, option = getattr(self, name), f"--{name.replace('_', '-')}"
-            if name == "scenario" or (value == implied[name] and name not in ("algo", "steps", "seed")):
+            if name == "scenario" or name not in {"algo", "steps", "seed", *given}:
                 continue
             if isinstance(value, bool):
                 words += [option if value else option.replace("--", "--no-")]
@@ -417,8 +421,10 @@ class TD3(Replay):
     action_noise: Weight = 0.1
 
 
-_HELP = ("practice", "refund", "processed", "own_goals", "shown_readings", "partial", "free_readings", "self_imitation")
-"""Options against sparse reward, for learning from nothing; they apply to training, never to evaluations."""
+_HELP = ("refund", "processed", "own_goals", "shown_readings", "partial", "free_readings", "self_imitation")
+"""Options against the manager's sparse reward, for learning from nothing; they never apply to evaluations."""
+FOR_MANAGER, FOR_BENCHES = (*_HELP, "manager_gamma", "notes", "tied"), ("gamma", "practice")
+"""Arguments of :class:`IPPO` without effect unless the manager, or a bench, learns."""
 
 
 class IPPO(Clipped, Arguments, Cloning):
@@ -461,16 +467,18 @@ class IPPO(Clipped, Arguments, Cloning):
 
     @staticmethod
     def implied(values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the defaults that depend on ``bc``, ``begin_from`` and ``manager_gamma``.
+        """Return the defaults that depend on ``bc``, ``begin_from``, ``manager_gamma`` and ``regime``.
 
         Training from clones or policies has no options against sparse reward, no entropy bonus and small updates;
-        from policies, it shares no weights. Self-imitation learns from undiscounted returns.
+        from policies, it shares no weights. Self-imitation learns from undiscounted returns. With regime ``in-turns``,
+        benches do not practise, because they would no longer learn in the laboratory.
         """
         if values.get("bc") is None and values.get("begin_from") is None:
-            return {} if values.get("manager_gamma", 1.0) == 1.0 else {"self_imitation": 0.0}
+            found = {} if values.get("manager_gamma", 1.0) == 1.0 else {"self_imitation": 0.0}
+            return found if values.get("regime", "together") == "together" else {**found, "practice": 0.0}
         tied = {} if values.get("begin_from") is None else {"tied": False}
         steps = {"rollout": 128, "batch_size": 1024, "learning_rate": 1e-4}
-        return {**dict.fromkeys(_HELP, 0.0), **steps, "ent_coef": 0.0, **tied}
+        return {**dict.fromkeys((*_HELP, "practice"), 0.0), **steps, "ent_coef": 0.0, **tied}
 
     @model_validator(mode="before")
     @classmethod
@@ -485,6 +493,8 @@ class IPPO(Clipped, Arguments, Cloning):
             raise ValueError(
                 "self_imitation: learns from returns that are not discounted; leave it out, or manager_gamma"
             )
+        if self.bc is not None and self.begin_from is not None:
+            raise ValueError("bc: the clone would replace the policies of begin_from; leave one of them out")
         if self.tied and self.begin_from is not None:
             raise ValueError("tied: the policy of begin_from has weights of its own for each slot; leave it out")
         return self

@@ -170,16 +170,9 @@ class _Turns:
         model, observations, masks, actions: as for :func:`fit`.
     """
 
-    def __init__(
-        self,
-        model: Any,
-        observations: npt.NDArray[np.float32],
-        masks: npt.NDArray[np.int8] | None,
-        actions: npt.NDArray[Any],
-    ) -> None:
-        network = model.policy
-        self._network, self._observations, self.actions = network, observations, actions
-        masked = hasattr(network, "action_dist") and "Maskable" in type(network.action_dist).__name__
+    def __init__(self, model: Any, observations: Any, masks: Any, actions: Any) -> None:
+        self._network, self._observations, self.actions = model.policy, observations, actions
+        masked = "Maskable" in type(getattr(model.policy, "action_dist", None)).__name__
         self._masks = masks if masked else None
         self.count, self.batch, self.learning_rate = len(actions), BATCH, LEARNING_RATE
 
@@ -209,17 +202,10 @@ class _Episodes(_Turns):
         model, observations, masks, actions, lengths: as for :func:`fit`.
     """
 
-    def __init__(
-        self,
-        model: Any,
-        observations: npt.NDArray[np.float32],
-        masks: npt.NDArray[np.int8] | None,
-        actions: npt.NDArray[Any],
-        lengths: IntArray,
-    ) -> None:
-        super().__init__(model, observations, masks, actions)
+    def __init__(self, model: Any, observations: Any, masks: Any, actions: Any, lengths: IntArray) -> None:
         if masks is not None and model.observation_space.shape[0] > observations.shape[1]:
-            self._observations = np.concatenate([observations, masks], axis=1, dtype=np.float32)
+            observations = np.concatenate([observations, masks], axis=1, dtype=np.float32)
+        super().__init__(model, observations, masks, actions)
         self._lengths, self._first = lengths, np.cumsum(lengths) - lengths
         self.count, self.batch = len(lengths), max(1, int(_SEQUENCES_BATCH / lengths.mean()))
         self.learning_rate = _SEQUENCES_LEARNING_RATE
@@ -300,8 +286,8 @@ def _examples(
     ends: list[BoolArray] = []
     ended = np.zeros(n, dtype=np.bool_)
     observation, _ = batch.reset(seed=None if seed is None else training_seeds(seed, n))
-    # A learner that never ends its episodes reaches the laboratory's limits.
-    while len(rows) * n < steps or not (learner is None or ended.all()):
+    # Without the last condition, long episodes would be missing. Every episode ends at the limits of its scenario.
+    while len(rows) * n < steps or not ended.all():
         mask = batch.action_masks().astype(np.int8) if discrete else None
         action = played = teacher.advice(observation, mask, turns, members)
         seen = with_advice(observation, action, batch.action_count) if advised else observation.copy()
@@ -309,9 +295,8 @@ def _examples(
         if learner is not None:
             played = learner.act(seen, mask, turns, members)
         teacher.played(played, members)
-        observation, reward, terminated, truncated, _ = batch.step(played)
-        over = terminated | truncated
-        turns = np.where(over, 0, turns + 1)
+        observation, reward, over, _, infos = batch.step(played)
+        turns = np.where(over | infos["experiment_over"], 0, turns + 1)
         ended |= over
         rewards.append(reward.copy())
         ends.append(over.copy())
@@ -322,8 +307,6 @@ def _examples(
         is_finished |= ends[t]
         following = rewards[t] + gamma * np.where(ends[t], 0.0, following)
         returns[t], kept[t] = following, is_finished
-    if not kept.any():
-        raise ValueError(f"bc_steps: no episode ended within {steps} turns of {n} environments; give more")
 
     def by_environment(column: Sequence[Any]) -> npt.NDArray[Any]:
         return np.stack(column).swapaxes(0, 1)[kept.T]

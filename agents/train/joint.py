@@ -25,7 +25,7 @@ from ..pretrained import Card, PretrainedPolicy, load_pretrained, save_policy
 from ..roles import MANAGER_ROLE, chosen_roles, role_of
 from ..runs import Evaluation, Run
 from ..saved import find_saved
-from .arguments import IPPO
+from .arguments import FOR_BENCHES, FOR_MANAGER, IPPO
 from .checkpoints import load_state, random_state, restore_random_state, save_state
 from .loop import Progress, Trainee, evaluation_fields
 from .networks import card_of
@@ -64,9 +64,18 @@ class Team(Trainee):
         self._taken: dict[str, PretrainedPolicy] | None = None
 
     def check(self) -> None:
+        a, roles = self.arguments, ", ".join(self.learning)
         for index, agent in enumerate(self._labs.agents):
-            if self.arguments.bc is not None and role_of(agent) in self.learning:
-                agent_policy(self.arguments.bc, self._labs, index)
+            if a.bc is not None and role_of(agent) in self.learning:
+                agent_policy(a.bc, self._labs, index)
+        manager, alone = MANAGER_ROLE in self.learning, len(self.learning) == 1
+        idle = () if manager else FOR_MANAGER
+        idle += (*(FOR_BENCHES if manager else ()), "regime") if alone else ()
+        for name in idle:
+            if name in a.unusual():
+                raise ValueError(f"{name}: has no effect, because only {roles} learns; leave it out")
+        if a.regime == "in-turns" and manager and a.practice and not alone:
+            raise ValueError("practice: benches that practise do not learn in-turns with the manager; leave it out")
         self.make()
 
     def begin(self, run: Run) -> Progress:
@@ -96,9 +105,10 @@ class Team(Trainee):
 
     def _observes_wide(self, initial: Mapping[str, PretrainedPolicy]) -> bool:
         """Return True if the manager observes readings of many numbers, because a cloned or initial policy may."""
-        if self.arguments.bc is not None or MANAGER_ROLE not in initial:
+        policy = initial.get(MANAGER_ROLE)
+        if policy is None or policy.card.memory:
             return self.arguments.bc is not None
-        return bool(initial[MANAGER_ROLE].weights["0.weight"][:, wide_columns(self.scenario)].any())
+        return bool(policy.weights["0.weight"][:, wide_columns(self.scenario)].any())
 
     def _initial_policies(self, text: str) -> dict[str, PretrainedPolicy]:
         """Return the policies of ``begin_from`` by role.
@@ -111,6 +121,8 @@ class Team(Trainee):
         """
         pairs = [part.partition("=") for part in text.split(",")]
         named = {role: policy for role, equals, policy in pairs if equals}
+        if named and len(named) < len(pairs):
+            raise ValueError(f"begin_from: must be one policy or folder, or ROLE=POLICY,... by role; given {text!r}")
         unknown = [role for role in named if role not in self.learning]
         if unknown:
             raise ValueError(f"begin_from: no {', '.join(unknown)} learns; roles: {', '.join(self.learning)}")

@@ -639,7 +639,7 @@ class PPOTeam:
         torch.manual_seed(seed)
         self.rng = np.random.default_rng(seed)
         full, world = Laboratories(scenario, 1), scenario.world
-        self._hides = bool(world.draws) and not world.told_to(MANAGER_ROLE)
+        self._hides = len(world.told_to(MANAGER_ROLE)) < len(world.draws)
         self._shown = settings.shown_readings if world.draws else 0.0
         seen_by_all = compact(scenario) if MANAGER_ROLE in roles and not wide else scenario
         self.batch = BatchedLaboratory(settings.envs, seen_by_all, copy=False, infos=False, split=settings.split)
@@ -694,12 +694,12 @@ class PPOTeam:
         self._tried = False
         self._restart()
 
-    def _restart(self) -> None:
-        """Start new episodes and delete all turns."""
+    def _restart(self, done: float = 0.0) -> None:
+        """Start new episodes, with the help of the completed share ``done`` of training, and delete all turns."""
         self._best: _Best | None = None
         for agent, track in self._tracks.items():
             track.clear()
-            if role_of(agent) == MANAGER_ROLE and self.settings.self_imitation:
+            if agent == MANAGER_AGENT and self.settings.self_imitation:
                 self._best = _Best(self.settings.envs, track)
         self.turns = dict.fromkeys(self.learners, 0)
         self.scores: list[float] = []
@@ -712,7 +712,7 @@ class PPOTeam:
         self._earned = self.labs.unfinished_worth(self.labs.members)
         self._decided = np.zeros(self.settings.envs, np.int64)
         """[N] tick of the manager's last decision."""
-        self._read(0.0, everywhere)
+        self._read(done, everywhere)
 
     def learn(self, done: float, rounds: int) -> int:
         """Play a rollout, learn from it, and return the number of turns, at least 1.
@@ -723,7 +723,9 @@ class PPOTeam:
         """
         s = self.settings
         if self.practices and done < s.practice:
-            return self._practise(1.0 - done)
+            learned = {role: practice.learn(1.0 - done, self.rng) for role, practice in self.practices.items()}
+            self.turns = {role: turns + learned.get(role, 0) for role, turns in self.turns.items()}
+            return sum(learned.values())
         # Help in the laboratory fades from the end of practice on.
         remaining = (1.0 - done) / (1.0 - (s.practice if self.practices else 0.0))
         # With a manager that starts them at random, benches would forget their skills.
@@ -732,15 +734,6 @@ class PPOTeam:
         self.collect(remaining)
         learning = roles if s.regime == "together" else [roles[rounds // s.period % len(roles)]]
         return max(self.update(remaining, 1.0 - done, learning), 1)
-
-    def _practise(self, remaining: float) -> int:
-        """Let each bench practise and learn; return the number of turns."""
-        turns = 0
-        for role, practice in self.practices.items():
-            learned = practice.learn(remaining, self.rng)
-            self.turns[role] += learned
-            turns += learned
-        return turns
 
     def _helps(self, share: float, done: float) -> BoolArray:
         """Return [N] True in laboratories where help that lasts for a share of training is still given."""
@@ -790,9 +783,10 @@ class PPOTeam:
             self.scores += self._infos["manager_0"]["score"][over].tolist()
             for agent, track in self._tracks.items():
                 track.reward[t], track.ended[t] = rewards[agent], over
-                if role_of(agent) == MANAGER_ROLE:
+                if agent == MANAGER_AGENT:
                     # After the end of an episode, charges are those of the next one.
-                    self._refunded += free * np.maximum(self.labs.state.charges[:, INSTRUMENTS] - measured, 0.0)
+                    spent = self.labs.rules.arrays.share * (self.labs.state.charges[:, INSTRUMENTS] - measured)
+                    self._refunded += free * np.maximum(spent, 0.0)
                     track.reward[t] = self._credit(rewards[agent], over, near, refund)
                     if self._best is not None:
                         self._best.rewarded(track.reward[t], over)
@@ -814,7 +808,7 @@ class PPOTeam:
         labs, everywhere, info = self.labs, self.labs.members, self._infos[MANAGER_AGENT]
         share = labs.rules.arrays.share
         self._rewarded += reward
-        partial = near * np.where(over, info["partial"], labs.partial_worth(everywhere)) if near else 0.0
+        partial = share * near * np.where(over, info["partial"], labs.partial_worth(everywhere)) if near else 0.0
         paid = share * np.where(over, info["paid"], labs.worth(everywhere).mean(axis=1)) + partial
         spent = share * labs.charges(everywhere).sum(axis=1)
         earned = np.where(over, self._rewarded + partial, paid - spent) + self._refunded
@@ -831,51 +825,47 @@ class PPOTeam:
     def _noted(self, agent: str, rows: IntArray) -> Arrays:
         """Return observations [B, observed] of a learner in the laboratories ``rows`` [B], with notes if it has any."""
         seen = self._observed[agent][rows]
-        if self.notes is None or role_of(agent) != MANAGER_ROLE:
+        if self.notes is None or agent != MANAGER_AGENT:
             return seen
         return self.notes.shown(seen, None, self.labs.turns_had(self.labs.manager.index)[rows], rows)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Return actions [N] or [N, n] of an agent in round ``t``; None if it has no turn in any laboratory."""
-        info = self._infos[agent]
+        info, role, manages = self._infos[agent], role_of(agent), agent == MANAGER_AGENT
         rows = np.flatnonzero(info["has_turn"])
         if not len(rows):
             return None
         number = self.agents.index(agent)
         mask = None if "action_mask" not in info else info["action_mask"][rows]
-        if role_of(agent) not in self.learners:
+        allowed = None if mask is None else mask.astype(np.bool_)
+        if role not in self.learners:
             played = self._players.decide(number, rows)
-        elif role_of(agent) in self.fixed:
-            allowed = None if mask is None else mask.astype(np.bool_)
-            played, _ = self.learners[role_of(agent)].act(self._observed[agent][rows], allowed, greedy=True)
+        elif role in self.fixed:
+            played, _ = self.learners[role].act(self._observed[agent][rows], allowed, greedy=True)
         else:
-            learner, track = self.learners[role_of(agent)], self._tracks[agent]
-            self.turns[role_of(agent)] += len(rows)
-            observed = self._noted(agent, rows)
-            allowed = None if mask is None else mask.astype(np.bool_)
-            if role_of(agent) == MANAGER_ROLE and allowed is not None and not self._teachers:
+            track, teacher, observed = self._tracks[agent], self._teachers.get(agent), self._noted(agent, rows)
+            self.turns[role] += len(rows)
+            if manages and allowed is not None and not self._teachers:
                 allowed = self._helped(allowed, rows, 1.0 - remaining)
-            steps, chosen, log_probability = self.labs.turns_had(number)[rows], None, np.zeros(len(rows))
-            if agent in self._teachers:
-                chosen = self._teachers[agent].advice(self._observed[agent][rows], mask, steps, rows)
-            if chosen is None or self._tried:
-                played, log_probability = learner.act(observed, allowed, greedy=chosen is not None)
-            else:
-                played = chosen
-            if agent in self._teachers:
-                self._teachers[agent].played(played, rows)
-            if self.notes is not None and role_of(agent) == MANAGER_ROLE:
+            if teacher is None or self._tried:
+                learned = self.learners[role].act(observed, allowed, greedy=teacher is not None)
+                played, track.log_probability[t, rows] = learned
+                shown = played
+            if teacher is not None:
+                shown = teacher.advice(self._observed[agent][rows], mask, self.labs.turns_had(number)[rows], rows)
+                played = played if self._tried else shown
+                teacher.played(played, rows)
+            if self.notes is not None and manages:
                 self.notes.played(played, rows)
             track.acted[t, rows], track.tick[t, rows] = True, self.labs.state.ticks[rows]
-            if role_of(agent) == MANAGER_ROLE:
+            if manages:
                 self._decided[rows] = self.labs.state.ticks[rows]
-            track.observed[t, rows], track.action[t, rows] = observed, played if chosen is None else chosen
-            track.log_probability[t, rows] = log_probability
+            track.observed[t, rows], track.action[t, rows] = observed, shown
             if track.mask is not None:
                 track.mask[t, rows] = allowed
             if not track.shared:
                 track.seen[t, rows] = np.concatenate([observed, self.batch.state(rows)], axis=1)
-            if self._best is not None and role_of(agent) == MANAGER_ROLE:
+            if self._best is not None and manages:
                 self._best.add(track, t, rows)
         space = self.batch.action_space(agent)
         out = np.zeros((self.settings.envs, *(space.shape or ())), dtype=played.dtype)
@@ -959,7 +949,7 @@ class PPOTeam:
         hit: dict[str, float] = {}
         first = 0
         for number in range(rounds):
-            self._restart()
+            self._restart(1.0)
             self._tried = number > 0
             seeds = np.random.SeedSequence(self.settings.seed).spawn(len(self.agents))
             self._teachers = {

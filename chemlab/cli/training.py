@@ -43,6 +43,7 @@ class _Account:
         self._task = TaskID(0)
         self._steps = 0
         self._curve: dict[int, float] = {}
+        self._note = ""
 
     def _say(self, text: str) -> None:
         # Print a line at once, so that a log shows the run's folder.
@@ -70,7 +71,8 @@ class _Account:
             ascii_only = self._progress.console.options.ascii_only
             levels = " .:-=+*#@" if ascii_only else " ▁▂▃▄▅▆▇█"
             note = f"return {mean:.3f} {_curve(self._curve, levels)}"
-        self._progress.update(self._task, completed=step, mean=f"{step:,} steps, {note}")
+        self._note = f", {note}" if note else self._note  # in some rounds no episode ends
+        self._progress.update(self._task, completed=step, mean=f"{step:,} steps{self._note}")
 
     def evaluated(self, evaluation: Evaluation, best: bool) -> None:
         """See :class:`chemlab.agents.train.loop.Watcher`."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from chemlab.agents.train.learn import train
 from chemlab.agents.train.tasks import LaboratoryTask
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
-from chemlab.envs.players import as_policy
+from chemlab.envs.players import Watching, as_policy
 from chemlab.envs.role_env import RoleEnv, RoleVectorEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.starts import SUBMIT, lab_starts
@@ -246,10 +247,26 @@ def test_after_the_first_round_the_learner_plays_and_all_rounds_are_learned_from
     assert fitted[1] > 1.4 * fitted[0] > 100
 
 
-def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
+def test_a_run_that_fails_before_its_first_checkpoint_can_be_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("chemlab.agents.train.single.imitate", Mock(side_effect=ValueError("no clone")))
     arguments = training_arguments({**SMALL, "bc": "scripted", "bc_steps": 1})
-    refused("bc_steps", "bc_steps: no episode ended", train, arguments, tmp_path / "run")
-    assert Run(tmp_path / "run").config() is None, "more turns are not refused as other arguments"
+    refused("bc", "no clone", train, arguments, tmp_path / "run")
+    assert Run(tmp_path / "run").config() is None, "another number of turns is not refused as other arguments"
+
+
+def test_turns_to_imitate_are_of_whole_episodes_and_counted_by_experiment() -> None:
+    """An episode ends in every laboratory: long ones are not left out. Steps of a bench begin at 0 again."""
+    task, steps = LaboratoryTask("rush", "rxn_0"), list[int]()
+    batch = task.batch(4)
+
+    def told(observation: Any, mask: Any, step: Any, members: Any, actions: Any) -> None:
+        steps.extend((step - batch.laboratories.turns_had(batch.focal)[members]).tolist())
+
+    found = _examples(batch, Watching(task.policy("scripted"), told), None, 1, 0, 1.0)
+    assert len(found.lengths) >= 4
+    assert not any(steps)
 
 
 # -- who plays --------------------------------------------------------------------------------------------------------

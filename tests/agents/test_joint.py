@@ -315,7 +315,11 @@ def test_in_rounds_learners_play_and_the_policy_is_asked(monkeypatch: pytest.Mon
         ended.append(any(track.ended.any() for track in team._tracks.values()))
 
     monkeypatch.setattr(team, "collect", watched)
+    helped = list[float]()
+    monkeypatch.setattr(team, "_read", lambda done, over: helped.append(done))
     team.clone("scripted", 3, 2, 0.02)
+    assert set(helped[:-1]) == {1.0}, "demonstrations have no free readings"
+    assert helped[-1] == 0.0
     assert any(ended)
     first, both = (len(batch["action"]) for batch in batches)
     assert both > first
@@ -383,8 +387,11 @@ def test_policies_of_single_benches_go_on_together(tmp_path: Path) -> None:
         (f"cook={tmp_path / 'rxn'}", "no cook learns; roles: manager, rxn, ext, dit"),
         (f"rxn={tmp_path / 'nowhere'}", "nowhere: neither a training run nor a checkpoint"),
         (f"ext={tmp_path / 'dit'}", "holds no policy of ext"),
+        (f"{tmp_path / 'dit'},ext={tmp_path / 'ext'}", "must be one policy or folder, or ROLE=POLICY"),
     ):
         refused(wrong, message, team_of, IPPO(**SMALL, begin_from=wrong))
+    recurrent: Any = SimpleNamespace(card=SimpleNamespace(memory=8), weights={"0.weight": np.zeros((4, 8))})
+    assert not joint.Team(IPPO(**SMALL))._observes_wide({"manager": recurrent}), "take() refuses it"
     other = IPPO(**SMALL, begin_from=begin, net_arch=(32,))
     refused("layers", r"rxn: rxn has hidden layers \[64, 64\].*--net-arch", team_of, other)
 
@@ -393,6 +400,12 @@ def test_bad_arguments_are_named(tmp_path: Path) -> None:
     run, cook = tmp_path / "run", "roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"
     refused("roles", cook, train, IPPO(roles=("cook",)), run)
     refused("regime", r"regime\s.*'together' or 'in-turns'", lambda: IPPO(regime="chaos"))  # type: ignore[arg-type]
+    assert IPPO(regime="in-turns").practice == 0.0
+    refused("practice", "do not learn in-turns", train, IPPO(**SMALL, regime="in-turns", practice=0.5), run)
+    for role, name, value in (("manager", "gamma", 0.5), ("rxn", "notes", False), ("rxn", "regime", "in-turns")):
+        no_effect = IPPO(roles=(role,), **{name: value})
+        refused(name, f"{name}: has no effect, because only {role} learns; leave it out", train, no_effect, run)
+    refused("bc", "clone would replace the policies", lambda: IPPO(bc="scripted", begin_from="rush_manager"))
     refused("bc", "heuristc", train, IPPO(**SMALL, bc="heuristc"), run)
     refused("background", "heuristc", train, IPPO(**SMALL, background="heuristc"), run)
     assert not run.exists()

@@ -28,6 +28,7 @@ from chemlab.agents.train.learn import train
 from chemlab.agents.train.ppo import PPOTeam, _drawn, _Learner, _Shown, _Track
 from chemlab.agents.train.tied import TiedLinear, Unit, action_units, notes_units, observed_units
 from chemlab.config.loading import load_scenario
+from chemlab.config.scenario import Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import AMOUNTS
@@ -103,9 +104,9 @@ def test_actions_are_drawn_by_their_probabilities() -> None:
     assert float((drawn[::2] == 3).float().mean()) == pytest.approx(0.7, abs=0.03)
 
 
-def managers(scenario: str = "wurtz_dodecane", **given: Any) -> PPOTeam:
+def managers(scenario: str | Scenario = "wurtz_dodecane", **given: Any) -> PPOTeam:
     """A manager that learns in a scenario."""
-    arguments = IPPO(scenario=scenario, roles=("manager",), **{**QUICK, **given})
+    arguments = IPPO(roles=("manager",), **{**QUICK, **given})
     return PPOTeam(load_scenario(scenario), ["manager"], arguments, "scripted", False)
 
 
@@ -271,10 +272,15 @@ def test_observations_of_the_manager_are_normalized() -> None:
     assert torch.equal(learner.network.scale, same)
 
 
-def test_measurements_are_refunded_ever_less() -> None:
-    price = load_scenario("rush").instruments["gas_chromatograph"].price
+@pytest.mark.parametrize("share", [1.0, 0.5])
+def test_measurements_are_refunded_ever_less(share: float) -> None:
+    """By what the manager pays: its share of the result."""
+    scenario = load_scenario("rush")
+    mix = scenario.rewards.model_copy(update={"manager_local": share})
+    price = share * scenario.instruments["gas_chromatograph"].price
     for remaining, kept in ((1.0, 0.0), (0.75, 0.5), (0.5, 1.0)):
-        made = managers("rush", free_readings=0.5, refund=0.0, shown_readings=0.0, rollout=1)
+        given = {"free_readings": 0.5, "refund": 0.0, "shown_readings": 0.0, "rollout": 1}
+        made = managers(scenario.model_copy(update={"rewards": mix}), **given)
         mask = made._infos["manager_0"]["action_mask"]
         mask[:] = 0
         mask[:, np.flatnonzero(made.labs.actions.table[:, 0] == MEASURE)[0]] = 1
@@ -368,8 +374,11 @@ def test_slots_and_orders_share_weights() -> None:
 
 
 def test_weights_are_shared_where_parameters_are_hidden() -> None:
-    """Level 1 reveals them."""
-    cases: list[tuple[str, dict[str, Any], bool]] = [("rush", {}, True), ("rush@1", {}, False)]
+    """Level 1 reveals all of them, the last one only one."""
+    world, name = load_scenario("rush").world, next(iter(load_scenario("rush").world.draws))
+    draws = {**world.draws, name: world.draws[name].model_copy(update={"told": ("manager",)})}
+    partly = load_scenario("rush").model_copy(update={"world": world.model_copy(update={"draws": draws})})
+    cases: list[tuple[Any, dict[str, Any], bool]] = [("rush", {}, True), ("rush@1", {}, False), (partly, {}, True)]
     for scenario, given, tied in [*cases, ("rush", {"tied": False}, False), ("wurtz_dodecane", {}, False)]:
         layers = managers(scenario, **given).learners["manager"].network.actor
         assert isinstance(layers[0], TiedLinear) == tied, (scenario, given)
