@@ -19,7 +19,6 @@ from pydantic import Field
 
 from chemlab.config.datafile import DataError, read_json
 from chemlab.config.datamodel import DataModel, validated
-from chemlab.config.files import write_json
 from chemlab.config.scenario import Scenario
 from chemlab.envs.players import Actions, Remembering
 from chemlab.kernels.arrays import IntArray, MaskArray, ObservationArray
@@ -179,10 +178,6 @@ class PlanFile(DataModel):
     tried: int
     evaluation: dict[str, int | float | None]
     plans: list[StoredPlan]
-
-    def save(self, path: Path) -> None:
-        """Write the file atomically."""
-        write_json(path, self.model_dump())
 
     def decoded(self, actions: ManagerActions) -> dict[Context, Plan]:
         """Return the plans as action indices of a laboratory.

@@ -120,10 +120,10 @@ def doubts(scenario: Scenario) -> list[str]:
         return lines
     atoms = atoms_of(available, scenario.materials)
     possible = reachable_materials(scenario, [*available, *drawn])
-    for goal in scenario.lab_goals:
+    for goal in scenario.goals:
         if goal not in possible:
             lines.append(f"goals: no reaction makes {goal!r} from the materials in stock and on the shelf")
-        elif not drawn:
+        elif goal in scenario.lab_goals and not drawn:
             composition = scenario.materials[goal].composition
             most = min(atoms.get(element, 0.0) / number for element, number in composition.items())
             declared = scenario.theoretical_maximum_mol[goal]

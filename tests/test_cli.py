@@ -471,17 +471,18 @@ def test_a_place_that_cannot_be_written_is_said_before_anything_is_played(
         assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_what_was_found_is_shown_though_it_cannot_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_are_shown_or_written_if_the_other_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The disk was found to have room, and has none any more when it comes to it."""
     page = tmp_path / "page.md"
     page.write_text("<!-- results: begin -->\n<!-- results: end -->\n")
     before = page.read_text()
     made = tmp_path / "a.json"
-    for words, shown in (
+    cases = (
         (["evaluate", "fictitious", "--episodes", "1", "--update", page], "scripted"),
         (["evaluate", "fictitious", "--bench", "rxn", "--episodes", "1", "-o", made], "scripted"),
         (["audit", "plan", "salt_from_oil", "--budget", "200", "--episodes", "1", "-o", made], "plans tried"),
-    ):
+    )
+    for words, shown in cases:
         with monkeypatch.context() as patch:
             patch.setattr("chemlab.config.files.sync_file", FULL)
             said = command(*words, code=2)
@@ -489,6 +490,13 @@ def test_what_was_found_is_shown_though_it_cannot_be_written(tmp_path: Path, mon
         assert os.strerror(errno.ENOSPC) in said
     assert page.read_text() == before
     assert list(tmp_path.iterdir()) == [page]
+    with monkeypatch.context() as patch:  # and the other way round
+        patch.setattr("chemlab.cli.evaluation._show", FULL)
+        patch.setattr("chemlab.cli.auditing._tell", FULL)
+        for *words, file in (words for words, _ in cases):
+            command(*words, file, code=2)
+            assert Path(file).read_text() not in ("", before)
+            Path(file).unlink()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")

@@ -103,6 +103,7 @@ def test_bundled_scenarios_leave_no_doubt(name: str) -> None:
     [
         ("stock", {"Na": 0.0}, "benches.rxn: adds 'Na', which is not in stock"),
         ("stock", {"Na": 0.0}, "goals: no reaction makes 'dodecane' from the materials in stock"),
+        ("goals", ["dodecane", "NaCl", "hexane"], "goals: no reaction makes 'hexane'"),
         ("theoretical_maximum_mol", {"dodecane": 500.0}, "dodecane: 500 mol, but the atoms in stock .* enough for"),
         ("temperature_k", {"low": 60.0, "high": 100.0, "step": 10.0}, "high = 100 K is -173 degrees Celsius"),
         ("demand", {"missed": 0.1}, "demand: an order is met by any trace of 'dodecane': give specifications"),
@@ -111,7 +112,8 @@ def test_bundled_scenarios_leave_no_doubt(name: str) -> None:
 )
 def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
     tables = mapping("wurtz_dodecane_direct")
-    (tables["benches"]["rxn"] if key == "temperature_k" else tables).setdefault(key, {}).update(value)
+    table = tables["benches"]["rxn"] if key == "temperature_k" else tables
+    table[key] = {**table.get(key, {}), **value} if isinstance(value, dict) else value
     assert re.search(words, "\n".join(doubts(load_scenario(tables))))
 
 

@@ -28,7 +28,7 @@ from .options import (
     report_result,
     resumable,
 )
-from .screen import counting, out, plain, show_table
+from .screen import counting, err, out, plain, show_table
 
 if TYPE_CHECKING:
     from ..agents.evaluate.plans import PlanSearch
@@ -129,23 +129,17 @@ def plan(
                 f"--out: {output}: --policy plan:FILE cannot name a file with {found[0]!r}; give another name"
             )
         check_result(output, force, scenario, benches)
-    with counting() as progress:
-        task = progress.add_task("plans", total=budget)
-        search = search_plan(spec, benches, budget, seed, watch=lambda n: progress.advance(task, n))
     words = ["chemlab", "audit", "plan", scenario, "--benches", benches, "--budget", str(budget), "--seed", str(seed)]
     trusting = ["--trust"] if trust else []
     words += ["--episodes", str(episodes), *trusting]
-    plans = search.as_file(shlex.join(words), episodes)
-    if as_json:
-        typer.echo(json.dumps(plans.model_dump()))
-    else:
-        _tell(search, plans)
-    if output is not None:
-        plans.save(output)
-        if not as_json:
-            words = ["chemlab", "run", scenario, "--policy", f"{benches},manager=plan:{output}"]
-            run = shlex.join([*words, *trusting])
-            out.print(f"wrote {plain(output)}; play it: {plain(run)}")
+    with counting() as progress:
+        task = progress.add_task("plans", total=budget)
+        search = search_plan(spec, benches, budget, seed, watch=lambda n: progress.advance(task, n))
+        plans = search.as_file(shlex.join(words), episodes)
+    report_result(plans.model_dump(), lambda _: _tell(search, plans), as_json, output)
+    if output is not None and not as_json:
+        words = ["chemlab", "run", scenario, "--policy", f"{benches},manager=plan:{output}"]
+        out.print(f"wrote {plain(output)}; play it: {plain(shlex.join([*words, *trusting]))}")
 
 
 def _tell(search: PlanSearch, found: PlanFile) -> None:
@@ -184,7 +178,8 @@ def difficulty(
     from ..openchem.difficulty import difficulty as measure
 
     spec = load_scenario(scenario)
-    rows = measure(spec, episodes, plans, seed, explored)
+    with err.status(plain(spec.name)):
+        rows = measure(spec, episodes, plans, seed, explored)
     if as_json:
         typer.echo(json.dumps([asdict(row) for row in rows]))
         return

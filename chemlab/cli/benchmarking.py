@@ -78,7 +78,7 @@ def benchmark(
         found = protocol.benchmark(
             specs, rows, budget, seeds, split, baseline, parts, jobs, lambda _: progress.advance(task)
         )
-    protocol.write_benchmark(output, found, specs, rows, records)
+        protocol.write_benchmark(output, found, specs, rows, records)
     if as_json:
         typer.echo(json.dumps(found))
         return

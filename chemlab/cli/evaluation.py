@@ -107,20 +107,23 @@ def evaluate(
             found.append(
                 play(target, policies, episodes, seed, goal, baseline, lambda n: progress.advance(task, n), jobs)
             )
-    for results in found if as_json else ():
-        brief = [{k: v for k, v in row.items() if k not in ("returns", "cases")} for row in results["policies"]]
-        typer.echo(json.dumps({**results, "policies": brief}))
     cells = [_cells(results["target"], row) for results in found for row in results["policies"] if row["measures"]]
-    for results in () if as_json else found:
-        _show(results)
-    if not as_json and len(found) > 1 and cells:
-        show_table("Means of episodes", RESULT_COLUMNS, cells, right=range(2, len(RESULT_COLUMNS)))
-    if output is not None:
-        write_text(output, "".join(json.dumps(results, separators=(",", ":")) + "\n" for results in found))
-        if not as_json:
-            out.print(f"wrote {plain(output)}")
-    if update is not None:
-        _update(update, cells, whole=not targets)
+    try:
+        for results in found:
+            if as_json:
+                brief = [{k: v for k, v in row.items() if k not in ("returns", "cases")} for row in results["policies"]]
+                typer.echo(json.dumps({**results, "policies": brief}))
+            else:
+                _show(results)
+        if not as_json and len(found) > 1 and cells:
+            show_table("Means of episodes", RESULT_COLUMNS, cells, right=range(2, len(RESULT_COLUMNS)))
+    finally:  # also if printing fails
+        if output is not None:
+            write_text(output, "".join(json.dumps(results, separators=(",", ":")) + "\n" for results in found))
+        if update is not None:
+            _update(update, cells, whole=not targets)
+    if output is not None and not as_json:
+        out.print(f"wrote {plain(output)}")
 
 
 def _cells(target: Mapping[str, Any], row: Mapping[str, Any]) -> tuple[str, ...]:

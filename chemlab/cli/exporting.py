@@ -50,7 +50,8 @@ def policy(
     for ending in (".json", ".safetensors"):
         target = to.with_suffix(ending) if to.suffix in (".json", ".safetensors") else Path(f"{to}{ending}")
         check_result(target, force, *(file for file in Path(split_way(str(run))[0]).rglob("*") if file.is_file()))
-    card = export_run(run, to, role)
+    with err.status(plain(run)):
+        card = export_run(run, to, role)
     if as_json:
         typer.echo(json.dumps(card.model_dump()))
         return
@@ -77,7 +78,8 @@ def demos(
     """
     from ..agents.demonstrations import write_datasets
 
-    written = write_datasets(files, name, agent, force, trust, lambda note: err.print(plain(note)))
+    with err.status(plain(name)):
+        written = write_datasets(files, name, agent, force, trust, lambda note: err.print(plain(note)))
     rows = list(map(asdict, written))
     if as_json:
         typer.echo(json.dumps(rows))

@@ -325,10 +325,12 @@ def check_result(path: Path, force: bool, *read: str | Path) -> None:
 def report_result(
     found: dict[str, Any], show: Callable[[dict[str, Any]], None], as_json: bool, output: Path | None
 ) -> None:
-    """Print a result as tables or as JSON, and write it to a file where one is given."""
-    if as_json:
-        typer.echo(json.dumps(found))
-    else:
-        show(found)
-    if output is not None:
-        write_json(output, found)
+    """Print a result as tables or as JSON, and write it to a file where one is given, even if printing fails."""
+    try:
+        if as_json:
+            typer.echo(json.dumps(found))
+        else:
+            show(found)
+    finally:
+        if output is not None:
+            write_json(output, found)

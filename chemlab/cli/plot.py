@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from .options import ForceOption, TrustOption, app, check_result
-from .screen import out, plain
+from .screen import err, out, plain
 
 plot = typer.Typer(help="Draw training runs and records (needs the extra `plot`).", no_args_is_help=True)
 app.add_typer(plot, name="plot")
@@ -27,7 +27,7 @@ def _save(path: Path, force: bool, draw: Callable[[], Any], *read: Path) -> None
 
     check_format(path)
     check_result(path, force, *read)
-    with import_matplotlib().rc_context(SETTINGS):
+    with import_matplotlib().rc_context(SETTINGS), err.status(plain(path)):
         save_figure(draw(), path)
     out.print(plain(path))
 

@@ -141,6 +141,6 @@ def _paragraphs(head: Sequence[str], rows: Sequence[Sequence[Text]]) -> None:
 
 
 def counting() -> Progress:
-    """Return a progress line "done of total" on standard error, which disappears at the end."""
+    """Return a progress line "done of total" on a terminal's standard error, which disappears at the end."""
     parts = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    return Progress(*parts, console=err, transient=True)
+    return Progress(*parts, console=err, transient=True, disable=not err.is_interactive)

@@ -36,6 +36,13 @@ _DOTTED = re.compile(
 
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
 
+_TOML_HINTS = {
+    "Cannot overwrite a value": "; a key is given twice: remove one",
+    "Expected '=' after a key": '; quote keys with other characters than letters, digits, _ and -, as in "Na+" = 1.0',
+    "Expected newline": "; give one key a line, and a point in decimal numbers",
+}
+"""Ends of messages about malformed TOML, by the words of the parser."""
+
 _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Terminal control characters, and surrogates, which no file can encode."""
 
@@ -87,7 +94,8 @@ def read_toml(path: Path) -> dict[str, Any]:
     except DataError:
         raise
     except ValueError as error:  # not TOML, not UTF-8, an integer of more digits than Python reads
-        raise DataError(f"{path}: not valid TOML: {error}") from error
+        hint = next((hint for words, hint in _TOML_HINTS.items() if words in str(error)), "")
+        raise DataError(f"{path}: not valid TOML: {error}{hint}") from error
 
 
 def read_json(path: Path, limit: int = _FILE_BYTES) -> Any:

@@ -12,7 +12,8 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from typing import Any, TypeVar, get_args
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic_core.core_schema import no_info_before_validator_function
 
 from .datafile import DataError, shown
 
@@ -20,32 +21,42 @@ _LINES = 20
 T = TypeVar("T")
 
 
+def _number(value: Any) -> Any:
+    if isinstance(value, (bool, str)):
+        raise ValueError(f"must be a number, not {'true or false' if isinstance(value, bool) else 'a text'}")
+    return value
+
+
+def _numeric(schema: Any) -> Any:
+    """Return a schema of pydantic whose numbers reject texts and booleans."""
+    if isinstance(schema, list):
+        return [_numeric(part) for part in schema]
+    if not isinstance(schema, dict) or schema.get("function") == {"type": "no-info", "function": _number}:
+        return schema
+    made = {key: _numeric(part) for key, part in schema.items()}
+    return no_info_before_validator_function(_number, made) if made.get("type") in ("int", "float") else made
+
+
 class DataModel(BaseModel):
-    """Immutable values of a file; unknown keys, NaN, infinity, and booleans as numbers are errors."""
+    """Immutable values of a file; unknown keys, NaN, infinity, and texts or booleans as numbers are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    @model_validator(mode="before")
     @classmethod
-    def _no_boolean(cls, values: Any) -> Any:
-        for key, field in cls.model_fields.items() if isinstance(values, Mapping) else ():
-            kinds = (field.annotation, *get_args(field.annotation))
-            if isinstance(values.get(key), bool) and bool not in kinds and Any not in kinds:
-                raise ValueError(f"{key}: must not be true or false, given {str(values[key]).lower()}")
-        return values
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        return _numeric(handler(source))
 
 
 _WORDS = {
     "extra_forbidden": "unknown key",
-    "tuple_type": "must be a list, as in [1, 2]",
-    "list_type": "must be a list, as in [1, 2]",
+    "missing": "is required",
     "dict_type": "must be a table of keys and values",
     "model_type": "must be a table of keys and values",
 }
 """Problems in the words of files, by pydantic's name."""
 
 
-_ALTERNATIVE = re.compile(r"tuple\[|constrained-|literal\[")
+_ALTERNATIVE = re.compile(r"tuple\[|constrained-|literal\[|function-")
 """Pydantic's names of some alternatives of a value's type, which are no keys."""
 
 
@@ -75,7 +86,7 @@ def _hint(kind: Any, place: Sequence[int | str], others: Sequence[str]) -> str:
         ]
         models = inside or one_kind or models
     known = [*dict.fromkeys(field for model in models for field in model.model_fields), *others]
-    near = difflib.get_close_matches(str(key), known, 1)
+    near = difflib.get_close_matches(str(key), known, 1, 0.7)
     if near:
         return f"; did you mean {near[0]}?"
     return f"; known: {', '.join(known)}" if known else ""
@@ -89,8 +100,13 @@ def _described(error: ValidationError, where: str, kind: Any, others: Sequence[s
         place = ".".join(str(part) for part in item["loc"] if not _ALTERNATIVE.match(str(part)))
         message = _WORDS.get(item["type"]) or re.sub(r"^Value error, ", "", item["msg"])
         given = item.get("input")
-        if item["type"] in ("tuple_type", "list_type") and isinstance(given, dict):
-            message = f"must be a list of tables, each under [[{place}]]"
+        message = re.sub(r"^\w+ should have (.*) after validation, not (\d+)$", r"must have \1, given \2", message)
+        if item.get("ctx", {}).get("pattern", "").startswith("^[a-z]"):
+            message = "must be lower-case letters, digits and _, beginning with a letter"
+        if item["type"] in ("tuple_type", "list_type"):
+            example = f", as in [{shown(given) if isinstance(given, str) else '1, 2'}]"
+            tables = f" of tables, each under [[{place}]]"
+            message = f"must be a list{tables if isinstance(given, dict) else example}"
         bare = isinstance(given, (dict, list, tuple, BaseModel)) or item["type"] == "missing"
         hint = _hint(kind, item["loc"], others) if item["type"] == "extra_forbidden" else ""
         words = message + ("" if bare else f", given {shown(given)}") + hint

@@ -123,7 +123,8 @@ def _loaded(scenario: str | Path | Mapping[str, Any] | Scenario) -> Scenario:
     if path.suffix != ".toml":
         known = [*scenario_names(), *campaign_names(), *synthesis_names()]
         plain = name.lower().replace("-", "_")
-        near = [one for one in known if plain in one][:1] or difflib.get_close_matches(plain, known, 1)
+        near = [one for one in (f"{name}.toml",) if Path(one).is_file()] or [one for one in known if plain in one][:1]
+        near = near or difflib.get_close_matches(plain, known, 1)
         raise DataError(
             f"scenario: unknown name {str(scenario)!r:.200}; {f'did you mean {near[0]}? ' if near else ''}"
             f"choose from {', '.join(known)}, or give a path to a .toml file"

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel
 
-from ..config.datafile import DataError
+from ..config.datafile import DataError, toml_key
 from ..config.datamodel import validated
 from ..config.materials import COLDEST_K, HOTTEST_K
 from ..config.parts import Part, PartError, blamed, checked_numbers, load_part
@@ -689,8 +689,8 @@ class Bench(ABC):
         """
         if name not in self.layout.materials:
             raise DataError(
-                f"{self.scenario.origin}: benches.{self.key}.{key}: unknown material {name!r}; "
-                f"choose from {', '.join(self.layout.materials)}"
+                f"{self.scenario.origin}: benches.{self.key}.{key}: no material {name!r} in this scenario; choose from "
+                f"{', '.join(self.layout.materials)}, or add it to the stock: stock.{toml_key(name)} = 1.0 (mol)"
             )
         return self.layout.index(name)
 

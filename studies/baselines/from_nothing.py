@@ -81,7 +81,7 @@ def untrained(name: str, plans: int) -> dict[str, float]:
     spec = load_scenario(name)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "plan.json"
-        search_plan(spec, budget=plans).as_file("from_nothing.py", 2).save(file)
+        write_json(file, search_plan(spec, budget=plans).as_file("from_nothing.py", 2).model_dump())
         names = {"random": "scripted,manager=random", "plan": f"scripted,manager=plan:{file}"}
         return {one: statistics.mean(means(spec, names.get(one, one))) for one in MANAGERS}
 

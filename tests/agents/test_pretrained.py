@@ -324,7 +324,7 @@ def test_export_says_what_is_missing(tmp_path: Path) -> None:
     words = ["-o", tmp_path / "x"]
     assert "contains no training run" in command("export", tmp_path, *words, code=2)
     (tmp_path / "config.json").write_text("{}")
-    assert "config.json: label: Field required" in command("export", tmp_path, *words, code=2)
+    assert "config.json: label: is required" in command("export", tmp_path, *words, code=2)
     run = write_run(tmp_path / "run", "fictitious", "rxn", {"E": 1.0})
     assert "contains no checkpoint" in command("export", run, *words, code=2)
 
