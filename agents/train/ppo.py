@@ -833,7 +833,7 @@ class PPOTeam:
         seen = self._observed[agent][rows]
         if self.notes is None or role_of(agent) != MANAGER_ROLE:
             return seen
-        return self.notes.shown(seen, None, self.labs.turns_had(self.labs.manager.index)[rows], rows)
+        return self.notes.shown(seen, None, self.labs.manager.turns_had[rows], rows)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Return actions [N] or [N, n] of an agent in round ``t``; None if it has no turn in any laboratory."""
@@ -855,7 +855,7 @@ class PPOTeam:
             allowed = None if mask is None else mask.astype(np.bool_)
             if role_of(agent) == MANAGER_ROLE and allowed is not None and not self._teachers:
                 allowed = self._helped(allowed, rows, 1.0 - remaining)
-            steps, chosen, log_probability = self.labs.turns_had(number)[rows], None, np.zeros(len(rows))
+            steps, chosen, log_probability = self.labs.roles[number].turns_had[rows], None, np.zeros(len(rows))
             if agent in self._teachers:
                 chosen = self._teachers[agent].advice(self._observed[agent][rows], mask, steps, rows)
             if chosen is None or self._tried:
