@@ -161,7 +161,7 @@ def play_laboratory(labs: Laboratories, policies: Mapping[str, Policy], goal: st
     def count(number: int, members: IntArray) -> None:
         rewards[members] += labs.rewards[members]
         cost[members] += labs.cost[members].sum(axis=1)
-        illegal[members] += labs.illegal(number)[members]
+        illegal[members] += labs.roles[number].illegal[members]
 
     players = Players(labs, ordered)
     for member in labs.members.tolist():

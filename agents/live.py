@@ -122,7 +122,7 @@ class Live:
                 labs = self.room.laboratories
                 number, agent = labs.turn(), self.turn
                 # A policy that takes over within an experiment begins without memory of earlier ones.
-                step = np.zeros(1, np.int64) if agent in self._unseen else labs.turns_had(number)
+                step = np.zeros(1, np.int64) if agent in self._unseen else labs.roles[number].turns_had
                 self._unseen.discard(agent)
                 self.room.play(agent, self._players.decide(number, labs.members, step)[0])
 
@@ -130,7 +130,7 @@ class Live:
         """Play a call of the person at a seat, and return the reply."""
         with self._lock:
             labs = self.room.laboratories
-            if self.turn == agent and not labs.turns_had(labs.agents.index(agent))[0]:
+            if self.turn == agent and not labs.roles[labs.agents.index(agent)].turns_had[0]:
                 self._unseen.add(agent)
             return self.room.call(agent, verb, arguments)
 

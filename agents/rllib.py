@@ -29,8 +29,9 @@ import numpy as np
 import numpy.typing as npt
 
 from chemlab.config.extras import needs
+from chemlab.config.scenario import Settings
 from chemlab.envs.aec import raw_env
-from chemlab.envs.inputs import checked_options
+from chemlab.envs.inputs import check_by_agent, checked_options
 from chemlab.kernels.arrays import IntArray
 from chemlab.kernels.rng import checked_seed
 from chemlab.lab.episode_streams import INTERRUPTED, Guarded
@@ -42,7 +43,7 @@ from .roles import chosen_roles, role_of
 with needs("training on a cluster needs Ray", "rllib"):
     from ray.rllib.env.multi_agent_env import MultiAgentEnv
 
-_SETTINGS = ("scenario", "roles", "background", "rewards", "split")
+_SETTINGS = ("scenario", "roles", "background", *Settings.__annotations__)
 
 
 class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
@@ -51,8 +52,7 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
     Args:
         config: ``scenario`` (bundled name, path or loaded scenario; default ``wurtz_dodecane``), ``roles`` that learn
             (``manager`` and bench keys; default: all), ``background`` (name of the policies that play the others;
-            default ``scripted``), and ``rewards``, ``split`` as for
-            :class:`~chemlab.envs.aec.raw_env`.
+            default ``scripted``), and ``rewards``, ``split``, ``actions`` as for :class:`~chemlab.envs.aec.raw_env`.
 
     Raises:
         DataError: the scenario is invalid or unknown.
@@ -99,19 +99,17 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
         Args:
             seed: starts a series of episodes that depends on the seed alone; None: the next episode of the series. In
                 RLlib's env runner i, 1000 i is added.
-            options: ``{"goal": name}`` sets one of the scenario's laboratory goals instead of drawing it.
+            options: ``{"goal": name}``, ``{"world": seed or values}``, as in AEC.
 
         Raises:
-            ValueError: the goal is unknown, or the seed is not a non-negative integer; nothing has changed.
+            ValueError: an option, goal or world is unknown, or the seed is not a non-negative integer; nothing has
+                changed.
             RuntimeError: the background policies never start these agents.
         """
         seed = checked_seed(seed)
+        labs = self.laboratory.laboratories
+        checked_options(options, labs.scenario.lab_goals, labs.worlds)
         super().reset(seed=seed, options=options)
-        labs, asked = self.laboratory.laboratories, checked_options(options, self.laboratory.scenario.lab_goals)
-        if asked.get("goal") is not None:
-            labs.goal_index(asked["goal"])
-        if asked.get("world") is not None:
-            labs.worlds.check(asked["world"])
         self._unfinished = True
         seeds = iter([] if seed is None else [seed + self._seed_offset])
 
@@ -147,6 +145,7 @@ class LaboratoryMultiAgentEnv(Guarded, MultiAgentEnv):
             raise gymnasium.error.ResetNeeded(INTERRUPTED)
         if not self._had_turn or not self._running():
             raise ValueError("step: the episode is over (or has not begun): call reset()")
+        check_by_agent(action_dict)
         agent = self.laboratory.agent_selection
         if set(action_dict) != {agent}:
             raise ValueError(f"{agent}: has the turn, so step() needs its action alone; given {list(action_dict)}")

@@ -22,7 +22,8 @@ def role_of(agent: str) -> str:
 
 
 def chosen_roles(laboratories: Laboratories, roles: Sequence[str] | None) -> list[str]:
-    """Return the chosen roles in the laboratory's order; None selects all. The only agent of a role may stand for it.
+    """Return the chosen roles, or role, in the laboratory's order; None selects all. The only agent of a role may stand
+    for it.
 
     Raises:
         ValueError: a role is unknown, or none is given.
@@ -30,7 +31,8 @@ def chosen_roles(laboratories: Laboratories, roles: Sequence[str] | None) -> lis
     every = [role_of(agent) for agent in laboratories.agents]
     known = list(dict.fromkeys(every))
     only = {agent: role_of(agent) for agent in laboratories.agents if every.count(role_of(agent)) == 1}
-    wanted = known if roles is None else [only.get(role, role) for role in roles]
+    given = [roles] if isinstance(roles, str) else roles
+    wanted = known if given is None else [only.get(role, role) for role in given]
     if not wanted or set(wanted) - set(known):
         name = laboratories.scenario.name
         raise ValueError(f"roles: {name} has {', '.join(known)}; given {', '.join(wanted) or 'none'}")

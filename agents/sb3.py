@@ -20,7 +20,7 @@ import numpy.typing as npt
 from gymnasium.vector import AutoresetMode
 
 from chemlab.config.extras import needs
-from chemlab.envs.inputs import parsed_seeds
+from chemlab.envs.inputs import checked_options, parsed_seeds
 from chemlab.envs.role_env import RoleVectorEnv
 from chemlab.lab.episode_streams import Guarded
 
@@ -120,18 +120,16 @@ class ChemlabVecEnv(Guarded, VecEnv):
         """Start experiments in every member with the seeds and options set before; return [N, size] observations.
 
         Raises:
-            ValueError: an option or goal is unknown.
+            ValueError: an option, goal or world is unknown; nothing has changed.
         """
-        seeds = None if all(seed is None for seed in self._seeds) else self._seeds
-        same = all(options == self._options[0] for options in self._options)
-        first = self._options[0] if same else None
-        observations, infos = self._entered(self.env.reset, seed=seeds, options=first)  # type: ignore[arg-type]
-        if not same:
-            for i, options in enumerate(self._options):
-                if options:
-                    only = np.arange(self.num_envs) == i
-                    own: Any = {**options, "reset_mask": only}
-                    observations, infos = self.env.reset(seed=seeds, options=own)  # type: ignore[arg-type]
+        own, seeds = self.batch.episodes, None if all(seed is None for seed in self._seeds) else self._seeds
+        options = [checked_options(one, own.goals, own.worlds) for one in self._options]
+        kinds = [one for i, one in enumerate(options) if one not in options[:i]]
+        if len(kinds) > 1 and not self.batch._begun:  # a first reset is of all members
+            self._entered(self.env.reset, seed=seeds)  # type: ignore[arg-type]
+        for kind in kinds:
+            alike: Any = {**kind, "reset_mask": np.array([one == kind for one in options])}
+            observations, infos = self._entered(self.env.reset, seed=seeds, options=alike)  # type: ignore[arg-type]
         self.reset_infos = [self._info(float(cost)) for cost in infos["cost"]]
         self._reset_seeds()
         self._reset_options()
@@ -144,8 +142,6 @@ class ChemlabVecEnv(Guarded, VecEnv):
     def step_async(self, actions: npt.NDArray[Any]) -> None:
         """Store the actions [N] or [N, n] for :meth:`step_wait`."""
         self._actions = actions
-        if self._advisor is not None:
-            self._advisor.played(actions, np.arange(self.num_envs))
 
     def step_wait(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32], npt.NDArray[np.bool_], Infos]:
         """Play the stored actions; return observations [N, size], rewards [N], whether each episode has ended [N],
@@ -156,6 +152,8 @@ class ChemlabVecEnv(Guarded, VecEnv):
             gymnasium.error.ResetNeeded: an earlier step was interrupted or failed.
         """
         observations, rewards, terminated, truncated, found = self._guarded(self.env.step, self._actions)
+        if self._advisor is not None:
+            self._advisor.played(self._actions, np.arange(self.num_envs))
         dones = terminated | truncated
         self._returns += rewards
         self._lengths += 1
@@ -288,4 +286,4 @@ class ChemlabVecEnv(Guarded, VecEnv):
         return np.asarray(self.batch.action_masks()[member])
 
     def _members(self, indices: Indices) -> Sequence[int]:
-        return list(self._get_indices(indices))
+        return [range(self.num_envs)[index] for index in self._get_indices(indices)]

@@ -509,7 +509,7 @@ class Room:
             return "\n".join(folded_lines(view.lines(seen, only="goal" if at == "orders" else f"slot_{at}")))
         lines = view.lines(seen if whole else self._without_small_changes(agent, seen), whole)
         self._last_seen[agent] = seen
-        head, had = f"Turn {self._turns[agent]}", int(labs.turns_had(index)[0])
+        head, had = f"Turn {self._turns[agent]}", int(labs.roles[index].turns_had[0])
         if index:
             whole = whole or had == 0
             if not labs.state.busy[index - 1, 0]:

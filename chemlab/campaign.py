@@ -263,7 +263,7 @@ class Campaign:
         self._manage("wait")
         while (turn := labs.turn()) != labs.manager.index and self._running:
             agent, before = labs.agents[turn], labs.shelf.stock[0].copy()
-            labs.act(turn, labs.members, self._control(recipes[agent], int(labs.turns_had(turn)[0]))[None])
+            labs.act(turn, labs.members, self._control(recipes[agent], int(labs.roles[turn].turns_had[0]))[None])
             used[agent] += float((before - labs.shelf.stock[0]) @ price)
         ticks, cost = int(state.ticks[0]) - begin, self.scenario.instruments[self._instrument].price
         results = []

@@ -93,7 +93,8 @@ class TorchLaboratory(EnvBase):
         labs = batch.laboratories
         learning = chosen_roles(labs, roles)
         self._players = background_players(labs, learning, background)
-        self._others = [number for number, agent in enumerate(labs.agents) if role_of(agent) not in learning]
+        self._learning = [number for number, agent in enumerate(labs.agents) if role_of(agent) in learning]
+        self._others = [number for number in range(len(labs.agents)) if number not in self._learning]
         self.group_map = {role: [agent for agent in labs.agents if role_of(agent) == role] for role in learning}
         self._state = np.empty((num_envs, *batch.state_space.shape), dtype=np.float32) if state else None
         self._make_specs()
@@ -163,7 +164,7 @@ class TorchLaboratory(EnvBase):
             for actions in [tensordict[group, "action"].cpu().numpy()]
             for i, agent in enumerate(agents)
         }
-        observations, rewards, terminated, truncated, infos = self._batch.step({**given, **self._played()})
+        observations, rewards, terminated, truncated, infos = self._batch.step({**given, **self._played(given)})
         entries = self._entries(observations, infos)
         for group, agents in self.group_map.items():
             earned = np.stack([rewards[agent] for agent in agents], axis=1)[..., None]
@@ -171,19 +172,18 @@ class TorchLaboratory(EnvBase):
         ended = self._ended(terminated, truncated)
         return TensorDict({**entries, **ended}, batch_size=self.batch_size, device=self.device)
 
-    def _played(self) -> dict[str, npt.NDArray[Any]]:
-        """Return the actions [N, ...] of background agents that have the turn in any laboratory."""
+    def _played(self, given: dict[str, npt.NDArray[Any]]) -> dict[str, npt.NDArray[Any]]:
+        """Return the actions [N, ...] of background agents that have the turn in any laboratory, beside ``given``."""
         labs, played = self._batch.laboratories, dict[str, npt.NDArray[Any]]()
         if not self._others:
             return played
-        turns = labs.turns(labs.members)
+        self._batch.checked(given, self._learning)  # first: background policies may draw, or remember
+        turns, actions = labs.turns(labs.members), labs.no_actions()
         for number in self._others:
             who = labs.members[turns[number]]
             if len(who):
-                decided = self._players.decide(number, who)
-                actions = np.zeros((len(labs.members), *decided.shape[1:]), dtype=decided.dtype)
-                actions[who] = decided
-                played[labs.agents[number]] = actions
+                actions[number][who] = self._players.decide(number, who)
+                played[labs.agents[number]] = actions[number]
         return played
 
     def _entries(
@@ -208,7 +208,7 @@ class TorchLaboratory(EnvBase):
                 entries["action_mask"] = self._stacked([infos[agent]["action_mask"] for agent in agents], torch.bool)
             result[group] = TensorDict(entries, batch_size=(self._batch.num_envs, len(agents)), device=self.device)
         if self._state is not None:
-            self._state[begun] = self._batch.state(None if begun is Ellipsis else begun)
+            self._state[begun] = self._batch.state(begun)
             result["state"] = self._tensor(self._state.copy(), torch.float32)
         return result
 

@@ -827,7 +827,7 @@ class PPOTeam:
         seen = self._observed[agent][rows]
         if self.notes is None or agent != MANAGER_AGENT:
             return seen
-        return self.notes.shown(seen, None, self.labs.turns_had(self.labs.manager.index)[rows], rows)
+        return self.notes.shown(seen, None, self.labs.manager.turns_had[rows], rows)
 
     def _chosen(self, agent: str, t: int, remaining: float) -> Arrays | None:
         """Return actions [N] or [N, n] of an agent in round ``t``; None if it has no turn in any laboratory."""
@@ -852,7 +852,7 @@ class PPOTeam:
                 played, track.log_probability[t, rows] = learned
                 shown = played
             if teacher is not None:
-                shown = teacher.advice(self._observed[agent][rows], mask, self.labs.turns_had(number)[rows], rows)
+                shown = teacher.advice(self._observed[agent][rows], mask, self.labs.roles[number].turns_had[rows], rows)
                 played = played if self._tried else shown
                 teacher.played(played, rows)
             if self.notes is not None and manages:

@@ -68,7 +68,6 @@ from ..config.scenario import RewardSpec, Scenario
 from ..lab.episode_streams import INTERRUPTED
 from ..roles.manager_state import RUNNING
 from .one_laboratory import OneLaboratory
-from .rendering import RENDER_MODES
 
 _Last = tuple[npt.NDArray[np.float32] | None, float, bool, bool, dict[str, Any]]
 
@@ -93,6 +92,9 @@ class _Enforced(OrderEnforcingWrapper[str, npt.NDArray[np.float32], Any]):
     def __repr__(self) -> str:
         return repr(self.env)
 
+    def __str__(self) -> str:
+        return str(self.env)
+
     def _repr_html_(self) -> str:
         return self.unwrapped._repr_html_()  # type: ignore[no-any-return]
 
@@ -109,13 +111,6 @@ class raw_env(OneLaboratory, AECEnv[str, npt.NDArray[np.float32], Any]):
         DataError: the scenario is invalid or unknown.
         ValueError: the render mode, reward mix or split is unknown.
     """
-
-    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
-        "name": "chemlab_laboratory_v1",
-        "render_modes": list(RENDER_MODES),
-        "render_fps": 8,
-        "is_parallelizable": False,
-    }
 
     def _allocate(self) -> None:
         self._one_action = np.zeros(1, dtype=np.int64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -77,10 +77,7 @@ class BatchedLaboratory:
             np.tile(np.arange(role.action_count) == role.resting_action, (num_envs, 1)).astype(np.int8)
             for role in labs.roles
         ]
-        self._idle_actions = [
-            np.zeros(num_envs, dtype=np.int64) if count else np.zeros((num_envs, *(labs.action_space(a).shape or ())))
-            for a, count in enumerate(labs.action_counts)
-        ]
+        self._idle_actions = labs.no_actions()
 
     def observation_space(self, agent: str) -> gymnasium.spaces.Box:
         """Return the observation space of one agent in one laboratory."""
@@ -100,12 +97,12 @@ class BatchedLaboratory:
         """Channels of :meth:`state` in order; see :mod:`chemlab.envs.global_state`."""
         return self._whole.channels
 
-    def state(self, members: IntArray | None = None) -> ObservationArray:
-        """Return [B, size] the true states of laboratories (default: all), for centralised critics.
+    def state(self, members: Any = None) -> ObservationArray:
+        """Return [B, size] the true states of laboratories, by indices [B] or a mask [N] (default: all), for critics.
 
         For an episode that has just ended, it is the state of the next one (without ``autoreset``: of its end).
         """
-        return self._whole.see(self.laboratories.members if members is None else members)
+        return self._whole.see(self.laboratories.members[... if members is None else members])
 
     def reset(
         self, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -125,11 +122,9 @@ class BatchedLaboratory:
                 non-negative integer; nothing has changed.
         """
         mask, seeds, goal, world = parsed_reset(
-            seed, options, self.num_envs, self.scenario.lab_goals, self._begun, self._random
+            seed, options, self.num_envs, self.scenario.lab_goals, self.laboratories.worlds, self._begun, self._random
         )
         labs, members = self.laboratories, np.flatnonzero(mask)
-        if world is not None:
-            labs.worlds.check(world)
         self._begun = False  # until it is finished: after an interruption only a reset of all members helps
         for member in members.tolist():
             member_seed = seeds[member]
@@ -178,22 +173,8 @@ class BatchedLaboratory:
             ValueError: actions are no mapping, missing or outside their space (nothing has changed), :meth:`reset` was
                 never called, or an earlier step was interrupted or failed.
         """
-        if not self._begun:
-            raise ValueError("step: the episodes have not begun, or a step was interrupted or failed: call reset()")
-        check_by_agent(actions)
         labs, members = self.laboratories, self.laboratories.members
-        if not self.autoreset and (labs.state.status != RUNNING).any():
-            raise ValueError('step: episodes are over: call reset(options={"reset_mask": ...}) for them')
-        checked = []
-        for number, agent in enumerate(self.possible_agents):
-            turn = self._turns[number]
-            if not turn.any():
-                checked.append(self._idle_actions[number])
-            elif agent in actions:
-                space = labs.action_space(number)
-                checked.append(checked_actions(agent, actions[agent], self.num_envs, space, turn))
-            else:
-                raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
+        checked = self.checked(actions, range(len(self.possible_agents)))
         self._begun = False  # until it is finished, as in reset
         labs.act_round(members, checked)
         rewards = dict(zip(self.possible_agents, labs.state.rewards.copy(), strict=True))
@@ -216,6 +197,30 @@ class BatchedLaboratory:
         found = self._seen(), rewards, ended, np.zeros(self.num_envs, dtype=np.bool_), infos
         self._begun = True
         return found
+
+    def checked(self, actions: Any, agents: Iterable[int]) -> list[npt.NDArray[Any]]:
+        """Return the actions of a round, as for :meth:`step`, of some agents by index.
+
+        Raises:
+            ValueError: as for :meth:`step`.
+        """
+        if not self._begun:
+            raise ValueError("step: the episodes have not begun, or a step was interrupted or failed: call reset()")
+        check_by_agent(actions)
+        labs = self.laboratories
+        if not self.autoreset and (labs.state.status != RUNNING).any():
+            raise ValueError('step: episodes are over: call reset(options={"reset_mask": ...}) for them')
+        checked = []
+        for number in agents:
+            agent, turn = self.possible_agents[number], self._turns[number]
+            if not turn.any():
+                checked.append(self._idle_actions[number])
+            elif agent in actions:
+                space = labs.action_space(number)
+                checked.append(checked_actions(agent, actions[agent], self.num_envs, space, turn))
+            else:
+                raise ValueError(f"{agent}: has the turn, so step() needs its actions; given {list(actions)}")
+        return checked
 
     def _look(self) -> None:
         """Update turns, observations and masks."""

@@ -9,6 +9,8 @@ then every bench's positions, ``materials`` those of the scenario.
 
 from __future__ import annotations
 
+import math
+
 import gymnasium
 import numpy as np
 
@@ -49,7 +51,7 @@ class GlobalState:
         at = 0
         with np.errstate(under="ignore"):  # traces underflow to 0
             for part in self._parts(members):  # one by one, so that the arrays fit into the processor's cache
-                values = part.values.reshape(len(members), -1)
+                values = part.values.reshape(len(members), math.prod(part.values.shape[1:]))
                 scaled = (values - part.low) * (1.0 / (part.high - part.low))
                 out[:, at : at + values.shape[1]] = scaled
                 at += values.shape[1]

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ..config.scenario import MANAGER_AGENT
 from ..kernels.rng import checked_seed
-from ..lab.hidden import World
+from ..lab.hidden import World, Worlds
 
 
 def check_count(name: str, number: Any, after: str = "") -> None:
@@ -26,22 +26,39 @@ def check_count(name: str, number: Any, after: str = "") -> None:
     Raises:
         ValueError: it is no integer of at least 1.
     """
-    if not isinstance(number, Integral):
+    if not isinstance(number, Integral) or isinstance(number, bool) or number < 1:
         place = f" and comes before {after}" if after else ""
         raise ValueError(f"{name} must be an integer of at least 1{place}, given {number!r:.100}")
-    if number < 1:
-        raise ValueError(f"{name} must be at least 1, given {number}")
 
 
-def checked_options(options: Any, goals: Sequence[str]) -> dict[str, Any]:
+def checked_options(
+    options: Any, goals: Sequence[str], worlds: Worlds, known: Sequence[str] = ("goal", "world"), strict: bool = True
+) -> dict[str, Any]:
     """Return the options of a reset (None: none).
 
+    Args:
+        options: the given ones.
+        goals: possible goals.
+        worlds: worlds of the members.
+        known: names of options.
+        strict: whether other names are an error; otherwise they are a warning.
+
     Raises:
-        ValueError: they are no dict; the message shows one with the first of the ``goals``.
+        ValueError: they are no dict, one of them is unknown, or the goal or world is invalid.
     """
-    if options is None or isinstance(options, Mapping):
-        return dict(options or {})
-    raise ValueError(f'reset: options must be a dict such as {{"goal": "{goals[0]}"}}, given {options!r:.100}')
+    if not isinstance(options, Mapping | None):
+        raise ValueError(f'reset: options must be a dict such as {{"goal": "{goals[0]}"}}, given {options!r:.100}')
+    given = dict(options or {})
+    unknown = [str(name) for name in given if name not in known]
+    if unknown:
+        told = f"reset options: known: {', '.join(known)}; {'given' if strict else 'ignored'}: {', '.join(unknown)}"
+        if strict:
+            raise ValueError(told)
+        gymnasium.logger.warn(told)
+    if given.get("goal") not in (None, *goals):
+        raise ValueError(f"goal: must be one of {', '.join(goals)}, given {given['goal']!r:.100}")
+    worlds.check(given.get("world"))
+    return given
 
 
 def check_by_agent(actions: Any) -> None:
@@ -145,6 +162,7 @@ def parsed_reset(
     options: dict[str, Any] | None,
     count: int,
     goals: Sequence[str],
+    worlds: Worlds,
     begun: bool,
     random: np.random.Generator,
 ) -> tuple[npt.NDArray[np.bool_], list[int | None], str | None, World | None]:
@@ -155,7 +173,7 @@ def parsed_reset(
             members without one get one from ``random`` at the first reset.
         options: ``{"reset_mask": bool [N]}``, ``{"goal": name}``, ``{"world": seed or values}``.
         count: number of members N.
-        goals: possible goals.
+        goals, worlds: as for :func:`checked_options`.
         begun: whether the batch has been reset before.
         random: source of seeds.
 
@@ -163,12 +181,10 @@ def parsed_reset(
         Members to reset [N], a seed or None for each, a goal or None, a world or None.
 
     Raises:
-        ValueError: an option or goal is unknown, a mask or seeds have the wrong length, or a seed is not a non-negative
-            integer.
+        ValueError: an option, goal or world is unknown, a mask or seeds have the wrong length, or a seed is not a
+            non-negative integer.
     """
-    options = checked_options(options, goals)
-    if set(options) - {"reset_mask", "goal", "world"} or options.get("goal") not in (None, *goals):
-        raise ValueError(f"reset options: known: reset_mask; world; goal, one of {', '.join(goals)}; given {options!r}")
+    options = checked_options(options, goals, worlds, ("goal", "world", "reset_mask"))
     mask = np.asarray(options.get("reset_mask", np.ones(count, dtype=np.bool_)))
     if mask.shape != (count,) or mask.dtype != np.bool_:
         raise ValueError(f"reset_mask must be {count} booleans, given {mask.dtype} of shape {mask.shape}")

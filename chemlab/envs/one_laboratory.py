@@ -19,7 +19,7 @@ from ..roles.bench import Channel
 from ..roles.manager_state import RUNNING
 from .global_state import GlobalState
 from .inputs import checked_options, number_of
-from .rendering import Rendered
+from .rendering import RENDER_MODES, Rendered
 
 if TYPE_CHECKING:
     from ..render.scene import Scene
@@ -27,6 +27,13 @@ if TYPE_CHECKING:
 
 class OneLaboratory(Rendered):
     """One laboratory as a PettingZoo environment, independent of the interface."""
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
+        "name": "chemlab_laboratory_v1",
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 8,
+        "is_parallelizable": False,  # by PettingZoo's wrapper; parallel_env is
+    }
 
     def __init__(
         self,
@@ -98,22 +105,14 @@ class OneLaboratory(Rendered):
 
     def _begin(self, seed: int | None, options: dict[str, Any] | None) -> None:
         seed = checked_seed(seed)
-        options = checked_options(options, self.scenario.lab_goals)
-        unknown = set(options) - {"goal", "world"}
-        if unknown:
-            # PettingZoo's api_test passes its own options, so unknown ones cannot be an error.
-            gymnasium.logger.warn(f"reset options: known: goal, world; ignored: {', '.join(sorted(map(str, unknown)))}")
-        goal, world = options.get("goal"), options.get("world")
-        if goal is not None:
-            self.laboratories.goal_index(goal)
-        if world is not None:
-            self.laboratories.worlds.check(world)
+        # PettingZoo's api_test passes its own options, so unknown ones cannot be an error.
+        options = checked_options(options, self.scenario.lab_goals, self.laboratories.worlds, strict=False)
         sequence = np.random.SeedSequence(seed) if seed is not None or not self._seeded else None
         self._unfinished = True
         if sequence is not None:
             self.laboratories.seed(0, sequence)
             self._seeded = True
-        self.laboratories.reset(self._members, goal, world)
+        self.laboratories.reset(self._members, options.get("goal"), options.get("world"))
         self.agents = self.possible_agents[:]
 
     def _info(self, agent: int, acted: bool = True) -> dict[str, Any]:

@@ -37,7 +37,6 @@ from ..lab.episode_streams import INTERRUPTED
 from ..roles.manager_state import RUNNING
 from .inputs import check_by_agent
 from .one_laboratory import OneLaboratory
-from .rendering import RENDER_MODES
 
 
 class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]):
@@ -53,19 +52,10 @@ class parallel_env(OneLaboratory, ParallelEnv[str, npt.NDArray[np.float32], Any]
         ValueError: the render mode, reward mix or split is unknown.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - PettingZoo's class attribute
-        "name": "chemlab_laboratory_v1",
-        "render_modes": list(RENDER_MODES),
-        "render_fps": 8,
-    }
-
     def _allocate(self) -> None:
         labs = self.laboratories
         self._turns = np.zeros((len(labs.agents), 1), dtype=np.bool_)
-        self._actions = [
-            np.zeros(1, dtype=np.int64) if count else np.zeros((1, *(space.shape or ())))
-            for count, space in zip(labs.action_counts, self.action_spaces.values(), strict=True)
-        ]
+        self._actions = labs.no_actions()
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None

@@ -263,7 +263,7 @@ class Players:
         assert policy is not None, "agents without a policy cannot decide"
         seen, mask = self._seen(number, members), labs.mask(number, members)
         with np.errstate(under="ignore"):  # tiny probabilities underflow to 0
-            actions = policy.act(seen, mask, labs.turns_had(number)[members] if step is None else step, members)
+            actions = policy.act(seen, mask, labs.roles[number].turns_had[members] if step is None else step, members)
         return checked_actions(labs.agents[number], actions, len(members), labs.action_space(number))
 
     def _seen(self, number: int, members: IntArray) -> ObservationArray:

@@ -188,7 +188,8 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
         goals, starts: of a bench alone, as for :class:`~chemlab.lab.experiments.ExperimentBatch`.
         threads: of a bench alone, threads to step with (default: 1); results do not depend on it.
         autoreset_mode: ``NEXT_STEP`` (default: the step after the end resets, its action is ignored), ``SAME_STEP``
-            (the step that ends returns the next episode's observation; the last one is ``infos["final_obs"]``) or
+            (the step that ends returns the next episode's observation and mask; the last observation is
+            ``infos["final_obs"]``, the other infos are of that step and also in ``infos["final_info"]``) or
             ``DISABLED`` (reset with ``options={"reset_mask": mask}``).
         copy: whether returned arrays are copies; if False, the next step overwrites them.
         render_mode: for compatibility with Gymnasium; must be None, because batches do not render.
@@ -283,9 +284,9 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
                 non-negative integer; nothing has changed.
         """
         own = self.episodes
-        mask, seeds, goal, world = parsed_reset(seed, options, self.num_envs, own.goals, self._begun, self.np_random)
-        if world is not None:
-            own.worlds.check(world)
+        mask, seeds, goal, world = parsed_reset(
+            seed, options, self.num_envs, own.goals, own.worlds, self._begun, self.np_random
+        )
         self._begun = False  # until it is finished: after an interruption or a failing policy or model, a reset helps
         super().reset(seed=int(seed) if isinstance(seed, (int, np.integer)) else None)
         for member in np.flatnonzero(mask):
@@ -326,6 +327,8 @@ class RoleVectorEnv(_OneRole, gymnasium.vector.VectorEnv[npt.NDArray[np.float32]
             for members, observations in finals:
                 final[members] = observations
             infos["final_obs"], infos["_final_obs"] = final, ended
+            last = {name: infos[name] for name in infos if name[0] != "_" and name not in ("final_obs", "action_mask")}
+            infos["final_info"], infos["_final_info"] = {**last, **{f"_{name}": ended for name in last}}, ended
         seen, rewards = self._returned(own.observations), self._returned(own.rewards)
         self._begun = True
         return seen, rewards, ended, np.zeros(self.num_envs, dtype=np.bool_), infos
@@ -451,9 +454,7 @@ class RoleEnv(_OneRole, Rendered, gymnasium.Env[npt.NDArray[np.float32], Any]):
                 nothing has changed.
         """
         seed = checked_seed(seed)
-        unknown = set(checked_options(options, self.episodes.goals)) - {"goal", "world"}
-        if unknown:
-            raise ValueError(f"reset options: known: goal, world; given {', '.join(sorted(map(str, unknown)))}")
+        checked_options(options, self.episodes.goals, self.episodes.worlds)
         observations, _ = self.vector.reset(seed=seed, options=options)
         super().reset(seed=seed)
         self._show()

@@ -432,7 +432,7 @@ class LaboratoryEpisodes(RoleEpisodes):
         self.clear(acting)
         before = labs.safety_totals[acting]
         labs.act(self.focal, acting, actions[acting])
-        self.illegal[acting] = labs.illegal(self.focal)[acting]
+        self.illegal[acting] = labs.roles[self.focal].illegal[acting]
         self._collect(acting)
         # The others play until the agent has the turn again or all episodes are over.
         self._players.play_on(acting, lambda number, group: self._collect(group))

@@ -326,8 +326,7 @@ class Laboratories:
             ValueError: the goal is unknown, or the world is invalid; nothing has changed.
         """
         wanted = self._lab_goals if goal is None else np.array([self.goal_index(goal)])
-        if world is not None:
-            self.worlds.check(world)
+        self.worlds.check(world)
         self.episodes.begin(members, self._streams())
         self.worlds.begin(members, world)
         self.shelf.vessels[members] = self._start
@@ -428,16 +427,6 @@ class Laboratories:
         """[B] index of the agent that has the turn in each laboratory."""
         return np.asarray(self._by_cursor[self.state.cursor[members]])
 
-    def turns_had(self, agent: int) -> IntArray:
-        """Return [N] the number of turns of an agent: of the manager in this episode, of a bench's agent in this
-        experiment.
-        """
-        return self.roles[agent].turns_had
-
-    def illegal(self, agent: int) -> BoolArray:
-        """Return [N] whether an agent's last action was invalid."""
-        return self.roles[agent].illegal
-
     def turns(self, members: IntArray, out: BoolArray | None = None) -> BoolArray:
         """[agents, B] whether an agent plays in a laboratory's next round: the manager or a busy bench; none if the
         episode is over."""
@@ -453,6 +442,12 @@ class Laboratories:
             ValueError: it is outside the agent's action space.
         """
         return self.roles[agent].checked(action)
+
+    def no_actions(self) -> list[npt.NDArray[Any]]:
+        """Return actions [N, ...] of every agent, of zeros."""
+        kinds = [np.int64 if count else np.float64 for count in self.action_counts]
+        pairs = zip(self.roles, kinds, strict=True)
+        return [np.zeros((len(self.members), *(role.action_space.shape or ())), dtype) for role, dtype in pairs]
 
     def act(self, agent: int, members: IntArray, actions: npt.NDArray[Any]) -> None:
         """Play one turn of ``agent`` in each laboratory of ``members``, where it must have the turn.

@@ -166,8 +166,7 @@ class ExperimentBatch:
         Raises:
             ValueError: the world is invalid; nothing has changed.
         """
-        if world is not None:
-            self.worlds.check(world)
+        self.worlds.check(world)
         self.episodes.begin(members, self._streams())
         self.worlds.begin(members, world)
         goals = self._goals if goal is None else np.array([goal])

@@ -337,8 +337,7 @@ class Worlds:
         Raises:
             ValueError: the scenario has no hidden parameters, or not the given ones; nothing has changed.
         """
-        if world is not None:
-            self.check(world)
+        self.check(world)
         if not self.active:
             return
         drawn = self.table.arrays
@@ -356,11 +355,13 @@ class Worlds:
         self._set_parameters(members)
 
     def check(self, world: Any) -> None:
-        """Check a requested world.
+        """Check a requested world (None: none is).
 
         Raises:
             ValueError: the request is invalid; the message states the reason.
         """
+        if world is None:
+            return
         if not self.active:
             raise ValueError("world: this scenario has no hidden parameters")
         if isinstance(world, NumberedWorld):

@@ -58,7 +58,7 @@ def turn_facts(labs: Laboratories, member: int, plays: Sequence[Play]) -> dict[s
     facts = {
         "rewards": {name: x for name, x in zip(agents, labs.rewards[member].tolist(), strict=True) if x},
         "cost": {name: x for name, x in zip(agents, labs.cost[member].tolist(), strict=True) if x},
-        "lost": [name for number, name in played if labs.illegal(number)[member]],
+        "lost": [name for number, name in played if labs.roles[number].illegal[member]],
         "events": {name: events for number, name in played if (events := labs.events(number, member))},
         "scores": {name: x for name, x in zip(agents, labs.scores[member].tolist(), strict=True) if x == x},
     }

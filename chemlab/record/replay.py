@@ -63,8 +63,7 @@ class Replay:
 
     def _reset(self, header: Header) -> None:
         labs, world = self.laboratories, header.options.get("world")
-        if world is not None:
-            labs.worlds.check(world)
+        labs.worlds.check(world)
         # If the world's number does not follow from the seed, use the recorded number, which determines the values.
         # A world requested by its seed follows from that seed if its split is known.
         unknown = not self.split_known or (header.seed is None and not isinstance(world, int))

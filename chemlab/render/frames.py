@@ -54,7 +54,7 @@ class Viewer:
 
     def _present(self, frame: npt.NDArray[np.uint8], title: str) -> None:
         pygame = self._pygame
-        if self._window is None:
+        if self._window is None or not pygame.display.get_init():  # a process has one window, which others may close
             pygame.display.init()
             self._window = pygame.display.set_mode(_SIZE)
             self._clock = pygame.time.Clock()

@@ -77,7 +77,7 @@ class RecordReplay(Replay):
             except (ValueError, TypeError) as error:
                 raise RecordError(f"{self.record.path}: turn {number}: {error} (see chemlab verify)") from error
             by_manager = plays[0].agent == labs.manager.index
-            lost = tuple(labs.agents[play.agent] for play in plays if labs.illegal(play.agent)[0])
+            lost = tuple(labs.agents[play.agent] for play in plays if labs.roles[play.agent].illegal[0])
             ended = [labs.bench_roles[b].index for b in np.flatnonzero(busy & ~labs.state.busy[:, 0])]
             started = np.flatnonzero(~busy & labs.state.busy[:, 0])
             yield Move(

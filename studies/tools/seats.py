@@ -62,7 +62,7 @@ def play_scripted(
             seen(agent, text, False)
         number = labs.agents.index(agent)
         mask = labs.mask(number, labs.members)
-        step = labs.turns_had(number)
+        step = labs.roles[number].turns_had
         action = policies[agent].act(labs.observe(number, labs.members), mask, step, labs.members)[0]
         verb, given = call_for(room, agent, action)
         reply = room.call(agent, verb, given)

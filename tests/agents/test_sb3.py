@@ -13,7 +13,7 @@ pytest.importorskip("sb3_contrib", reason='sb3-contrib is not installed: pip ins
 
 import torch
 from gymnasium.wrappers.vector import TransformReward
-from helpers import random_actions, refused, watched, weights
+from helpers import random_actions, refused, state_of, watched, weights
 from sb3_contrib import MaskablePPO, RecurrentPPO
 from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_masked
 from sb3_contrib.common.maskable.utils import get_action_masks, is_masking_supported
@@ -23,7 +23,9 @@ from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecNormalize
 
+from chemlab.agents.advice import Advisor
 from chemlab.agents.background import role_vector_env
+from chemlab.agents.policies import agent_policy
 from chemlab.agents.recurrent import MaskedLstmPolicy
 from chemlab.agents.sb3 import ChemlabVecEnv
 from chemlab.config.loading import load_scenario
@@ -107,8 +109,23 @@ def test_options() -> None:
     seen = venv.reset()
     for i, options in enumerate(({"goal": "dodecane"}, None, {"goal": "NaCl"})):
         np.testing.assert_array_equal(seen[i], RoleEnv(bench="dit").reset(seed=1 + i, options=options)[0])
-    venv.set_options({"goal": "gold"})
+    venv.set_options([{"goal": "NaCl"}, {}, {}])
+    venv.reset()
+    assert venv.get_attr("batch")[0].episodes.begun.tolist() == [2, 2, 2], "every member goes on to its next episode"
+    before = state_of(venv)
+    venv.set_options([{"goal": "NaCl"}, {"goal": "gold"}, {}])
     refused("goal", "gold", venv.reset)
+    assert state_of(venv) == before
+    venv.step(np.zeros(3, dtype=np.int64))
+
+
+def test_a_refused_action_is_not_told_to_the_advisor() -> None:
+    batch = role_vector_env(2, "wurtz_scarce", autoreset_mode="SameStep")
+    venv = ChemlabVecEnv(batch, advisor=Advisor(agent_policy("scripted", batch.laboratories, 0), batch.action_count))
+    venv.reset()
+    before = state_of(venv)
+    refused("action", "manager_0: actions must be 2 integers", venv.step, np.array([0, 10**6]))
+    assert state_of(venv) == before
 
 
 def test_attributes_and_methods() -> None:
@@ -122,6 +139,7 @@ def test_attributes_and_methods() -> None:
     assert not venv.has_attr("no_such_thing")
     venv.set_attr("copy", False)
     assert venv.get_attr("copy") == [False] * 3
+    venv.set_attr("copy", False, indices=[0, 1, -1])
     refused("members", "members share it", venv.set_attr, "copy", True, indices=[0])
     assert venv.get_attr("copy") == [False] * 3
     with pytest.raises(AttributeError, match="no_such_thing"):
@@ -130,6 +148,8 @@ def test_attributes_and_methods() -> None:
         venv.env_method("no_such_method")
     state = venv.env_method("get_state", indices=0)[0]
     assert [type(one) for one in state] == [np.ndarray] * len(state)
+    with pytest.raises(IndexError):
+        venv.get_attr("copy", indices=3)
     assert venv.env_is_wrapped(Monitor) == [True] * 3  # "episode" is in the infos
     assert venv.env_is_wrapped(gymnasium.wrappers.TimeLimit, [1]) == [False]
     venv.close()

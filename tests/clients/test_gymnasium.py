@@ -197,6 +197,26 @@ def test_infos_have_types_of_numpys_and_stay_arrays_in_vector_environments(name:
         np.testing.assert_array_equal(infos[key], values)
 
 
+@pytest.mark.parametrize("name", ["chemlab/WurtzExtraction-v0", MANAGER])
+def test_infos_of_the_last_step_are_where_gymnasium_puts_them(name: str) -> None:
+    mode = {"autoreset_mode": AutoresetMode.SAME_STEP}
+    native: Any = gymnasium.make_vec(name, 2, **mode)
+    several = gymnasium.make_vec(name, 2, "sync", vector_kwargs=mode)
+    masks, rng, ends = native.reset(seed=0)[1]["action_mask"], np.random.default_rng(0), 0
+    several.reset(seed=0)
+    for _ in range(90):
+        actions = np.array([random_legal(native.single_action_space, mask, rng) for mask in masks])
+        *_, infos = native.step(actions)
+        *_, expected = several.step(actions)
+        masks = infos["action_mask"]
+        assert ("final_info" in infos) == ("final_info" in expected)
+        for key, values in infos.get("final_info", {}).items():
+            over = infos["_final_info"]
+            np.testing.assert_array_equal(values[over], expected["final_info"][key][over])
+            ends += 1
+    assert ends
+
+
 def test_what_a_wrapper_writes_into_a_batchs_infos_stays_where_it_is() -> None:
     env = gymnasium.make_vec("chemlab/WurtzExtraction-v0", num_envs=2)
     _, infos = env.reset(seed=0)

@@ -156,7 +156,7 @@ def test_infos_are_flat_and_say_what_has_happened(name: str) -> None:
                     np.testing.assert_array_equal(value, kept[name][key])
             info = env.infos[agent]
             assert named_events(env.scenario, info) == labs.events(number)
-            assert info["illegal_action"] == labs.illegal(number)[0]
+            assert info["illegal_action"] == labs.roles[number].illegal[0]
             assert named_costs(env.infos["manager_0"]) == labs.costs() or env.agent_selection != "manager_0"
             for other in env.possible_agents:
                 if other != env.agent_selection and "action_mask" in env.infos[other]:

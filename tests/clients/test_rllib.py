@@ -117,7 +117,7 @@ def test_roles_that_do_not_learn_are_played_inside(roles: list[str]) -> None:
         (agent,) = observations
         assert role_of(agent) in roles
         seen, mask = parts(observations[agent])
-        turns = labs.turns_had(labs.agents.index(agent))
+        turns = labs.roles[labs.agents.index(agent)].turns_had
         action = learners[agent].act(seen[None], None if mask is None else mask[None], turns, labs.members)[0]
         observations, _, terminated, truncated, _ = env.step({agent: action})
         over = terminated["__all__"] or truncated["__all__"]
@@ -156,10 +156,14 @@ def test_wrong_settings_and_steps_are_named() -> None:
     made, cook = LaboratoryMultiAgentEnv, "roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"
     refused("scenery", r"env_config: known: scenario, .*; given scenery", made, {"scenery": "wurtz_dodecane"})
     refused("cook", cook, made, {"roles": ["cook"]})
+    chosen = made({"roles": "rxn", "actions": "discrete"})
+    assert (chosen.possible_agents, chosen.reset(seed=0)[0].keys()) == (["rxn_0"], {"rxn_0"})
+    assert "action_mask" in chosen.reset()[0]["rxn_0"]
     env = made({"scenario": "wurtz_dodecane"})
     refused("begin", "call reset", env.step, {"manager_0": 0})
     env.reset(seed=0)
     refused("turn", "manager_0: has the turn", env.step, {"rxn_0": np.zeros(4)})
+    refused("none", "step: needs a mapping of actions by agent", env.step, None)
     refused("action", r"manager_0: .*given -1", env.step, {"manager_0": -1})
     refused("options", 'options must be a dict such as {"goal": "dodecane"}', env.reset, options=["goal"])
 

@@ -50,7 +50,8 @@ def test_roles_that_do_not_learn_are_played_as_in_any_other_laboratory() -> None
         turn = now["manager", "has_turn"][:, 0].numpy()
         members, actions = np.flatnonzero(turn), np.zeros(3, dtype=np.int64)
         if len(members):
-            masks, turns = now["manager", "action_mask"][members, 0].numpy().astype(np.int8), seen.turns_had(0)[members]
+            masks = now["manager", "action_mask"][members, 0].numpy().astype(np.int8)
+            turns = seen.roles[0].turns_had[members]
             actions[members] = manager.act(now["manager", "observation"][members, 0].numpy(), masks, turns, members)
         now["manager", "action"] = torch.as_tensor(actions)[:, None]
         now = env.step(now)["next"]
@@ -110,6 +111,25 @@ def test_seeds_begin_the_same_episodes_again() -> None:
     assert torch.equal(*first)
     assert torch.equal(first[0], other.reset()["state"])
     assert not torch.equal(first[0], env.reset()["state"])
+
+
+@pytest.mark.parametrize(("role", "background"), [("manager", "random"), ("east", "scripted")])
+def test_a_refused_action_changes_nothing(role: str, background: str) -> None:
+    """Nor what the others draw or remember."""
+    env, twin = (TorchLaboratory(6, "failing", roles=[role], background=background, seed=0) for _ in range(2))
+    now, expected, tried = env.reset(), twin.reset(), 0
+    for _ in range(30):
+        expected = twin.rand_action(expected)
+        action = now[role, "action"] = expected[role, "action"].clone()
+        if now[role, "has_turn"].any():
+            refused(role, f"{role}.*: actions must be", env.step, now.clone().set((role, "action"), 0 * action + 10**6))
+            tried += 1
+        now, expected = env.step(now)["next"], twin.step(expected)["next"]
+        assert torch.equal(now["state"], expected["state"])
+        if now["done"].any():
+            pairs = (env, now), (twin, expected)
+            now, expected = (one.reset(seen.set("_reset", seen["done"])) for one, seen in pairs)
+    assert tried > 20
 
 
 # -- BenchMARL --------------------------------------------------------------------------------------------------------

@@ -302,6 +302,7 @@ def test_rendering_as_text(name: str) -> None:
 
 def test_rendering_without_a_mode_warns_and_an_unknown_mode_is_refused() -> None:
     env = raw_env(WURTZ)
+    assert str(laboratory_env(WURTZ)) == str(env) == env.metadata["name"]
     env.reset(seed=0)
     with pytest.warns(UserWarning, match="render_mode"):
         assert env.render() is None

@@ -85,6 +85,14 @@ def test_idle_rows_may_be_left_as_they_were(name: str) -> None:
 # -- seeds and resets -----------------------------------------------------------------------------------------------
 
 
+def test_states_of_some() -> None:
+    batch = BatchedLaboratory(3)
+    batch.reset(seed=0)
+    whole = batch.state()
+    for some in (np.array([2, 0]), [1], [], np.array([False, True, True]), np.zeros(3, dtype=np.bool_)):
+        np.testing.assert_array_equal(batch.state(some), whole[np.array(some, dtype=bool if len(some) == 3 else int)])
+
+
 def test_seeds_of_members_and_resets_of_some() -> None:
     batch = BatchedLaboratory(4, "wurtz_any")
     seen, _ = batch.reset(seed=[7, 3, 7, 5])

@@ -232,7 +232,8 @@ def test_a_first_reset_is_of_all_and_comes_first() -> None:
 
 def test_numbers_of_members_and_threads() -> None:
     for make in (BatchedLaboratory, role_vector_env, RoleVectorEnv):
-        refused(make.__name__, "num_envs must be at least 1", make, 0)
+        for wrong in (0, True):
+            refused(make.__name__, f"num_envs must be an integer of at least 1 .*given {wrong}", make, wrong)
         message = f"num_envs must be an integer of at least 1 and comes before scenario, given '{WURTZ}'"
         refused(make.__name__, message, make, WURTZ, 3)
-    refused("threads", "threads must be at least 1", RoleVectorEnv, 1, bench="rxn", threads=0)
+    refused("threads", "threads must be an integer of at least 1", RoleVectorEnv, 1, bench="rxn", threads=0)

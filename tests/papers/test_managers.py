@@ -161,7 +161,7 @@ def test_what_measuring_costs_and_how_often_a_manager_acts() -> None:
     charged = [labs.costs(member)["instruments"] for member in range(4)]
     assert played.measures["instruments"].tolist() == charged
     assert max(charged) > 0.0
-    assert played.measures["manager_actions"].tolist() == labs.turns_had(0).tolist()
+    assert played.measures["manager_actions"].tolist() == labs.roles[0].turns_had.tolist()
     plan = play_laboratory(labs, make_policies("scripted,manager=plan", labs, 3), "dodecane", 3)
     assert (plan.measures["instruments"] == 0.0).all()
 

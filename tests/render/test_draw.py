@@ -229,6 +229,11 @@ def test_a_window_shows_the_same_frames_and_closes(monkeypatch: pytest.MonkeyPat
     viewer.close()
     assert not pygame.display.get_init()
     viewer.show(scene)  # opens again
+    other = Viewer("human", 1000)
+    other.show(scene)
+    viewer.close()
+    other.show(scene)  # a process has one window
+    viewer.show(scene)
     pygame.event.post(pygame.event.Event(pygame.QUIT))
     for _ in range(2):
         viewer.show(scene)  # its user has closed it
