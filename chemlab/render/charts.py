@@ -104,18 +104,6 @@ class _Timeline:
     """[units + 1][agents] cumulative rewards"""
     over: bool = False
 
-    def add_action(self, agent: str, unit: int, kind: str, invalid: bool, by_manager: bool) -> None:
-        """Add an action of an agent to its strips; benches' equal actions of consecutive units form one strip."""
-        strips = self.strips[agent]
-        if (
-            strips
-            and not by_manager
-            and (strips[-1].stop, strips[-1].kind, strips[-1].invalid) == (unit, kind, invalid)
-        ):
-            strips[-1].stop = unit + 1
-        else:
-            strips.append(_Strip(unit, unit + 1, kind, invalid))
-
 
 def _kind(labs: Laboratories, agent: int, action: Any) -> str:
     """Return the kind of an action, a key of :data:`_COLORS`."""
@@ -154,8 +142,13 @@ def _timeline(record: Record, trust: bool) -> _Timeline:
         costs = list(labs.costs().values())
         for play in move.plays:
             agent, kind = labs.agents[play.agent], _kind(labs, play.agent, play.action)
-            timeline.add_action(agent, unit, kind, agent in move.lost, by_manager)
-        rewards += np.array([move.rewards[agent] for agent in labs.agents])
+            strips, invalid = timeline.strips[agent], agent in move.lost
+            # Equal actions of a bench in consecutive units form one strip.
+            if strips and not by_manager and strips[-1] == _Strip(strips[-1].start, unit, kind, invalid):
+                strips[-1].stop = unit + 1
+            else:
+                strips.append(_Strip(unit, unit + 1, kind, invalid))
+        rewards += labs.rewards[0]
         if by_manager:
             timeline.decisions.append((unit, action_words(labs, labs.manager.index, move.plays[0].action)))
         if move.started:
@@ -389,13 +382,7 @@ def _peaks(labs: Laboratories, contents: FloatArray) -> list[tuple[float, str, s
 def draw_spectra(record: Record, trust: bool = False) -> Any:
     """Draw the vessel's spectrum before and after each reaction experiment, with labelled peaks.
 
-    Args:
-        record: A record, finished or not.
-        trust: Allow imports of code that the record names.
-
-    Raises:
-        RecordError: the record cannot be replayed here or has no reaction experiment.
-        ImportError: matplotlib is not installed.
+    Arguments and errors are those of :func:`draw_timeline`; RecordError also without a reaction experiment.
     """
     labs, reactions = _reactions(record, trust)
     if not reactions:
@@ -455,14 +442,11 @@ def draw_moles(record: Record, trust: bool = False, only: Sequence[str] = ()) ->
     """Draw the mole balance: one panel for each element that reacted and each material that was only moved.
 
     Args:
-        record: A record, finished or not.
-        trust: Allow imports of code that the record names.
+        record, trust: as for :func:`draw_timeline`, whose errors it raises as well.
         only: Names of elements and materials to draw. Default: all, without hydrogen if there is carbon.
 
     Raises:
-        RecordError: the record cannot be replayed here.
         ValueError: the amounts do not balance, or a name is unknown.
-        ImportError: matplotlib is not installed.
     """
     balance = mole_balance(record, trust)
     groups = _chosen(balance, only)
