@@ -173,12 +173,8 @@ class EpisodeLines:
             if (values != self._bulk[key]).any():
                 hidden[key] = [x or 0 for x in values.tolist()]
                 self._bulk[key][:] = values
-        hidden["state"] = self._state()
+        hidden["state"] = digest(b"".join(p if isinstance(p, memoryview) else p.tobytes() for p in self._parts))
         return hidden
-
-    def _state(self) -> str:
-        """Return a hash of the laboratory's state."""
-        return digest(b"".join(part if isinstance(part, memoryview) else part.tobytes() for part in self._parts))
 
     @property
     def over(self) -> bool:
@@ -306,11 +302,7 @@ class Recorder:
             self._held[0] = to_text(self._opening).encode() + b"\n"
 
     def _opened(self) -> BinaryIO:
-        """Open the file for exclusive use.
-
-        Raises:
-            ValueError: another process is recording there.
-        """
+        """Open the file for exclusive use; raise ValueError if another process is recording there."""
         file = self.part.open("ab" if self._force else "xb")
         try:
             # The process that held the lock may have renamed the file by now.
