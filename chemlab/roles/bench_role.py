@@ -10,10 +10,10 @@ import numpy.typing as npt
 from ..kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 from .base import Quantity, Role, one_hot
 from .bench import Bench, Experiments
+from .maintenance import MOST_GAIN, wear_out
 from .manager import charge_events, return_vessels
 from .manager_actions import GOAL, GRADE
 from .manager_state import MANAGER
-from .wear import MOST_GAIN, renew, wear_out
 
 if TYPE_CHECKING:
     from ..lab.engine import Laboratories
@@ -63,8 +63,6 @@ class BenchRole(Role):
     def first_position(self) -> int:
         """Position of its main vessel among those of a laboratory."""
         return int(self.labs.rules.arrays.first[self.number])
-
-    # -- observations and actions -----------------------------------------------------------------------------
 
     def observe(self, members: IntArray, out: ObservationArray, rows: IntArray | None = None) -> None:
         seen = out if rows is None else np.empty((len(members), out.shape[1]), dtype=np.float32)
@@ -120,14 +118,8 @@ class BenchRole(Role):
         manager, rules, *rest = labs.handles()
         return_vessels(members, self.number, manager, rules, self.experiments.handle, *rest)
 
-    def renew(self, members: IntArray) -> None:
-        """Give the bench a new condition after a repair."""
-        renew(self.workplace, self.experiments, members)
-
     def settle(self, members: IntArray, result: FloatArray, charges: FloatArray) -> None:
         self.labs.state.rewards[self.index, members] += self.labs.scenario.rewards.bench_team * result
-
-    # -- state ------------------------------------------------------------------------------------------------
 
     def state(self, members: IntArray) -> list[Quantity]:
         labs, rules, name = self.labs, self.labs.rules.arrays, self.name
