@@ -239,17 +239,14 @@ class _Processes:
         self._pool: ProcessPoolExecutor | None = None
         self._parent_end: Connection | None = None
 
-    def _running_pool(self) -> ProcessPoolExecutor:
+    def execute(self, call: _Call) -> _Outcome:
         with self._lock:
             if self._pool is None:
                 # Threads of numerical libraries do not survive a fork.
                 context = get_context("spawn")
                 child_end, self._parent_end = context.Pipe(duplex=False)
                 self._pool = ProcessPoolExecutor(self._count, context, _exit_with_parent, (child_end,))
-            return self._pool
-
-    def execute(self, call: _Call) -> _Outcome:
-        pool = self._running_pool()
+            pool = self._pool
         try:
             return pool.submit(call).result()
         except BrokenExecutor:

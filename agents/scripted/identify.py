@@ -136,8 +136,6 @@ class IdentifyingManager(BeliefManager[Contents]):
         shape = (len(self._vessels), len(self._options), len(self._titres), -1)
         return np.array(parts).reshape(shape)
 
-    # -- deciding ---------------------------------------------------------------------------------------------
-
     def _begin(self, observation: ObservationArray) -> Contents:
         likelihood = np.ones((len(self._vessels), len(self._options), len(self._titres)))
         return Contents(self._vessels, list(range(len(self._orders))), likelihood=likelihood)
