@@ -55,9 +55,6 @@ class WorkerLost(OSError):
     """A job lost its worker or its child process; raised by a future if this happened in every attempt."""
 
 
-# -- executors --------------------------------------------------------------------------------------------------------
-
-
 @contextlib.contextmanager
 def executor(address: str | None = None, processes: int | None = None, commands: bool = False) -> Iterator[Executor]:
     """Yield an executor for the duration of the context; an error inside the context also ends running jobs.
@@ -211,9 +208,6 @@ class Workers(ThreadPoolExecutor):
         if wait:
             super().shutdown()
             self._backend.close()
-
-
-# -- workers ----------------------------------------------------------------------------------------------------------
 
 
 class _Commands:
@@ -386,8 +380,6 @@ def _check_reachable(address: str) -> None:
     if host and port.isdigit() and "/" not in host:
         socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
 
-
-# -- commands as jobs -------------------------------------------------------------------------------------------------
 
 _CHILD = f"""import os, sys, threading
 sys.path[:] = [path for path in sys.path if path] + [{str(Path(chemlab.__file__).parents[1])!r}]

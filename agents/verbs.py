@@ -167,8 +167,6 @@ class Verb:
         return values
 
 
-# -- the manager ------------------------------------------------------------------------------------------------------
-
 _MANAGER = {
     "start": "Bring the vessel of a slot to a bench and begin an experiment there.",
     "measure": "Measure the vessel of a slot with an instrument, at its price.",
@@ -210,8 +208,6 @@ def manager_verbs(labs: Laboratories, name: Callable[[str], str]) -> list[Verb]:
         if kind in arguments
     ]
 
-
-# -- benches ----------------------------------------------------------------------------------------------------------
 
 _OPERATIONS = {
     "drain": "Drain the lowest part of a vessel into another one.",

@@ -132,9 +132,6 @@ def write_leaderboard(path: Path, new: Sequence[Line]) -> None:
     write_text(path, _NUMBERS.sub(lambda found: re.sub(r"\s+", "", found[0]).replace(",", ", "), text) + "\n")
 
 
-# -- scale ------------------------------------------------------------------------------------------------------------
-
-
 def runs_of(runs: int, seeds: int, episodes: int) -> list[int] | None:
     """Return the index of the training run that played each episode; None if the row has fewer than two runs.
 
@@ -266,9 +263,6 @@ def _recomputed(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[
     train = np.array(train_scores) if len(train_scores) == len(scores) and line.get("generalization") else None
     runs = runs_of(int(line.get("runs") or 0), int(line.get("seeds") or 1), len(scores))
     return on_scale(scores, random, oracle, runs, other, train)
-
-
-# -- verification -----------------------------------------------------------------------------------------------------
 
 
 @dataclass

@@ -86,9 +86,6 @@ def _checked(strata: Strata, together: bool = False) -> list[FloatArray]:
     return arrays
 
 
-# -- Student's t ------------------------------------------------------------------------------------------------------
-
-
 def _student(value: float, variance: float, freedom: float) -> Estimate:
     half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom)) * math.sqrt(variance) if variance > 0.0 else 0.0
     return Estimate(value, value - half, value + half)
@@ -160,9 +157,6 @@ def jackknife(value: float, without: npt.ArrayLike) -> Estimate:
     if n < 2 or not np.isfinite(left).all():
         return Estimate(value, None, None)
     return _student(value, (n - 1) * float(left.var()), n - 1.0)
-
-
-# -- score intervals --------------------------------------------------------------------------------------------------
 
 
 def _mann_whitney(p: float, m: int, n: int) -> float:

@@ -173,8 +173,12 @@ class EpisodeLines:
             if (values != self._bulk[key]).any():
                 hidden[key] = [x or 0 for x in values.tolist()]
                 self._bulk[key][:] = values
-        hidden["state"] = digest(b"".join(p if isinstance(p, memoryview) else p.tobytes() for p in self._parts))
+        hidden["state"] = self._state()
         return hidden
+
+    def _state(self) -> str:
+        """Return a hash of the laboratory's state."""
+        return digest(b"".join(part if isinstance(part, memoryview) else part.tobytes() for part in self._parts))
 
     @property
     def over(self) -> bool:

@@ -73,9 +73,6 @@ def _title(record: Record, scenario: Scenario) -> str:
     return f"{title}{'' if seed is None else f', seed {seed}'}"
 
 
-# -- timeline ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass
 class _Strip:
     """Consecutive actions of one kind of one agent, from unit ``start`` to ``stop``."""
@@ -306,9 +303,6 @@ def _decisions(figure: Any, timeline: _Timeline, listed: Sequence[tuple[int, str
         figure.text(0.02 + column * 0.33, share * 0.97, part, fontsize=8, va="top", color=SOFT, linespacing=1.35)
 
 
-# -- spectra ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Reaction:
     """A reaction experiment: spectra before and after it, and the vessel's final contents."""
@@ -421,8 +415,6 @@ def _spectrum(axes: Any, labs: Laboratories, reaction: _Reaction) -> None:
     words = f"{reaction.agent} from tick {reaction.tick}, goal {reaction.goal}: {end}"
     axes.text(0.0, -0.36, words, transform=axes.transAxes, fontsize=9, color=SOFT)
 
-
-# -- mole balance ------------------------------------------------------------------------------------------------------
 
 _PLACE_WORDS = {
     "submitted": "submitted",
