@@ -205,7 +205,13 @@ def read_record(path: str | Path) -> Record:
         RecordError: the file does not exist, is not a record, or exceeds :data:`LIMITS`.
     """
     path = Path(path)
-    content = _content(path)
+    try:
+        content = read_bytes(path, LIMITS.file_bytes)
+    except (OSError, ValueError) as error:  # a name that contains NUL raises ValueError
+        hint = ""
+        if isinstance(error, FileNotFoundError) and path.with_name(path.name + ".part").is_file():
+            hint = f"; the episode was not finished: read {path}.part"
+        raise RecordError(f"{path}: {getattr(error, 'strerror', None) or error}{hint}") from error
     lines = content.split(b"\n", LIMITS.turns + 3)
     whole, tail = lines[:-1], lines[-1]
     if sum(content.count(mark) for mark in (b",", b":", b"[", b"{")) > LIMITS.values:
@@ -247,16 +253,6 @@ def read_record(path: str | Path) -> Record:
     if record.end is not None and tail:
         record.broken = len(whole) + 1, "follows the end of the episode"
     return record
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return read_bytes(path, LIMITS.file_bytes)
-    except (OSError, ValueError) as error:  # a name that contains NUL raises ValueError
-        hint = ""
-        if isinstance(error, FileNotFoundError) and path.with_name(path.name + ".part").is_file():
-            hint = f"; the episode was not finished: read {path}.part"
-        raise RecordError(f"{path}: {getattr(error, 'strerror', None) or error}{hint}") from error
 
 
 def _parse(text: bytes) -> dict[str, Any]:

@@ -218,7 +218,8 @@ def verify_record(
         record = path if isinstance(path, Record) else read_record(path)
     except RecordError as error:
         return Verification(name, "unchecked", _message(error, name))
-    other = _other_version(record)
+    made = record.header.get("chemlab")
+    other = "" if made == __version__ else f"made by chemlab {short(made)}, this is {__version__}"
     try:
         header = record.checked_header()
         replay = Replay(record, trust, split, required)
@@ -244,12 +245,6 @@ def _message(error: RecordError, name: str) -> str:
 def _broken(record: Record) -> str:
     assert record.broken is not None
     return f"line {record.broken[0]} {record.broken[1]}"
-
-
-def _other_version(record: Record) -> str:
-    """Describe the other version that made a record; empty for this version."""
-    made = record.header.get("chemlab")
-    return "" if made == __version__ else f"made by chemlab {short(made)}, this is {__version__}"
 
 
 def _foreign(spec: Scenario, required: Scenario | None) -> str:

@@ -38,23 +38,19 @@ class BenchRole(Role):
 
     @property
     def turns_had(self) -> IntArray:
-        steps: IntArray = self.experiments.steps
-        return steps
+        return np.asarray(self.experiments.steps)
 
     @property
     def illegal(self) -> BoolArray:
-        illegal: BoolArray = self.experiments.illegal
-        return illegal
+        return np.asarray(self.experiments.illegal)
 
     @property
     def events(self) -> FloatArray:
-        events: FloatArray = self.experiments.events
-        return events
+        return np.asarray(self.experiments.events)
 
     @property
     def stream(self) -> StreamArray:
-        stream: StreamArray = self.experiments.stream
-        return stream
+        return np.asarray(self.experiments.stream)
 
     def goal(self, member: int) -> str:
         return str(self.labs.scenario.goals[self.experiments.goal[member]])
