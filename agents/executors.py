@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import chemlab
 from chemlab.config.extras import needs
@@ -146,31 +146,16 @@ class _Call:
                 return None, error, traceback.format_exc()
 
 
-class _Backend(Protocol):
-    """A set of workers that execute calls.
-
-    Attributes:
-        lost: exception types of :meth:`execute` that indicate a lost worker.
-    """
-
-    lost: tuple[type[BaseException], ...]
-
-    def execute(self, call: _Call) -> _Outcome:
-        """Execute a call and return its outcome when it is finished."""
-
-    def close(self) -> None:
-        """Stop the workers and their running calls."""
-
-
 class Workers(ThreadPoolExecutor):
     """Executor whose threads each wait for one job of a backend and restart it if its worker is lost.
 
     Args:
-        backend: the workers.
+        backend: the workers: ``execute(call)`` returns the outcome, or raises one of ``lost`` if the worker was lost;
+            ``close()`` stops the workers and their running calls.
         count: number of concurrent jobs.
     """
 
-    def __init__(self, backend: _Backend, count: int) -> None:
+    def __init__(self, backend: _Commands | _Processes | _Ray | _Slurm, count: int) -> None:
         super().__init__(count, "jobs")
         self._backend, self._closing = backend, False
 
