@@ -344,13 +344,9 @@ def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:
     Raises:
         ValueError: it does not fit, see :meth:`PretrainedPolicy.check`.
     """
-    if isinstance(workplace, Bench) and policy.card.interface.discrete:
-        twin = discretised_twin(workplace)
-        if twin is not None:
-            policy.check(twin)
-            return ChoosingPolicy(policy, twin.action_rows)
-    policy.check(workplace)
-    return policy
+    twin = discretised_twin(workplace) if isinstance(workplace, Bench) and policy.card.interface.discrete else None
+    policy.check(workplace if twin is None else twin)
+    return policy if twin is None else ChoosingPolicy(policy, twin.action_rows)
 
 
 def _training_command(workplace: Workplace) -> str:
