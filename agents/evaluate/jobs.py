@@ -172,8 +172,7 @@ def _idle(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
 
 def without_instruments(scenario: Scenario) -> Scenario:
     """Return a scenario without a budget for measurements; free instruments remain available."""
-    limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
-    return scenario.model_copy(update={"limits": limits})
+    return scenario.model_copy(update={"limits": scenario.limits.model_copy(update={"budget": _NO_BUDGET})})
 
 
 def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: list[Any]) -> dict[str, Any]:

@@ -513,8 +513,7 @@ def _alluvium(axes: Any, balance: Balance, group: Group, scenario: Scenario) -> 
         heights = spread([0.5 * (low + top) for _, low, top in named], 0.085, 0.0, 1.0)
         for (what, low, top), y in zip(named, heights, strict=True):
             align = "right" if side < 0.0 else "left"
-            words = f"{what} {top - low:.0%}"
-            axes.text(edge + 0.1 * side, y, words, ha=align, va="center", fontsize=8, color=INK)
+            axes.text(edge + 0.1 * side, y, f"{what} {top - low:.0%}", ha=align, va="center", fontsize=8, color=INK)
             axes.plot([edge, edge + 0.08 * side], [0.5 * (low + top), y], color=FAINT, lw=0.7, clip_on=False)
     inventories = [balance.inventories[c] for c in chosen]
     axes.set_xticks(range(len(chosen)), [f"{at.label}\ntick {at.tick}" for at in inventories], fontsize=7.5)

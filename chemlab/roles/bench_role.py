@@ -64,8 +64,7 @@ class BenchRole(Role):
         seen = out if rows is None else np.empty((len(members), out.shape[1]), dtype=np.float32)
         self.workplace.observe(self.labs.shelf, self.experiments, members, seen)
         if self._hides:  # nothing of a vessel before the first turn
-            own = self.experiments
-            seen[(own.steps[members] == 0) & (self.labs.state.cursor[members] == MANAGER)] = 0.0
+            seen[(self.experiments.steps[members] == 0) & (self.labs.state.cursor[members] == MANAGER)] = 0.0
         if rows is not None:
             out[rows] = seen
 
