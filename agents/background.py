@@ -17,9 +17,7 @@ from .policies import agent_policy
 from .roles import role_of
 
 Background = str | Mapping[str, Any]
-"""Policies of the other agents: a policy's name for all, or a name, policy, model or function by agent or role;
-others are scripted.
-"""
+"""Policies of other agents: a name for all; or a name, policy, model or function by agent or role, else scripted."""
 
 
 def role_env(

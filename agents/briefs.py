@@ -94,10 +94,9 @@ def _manager_lines(labs: Laboratories, maxima: Mapping[str, float]) -> list[str]
         *_order_lines(spec, maxima),
         f"Limits: {limits.manager_actions} actions, {limits.ticks} ticks, {limits.budget:g} for measuring. "
         f"Costs: {', '.join([f'a tick {costs.tick:g}', *_prices(spec)])}.",
+        f"A measurement: {prices}." if prices else "There are no instruments.",
     ]
-    lines.append(f"A measurement: {prices}." if prices else "There are no instruments.")
-    kinds = {bench.key: bench for bench in labs.benches}
-    for bench in kinds.values():
+    for bench in {bench.key: bench for bench in labs.benches}.values():
         agents = ", ".join(agent for agent, one in zip(labs.bench_agents, labs.benches, strict=True) if one is bench)
         extra = f"; {position_words(bench)}" if len(bench.positions) > 1 else ""
         lines.append(f"{agents or bench.key}: {bench.kind}, up to {bench.spec.step_limit} steps{extra}.")
@@ -118,10 +117,7 @@ def _grade_words(wanted: GradeSpec) -> list[str]:
 def _reactions(spec: Scenario, name: Callable[[str], str], maxima: Mapping[str, float]) -> str:
     """List all reactions, numbered if hidden parameters refer to them. Common reactants and products are stated once.
 
-    Args:
-        spec: the scenario.
-        name: returns the displayed name of a material.
-        maxima: theoretical maxima (mol) to list behind products.
+    ``name`` returns the displayed name of a material; ``maxima`` (mol) are listed behind products.
     """
     steps, head = spec.family.reaction, "Reactions"
     sides = [(dict(step.reactants), dict(step.products)) for step in steps]
@@ -148,12 +144,9 @@ def _prices(spec: Scenario) -> list[str]:
     """List the prices of waste, stock and safety events that are not 0."""
     prices = [f"a litre of waste {spec.costs.waste_per_l:g}"] if spec.costs.waste_per_l else []
     stock = _priced({f"`{name}`": price for name, price in spec.costs.stock_per_mol.items()})
+    events = _priced({kind: spec.safety.reward_price * weight for kind, weight in spec.safety.weights.items()})
     prices += [f"a mol of {stock}"] if stock else []
-    if spec.safety.reward_price:
-        prices.append(
-            f"safety events: {_priced({k: spec.safety.reward_price * w for k, w in spec.safety.weights.items()})}"
-        )
-    return prices
+    return [*prices, f"safety events: {events}"] if spec.safety.reward_price else prices
 
 
 def _priced(prices: Mapping[str, float]) -> str:
@@ -177,22 +170,17 @@ def _order_lines(spec: Scenario, maxima: Mapping[str, float]) -> list[str]:
     lines = [f"{f'{spec.orders} orders, each' if spec.orders > 1 else 'One order'} for {' or '.join(wanted)}."]
     demand = spec.demand
     if demand.order:
-        share = (
-            f"a late delivery pays {demand.late:g} of its price, one below the least amount or purity {demand.short:g}"
-        )
-        lines.append(f"Score: the mean over orders of the price paid ({share}), minus costs.")
+        late = f"a late delivery pays {demand.late:g} of its price"
+        short = f"one below the least amount or purity {demand.short:g}"
+        lines.append(f"Score: the mean over orders of the price paid ({late}, {short}), minus costs.")
     else:
         mean = " (mean over orders)" if spec.orders > 1 else ""
         lines.append(f"Score: mol submitted x purity / maximum{mean}, minus costs.")
     if demand.missed:
         lines.append(f"An order not met costs {demand.missed:g}{' of its price' if demand.order else ''}.")
     if demand.feedback != 0.0:
-        early = (
-            "nothing is learned"
-            if demand.feedback == "none"
-            else f"only noisy values ({demand.feedback:g}) are learned"
-        )
-        lines.append(f"Of a submission {early} before the end of the episode.")
+        early = "nothing is" if demand.feedback == "none" else f"only noisy values ({demand.feedback:g}) are"
+        lines.append(f"Of a submission {early} learned before the end of the episode.")
     if spec.hides:
         full = f" and are {demand.fill_at_least:g} full" if demand.fill_at_least else ""
         lines.append(f"Submit only vessels that were at a bench{full}; a recall takes a tick.")

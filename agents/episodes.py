@@ -128,11 +128,7 @@ def play_bench(
 
 
 def _in_order(policies: Mapping[str, Policy], agents: Sequence[str]) -> list[Policy]:
-    """Return the policies in the order of the agents.
-
-    Raises:
-        ValueError: the keys differ from the agents' names; roles (``rxn``) instead of agents are an error, too.
-    """
+    """Return the policies in the order of the agents; raise ValueError for other keys, such as roles (``rxn``)."""
     if set(policies) != set(agents):
         given = ", ".join(map(str, policies)) or "none"
         raise ValueError(f"policies: needs one for each of {', '.join(agents)}, given {given}")
@@ -310,8 +306,7 @@ def record_episode(
 ) -> EpisodeResult:
     """Play one episode as :func:`play_episode` does, and write its record to ``path``.
 
-    An existing file is replaced only with ``force``. If given, ``policy_name`` is recorded as the policy of every
-    agent.
+    An existing file is replaced only with ``force``. A given ``policy_name`` is recorded for every agent.
     """
     names = dict.fromkeys(env.possible_agents, policy_name) if policy_name else None
     with Recorder(path, env.laboratories, policies=names, force=force) as recorder:

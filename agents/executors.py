@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, ParamSpec, Protocol, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import chemlab
 from chemlab.config.extras import needs
@@ -53,9 +53,6 @@ J = TypeVar("J")
 
 class WorkerLost(OSError):
     """A job lost its worker or its child process; raised by a future if this happened in every attempt."""
-
-
-# -- executors --------------------------------------------------------------------------------------------------------
 
 
 @contextlib.contextmanager
@@ -149,31 +146,16 @@ class _Call:
                 return None, error, traceback.format_exc()
 
 
-class _Backend(Protocol):
-    """A set of workers that execute calls.
-
-    Attributes:
-        lost: exception types of :meth:`execute` that indicate a lost worker.
-    """
-
-    lost: tuple[type[BaseException], ...]
-
-    def execute(self, call: _Call) -> _Outcome:
-        """Execute a call and return its outcome when it is finished."""
-
-    def close(self) -> None:
-        """Stop the workers and their running calls."""
-
-
 class Workers(ThreadPoolExecutor):
     """Executor whose threads each wait for one job of a backend and restart it if its worker is lost.
 
     Args:
-        backend: the workers.
+        backend: the workers: ``execute(call)`` returns the outcome, or raises one of ``lost`` if the worker was lost;
+            ``close()`` stops the workers and their running calls.
         count: number of concurrent jobs.
     """
 
-    def __init__(self, backend: _Backend, count: int) -> None:
+    def __init__(self, backend: _Commands | _Processes | _Ray | _Slurm, count: int) -> None:
         super().__init__(count, "jobs")
         self._backend, self._closing = backend, False
 
@@ -213,9 +195,6 @@ class Workers(ThreadPoolExecutor):
             self._backend.close()
 
 
-# -- workers ----------------------------------------------------------------------------------------------------------
-
-
 class _Commands:
     """Executes commands: jobs start child processes, and threads of this process wait for them."""
 
@@ -239,17 +218,14 @@ class _Processes:
         self._pool: ProcessPoolExecutor | None = None
         self._parent_end: Connection | None = None
 
-    def _running_pool(self) -> ProcessPoolExecutor:
+    def execute(self, call: _Call) -> _Outcome:
         with self._lock:
             if self._pool is None:
                 # Threads of numerical libraries do not survive a fork.
                 context = get_context("spawn")
                 child_end, self._parent_end = context.Pipe(duplex=False)
                 self._pool = ProcessPoolExecutor(self._count, context, _exit_with_parent, (child_end,))
-            return self._pool
-
-    def execute(self, call: _Call) -> _Outcome:
-        pool = self._running_pool()
+            pool = self._pool
         try:
             return pool.submit(call).result()
         except BrokenExecutor:
@@ -389,8 +365,6 @@ def _check_reachable(address: str) -> None:
     if host and port.isdigit() and "/" not in host:
         socket.create_connection((host.strip("[]"), int(port)), timeout=10.0).close()
 
-
-# -- commands as jobs -------------------------------------------------------------------------------------------------
 
 _CHILD = f"""import os, sys, threading
 sys.path[:] = [path for path in sys.path if path] + [{str(Path(chemlab.__file__).parents[1])!r}]

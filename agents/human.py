@@ -1,7 +1,6 @@
 """Human players as policies: observations are shown in words and bars, and actions are typed.
 
-A person has the observation of a learned policy, the public scenario, and (as the manager, from ``info``) the costs so
-far.
+A person has the observation of a learned policy, the public scenario, and, as the manager, the costs so far.
 """
 
 from __future__ import annotations
@@ -34,9 +33,6 @@ _BLOCKS, _PLAIN = " ▁▂▃▄▅▆▇█", " .:-=+*#@"
 
 class Left(Exception):
     """Raised when the person leaves the game."""
-
-
-# -- observations ------------------------------------------------------------------------------------------------------
 
 
 def sparkline(values: Sequence[float] | npt.NDArray[Any], width: int, signs: str = _BLOCKS) -> str:
@@ -83,9 +79,6 @@ class LetterShades(Shades):
         """Return the letters in some pictures with their materials."""
         kinds = sorted({int(kind) for pixels in pictures for kind in self.materials(pixels)})
         return ", ".join(f"{self.letters[kind]} {self.names[kind]}" for kind in kinds)
-
-
-# -- menus -------------------------------------------------------------------------------------------------------------
 
 
 class Menu:
@@ -253,9 +246,6 @@ def parse_numbers(typed: str, size: int, reagents: Sequence[str] = ()) -> FloatA
     return action
 
 
-# -- playing ----------------------------------------------------------------------------------------------------------
-
-
 class HumanPolicy:
     """Policy of a person for one agent of one laboratory.
 
@@ -307,12 +297,9 @@ class HumanPolicy:
             self._before()
         for part in self.view(observation[0], int(step[0])):
             self._console.print(part)
-        chosen = self._numbers() if mask is None else np.int64(self._choose(mask[0]))
-        self._last = np.asarray(chosen)
-        self._text.acted(chosen)
-        return np.asarray(chosen)[None]
-
-    # -- output ---------------------------------------------------------------------------------------------------
+        self._last = np.asarray(self._numbers() if mask is None else np.int64(self._choose(mask[0])))
+        self._text.acted(self._last)
+        return self._last[None]
 
     def view(self, observation: ObservationArray, step: int) -> Iterator[Any]:
         """Yield the observation as printable objects of rich: text (:class:`~chemlab.lab.text.RoleText`) and pictures.
@@ -349,14 +336,8 @@ class HumanPolicy:
         if rows:
             yield _grid(rows)
 
-    # -- input ----------------------------------------------------------------------------------------------------
-
     def _typed(self) -> str:
-        """Return the next typed text that is not a command.
-
-        Raises:
-            Left: the person has left, or the input has ended.
-        """
+        """Return the next typed text that is not a command; raise :class:`Left` at the end of the game or the input."""
         while True:
             try:
                 text = self._ask(f"{self.agent}> ").strip()
@@ -367,9 +348,6 @@ class HumanPolicy:
             if text.lower() not in ("?", "h", "help"):
                 return text
             self._console.print(_grid([("", line) for line in self.help()]))
-
-    def _print_error(self, error: ValueError) -> None:
-        self._console.print(Text(f"  {error}", style="yellow"))
 
     def _choose(self, mask: npt.NDArray[np.int8]) -> int:
         """Ask for a legal discrete action."""
@@ -391,15 +369,13 @@ class HumanPolicy:
                 if text.lower() in ("b", "back"):
                     menu.back()
                     continue
-                if not text:
-                    if repeat is None:
-                        raise ValueError("type a number of the list, or ? for help")
-                    return repeat
-                action = menu.take(text)
+                if not text and repeat is None:
+                    raise ValueError("type a number of the list, or ? for help")
+                action = menu.take(text) if text else repeat
                 if action is not None:
                     return action
             except ValueError as error:
-                self._print_error(error)
+                self._console.print(Text(f"  {error}", style="yellow"))
                 show_menu = False
 
     def _numbers(self) -> FloatArray:
@@ -421,7 +397,7 @@ class HumanPolicy:
                     raise ValueError(f"type {size} numbers from 0 to 1, or ? for help")
                 return np.asarray(last)
             except ValueError as error:
-                self._print_error(error)
+                self._console.print(Text(f"  {error}", style="yellow"))
 
     def help(self) -> list[str]:
         """Return instructions for the role, in lines."""
@@ -462,19 +438,9 @@ class HumanPolicy:
 
 
 def _manager_paths(labs: Laboratories) -> list[list[str]]:
-    """Return the manager's actions in steps: kind and bench, slot, goal or instrument."""
+    """Return the manager's actions in steps, the parts of their words: kind and bench, slot, goal or instrument."""
+    paths = [re.split(r" on | with | for (?=order)|, | (?=slot)", words) for words in labs.actions.action_meanings]
     prices = dict(zip(labs.instruments.names, labs.instruments.price.tolist(), strict=True))
-    paths = []
-    for action in range(len(labs.actions)):
-        kind, *rest = labs.actions.decode(action)
-        if kind == "start":
-            paths.append([f"start {rest[0]}", f"slot {rest[1]}", f"goal {rest[2]}"])
-        elif kind == "measure":
-            paths.append(["measure", f"slot {rest[0]}", f"{rest[1]} (price {prices[str(rest[1])]:g})"])
-        elif kind == "submit":
-            paths.append(["submit", f"slot {rest[0]}", *(f"order {order}" for order in rest[1:])])
-        elif kind == "discard":
-            paths.append(["discard", f"slot {rest[0]}"])
-        else:
-            paths.append([labs.actions.action_meanings[action]])
+    for path in (path for path in paths if path[0] == "measure"):
+        path[2] += f" (price {prices[path[2]]:g})"
     return paths

@@ -178,8 +178,6 @@ class Live:
             if self.episode == episode:
                 self.verdict = (found.status, found.message)
 
-    # -- seats --------------------------------------------------------------------------------------------------------
-
     def seat(self, agent: str) -> dict[str, Any]:
         """Return the data of a seat's page: the observation as text and curves, and the legal arguments."""
         with self._lock:
@@ -234,18 +232,21 @@ class _Show:
             self.news += 1
             self.changed.notify_all()
 
-    async def wait(self, heard: int) -> int | None:
-        """Wait until there are more than ``heard`` changes; return their number, or None if the server stops."""
+    async def rounds(self) -> AsyncIterator[None]:
+        """Yield at once and after changes, with pauses of at least ``_NEWS_S``, until the server stops."""
+        heard = self.news
 
         async def more() -> None:  # as a task with a lock of its own: a cancelled waiter must not release another's
             async with self.changed:
                 await self.changed.wait_for(lambda: self.news > heard)
 
+        yield
         while self.server is None or not self.server.should_exit:
+            await asyncio.sleep(_NEWS_S)
             with suppress(asyncio.TimeoutError):
                 await asyncio.wait_for(more(), 0.5)
-                return self.news
-        return None
+                heard = self.news
+                yield
 
     async def run(self, live: Live) -> None:
         """Play a laboratory whenever it is not paused; an error of a policy or a part pauses it."""
@@ -320,8 +321,7 @@ def _event(name: str, data: Any) -> str:
 async def _film(show: _Show, live: Live, mark: list[int], episode: str) -> AsyncIterator[str]:
     """Yield the events of a laboratory for one spectator."""
     told: Any = None
-    heard: int | None = show.news
-    while heard is not None:
+    async for _ in show.rounds():
         if live.episode != episode:
             yield _event("episode", live.episode)
             return
@@ -332,21 +332,16 @@ async def _film(show: _Show, live: Live, mark: list[int], episode: str) -> Async
         if told != (now := show.status(live)):
             told = now
             yield _event("status", now)
-        await asyncio.sleep(_NEWS_S)
-        heard = await show.wait(heard)
 
 
 async def _seat(show: _Show, live: Live, agent: str) -> AsyncIterator[str]:
     """Yield the events of a seat."""
     told: Any = None
-    heard: int | None = show.news
-    while heard is not None:
+    async for _ in show.rounds():
         now = await anyio.to_thread.run_sync(live.seat, agent)
         if now != told:
             told = now
             yield _event("seat", now)
-        await asyncio.sleep(_NEWS_S)
-        heard = await show.wait(heard)
 
 
 def _stream(events: AsyncIterator[str]) -> Response:
@@ -354,11 +349,7 @@ def _stream(events: AsyncIterator[str]) -> Response:
 
 
 async def _message(request: Request) -> dict[str, Any]:
-    """Return the JSON object of a request.
-
-    Raises:
-        HTTPException: the body is not a JSON object, or is too large.
-    """
+    """Return the JSON object of a request; raise HTTPException if its body is none, or too large."""
     if request.headers.get("content-type", "").partition(";")[0] != "application/json":
         raise HTTPException(415, "the content type must be application/json")
     body = b""

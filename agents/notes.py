@@ -1,8 +1,7 @@
 """A manager's notes of an episode: the experiments that it has started, and readings that are out of date.
 
 The laboratory forgets a vessel's readings when the vessel goes to a bench, and does not count its experiments. A policy
-without other memory needs both where parameters are hidden. All of it follows from the manager's own observations and
-actions.
+without other memory needs both where parameters are hidden. All of it follows from its own observations and actions.
 """
 
 from __future__ import annotations

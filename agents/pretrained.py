@@ -48,9 +48,7 @@ _MOST_LAYERS = 32
 LSTM = {"lstm.weight_ih": ("4H", "O"), "lstm.weight_hh": ("4H", "H"), "lstm.bias": ("4H",)}
 """Shapes by name of the weights of an LSTM with H units and O inputs."""
 LOG_STD = "log_std"
-"""Name of the logarithms of the standard deviations [n] of continuous actions; without them, a policy cannot be
-sampled.
-"""
+"""Name of the logarithms of the standard deviations [n] of continuous actions, which sampling needs."""
 _Q_LEARNERS = ("dqn", "qr-dqn")
 """Algorithms whose outputs are action values, not logits."""
 
@@ -196,44 +194,35 @@ class PretrainedPolicy(Remembering):
 
     def __init__(self, card: Card, weights: Weights, seed: Seed = None) -> None:
         self.card, self.weights = card, weights
-        hidden = card.memory
-        others = {*(LSTM if hidden else ()), *({LOG_STD} & set(weights))}
-        depth = min((len(weights) - len(others)) // 2, _MOST_LAYERS)
-        expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")} | others
+        hidden, actions = card.memory, card.action_size
+        axes = {"O": card.observation_size, "H": hidden, "4H": 4 * hidden}
+        shapes = {name: tuple(axes[axis] for axis in shape) for name, shape in LSTM.items() if hidden}
+        shapes |= {LOG_STD: (actions,)} if LOG_STD in weights else {}
+        depth = min((len(weights) - len(shapes)) // 2, _MOST_LAYERS)
+        expected = {f"{i}.{part}" for i in range(depth) for part in ("weight", "bias")} | set(shapes)
         if set(weights) != expected or not depth:
             raise ValueError(
                 f"{card.name}: weights must be 0.weight, 0.bias, 1.weight, ... of {_MOST_LAYERS} layers at most; found "
                 f"{sorted(weights)!s:.500}"
             )
-        for name, shape in LSTM.items() if hidden else ():
-            expected_shape = tuple({"O": card.observation_size, "H": hidden, "4H": 4 * hidden}[axis] for axis in shape)
-            if weights[name].shape != expected_shape or not np.isfinite(weights[name]).all():
-                raise ValueError(f"{card.name}: {name}: {weights[name].shape} does not fit, or is not finite")
+        sizes = [hidden or card.observation_size, *(weights[f"{i}.bias"].size for i in range(depth - 1)), actions]
+        for i in range(depth):
+            shapes |= {f"{i}.weight": (sizes[i + 1], sizes[i]), f"{i}.bias": (sizes[i + 1],)}
+        for name, shape in shapes.items():
+            given = weights[name]
+            if given.shape != shape or given.dtype.kind != "f" or not np.isfinite(given).all():
+                raise ValueError(
+                    f"{card.name}: {name}: must be finite numbers of shape {shape}, given {given.shape}: "
+                    "the card and the weights do not belong together"
+                )
         self._lstm = [weights[name].astype(np.float64) for name in LSTM] if hidden else []
         self._memory = Memory(hidden, hidden)
-        size = first = hidden or card.observation_size
-        for i in range(depth):
-            weight, bias = weights[f"{i}.weight"], weights[f"{i}.bias"]
-            if weight.ndim != 2 or bias.shape != weight.shape[:1] or (i and weight.shape[1] != size):
-                raise ValueError(f"{card.name}: layer {i}: {weight.shape} and {bias.shape} do not fit")
-            if not all(part.dtype.kind == "f" and np.isfinite(part).all() for part in (weight, bias)):
-                raise ValueError(f"{card.name}: layer {i}: weights are not finite numbers")
-            size = weight.shape[0]
         self._layers = [
             (weights[f"{i}.weight"].T.astype(np.float64, order="C"), weights[f"{i}.bias"].astype(np.float64))
             for i in range(depth)
         ]
-        sizes = [self._layers[0][0].shape[0], self._layers[-1][0].shape[1]]
-        if sizes != [first, card.action_size]:
-            raise ValueError(
-                f"{card.name}: the card says {first} observations and {card.action_size} actions, "
-                f"the weights {sizes[0]} and {sizes[1]}: the two files do not belong together"
-            )
-        log_std = weights.get(LOG_STD, np.zeros(card.action_size))
-        if log_std.shape != (card.action_size,) or not np.isfinite(log_std).all():
-            raise ValueError(f"{card.name}: {LOG_STD}: must be {card.action_size} finite numbers")
-        self._std = np.exp(log_std.astype(np.float64))
-        self._draws = RandomPolicy(1 if card.output == "argmax" else card.action_size, seed) if card.sampled else None
+        self._std = np.exp(weights.get(LOG_STD, np.zeros(actions)).astype(np.float64))
+        self._draws = RandomPolicy(1 if card.output == "argmax" else actions, seed) if card.sampled else None
         obstacle = card.sampled and self._obstacle()
         if obstacle:
             raise ValueError(f"{card.name}: cannot be sampled: {obstacle}; play it greedily")
@@ -355,13 +344,9 @@ def fitted(policy: PretrainedPolicy, workplace: Workplace) -> Policy:
     Raises:
         ValueError: it does not fit, see :meth:`PretrainedPolicy.check`.
     """
-    if isinstance(workplace, Bench) and policy.card.interface.discrete:
-        twin = discretised_twin(workplace)
-        if twin is not None:
-            policy.check(twin)
-            return ChoosingPolicy(policy, twin.action_rows)
-    policy.check(workplace)
-    return policy
+    twin = discretised_twin(workplace) if isinstance(workplace, Bench) and policy.card.interface.discrete else None
+    policy.check(workplace if twin is None else twin)
+    return policy if twin is None else ChoosingPolicy(policy, twin.action_rows)
 
 
 def _training_command(workplace: Workplace) -> str:

@@ -14,9 +14,7 @@ MANAGER_ROLE = "manager"
 
 
 def role_of(agent: str) -> str:
-    """Return the role of an agent's name (``rxn_0``): ``manager``, or its bench's key. The name of a role is its own
-    role.
-    """
+    """Return the role of an agent (``rxn_0``): ``manager``, or its bench's key. The name of a role is its own role."""
     role, _, number = agent.rpartition("_")
     return role if role and number.isdigit() else agent
 

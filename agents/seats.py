@@ -184,21 +184,18 @@ class Room:
         if self._folder is None:
             return
         self._folder.mkdir(parents=True, exist_ok=True)
-        entry = append_entry(
-            self._folder / LEDGER,
-            {
-                "event": "begun",
-                "scenario": self.scenario.name,
-                "seats": list(self.seats),
-                "background": self._background,
-                "condition": self._condition,
-                "names": self._names,
-                "budget": self._budget,
-                "say": self._say,
-                "commitment": _commitment(self._salt, self._seed),
-            },
-        )
-        self._number = entry["number"]
+        begun = {
+            "event": "begun",
+            "scenario": self.scenario.name,
+            "seats": list(self.seats),
+            "background": self._background,
+            "condition": self._condition,
+            "names": self._names,
+            "budget": self._budget,
+            "say": self._say,
+            "commitment": _commitment(self._salt, self._seed),
+        }
+        self._number = append_entry(self._folder / LEDGER, begun)["number"]
         self._stem = self._folder / f"episode-{self._number:04d}"
         # The players of seats are recorded with their turns.
         players = {agent: self._background for agent in self.laboratories.agents if agent not in self.seats}
@@ -434,9 +431,8 @@ class Room:
         given = dict(arguments)
         turn, reason = given.pop("turn", None), given.pop("reason", "")
         if not isinstance(reason, str) or len(reason) > _LONGEST_REASON:
-            raise ToolError(
-                f"{verb}: reason must be a text of at most {_LONGEST_REASON} characters, given {amount_of(reason)}"
-            )
+            most = f"at most {_LONGEST_REASON} characters"
+            raise ToolError(f"{verb}: reason must be a text of {most}, given {amount_of(reason)}")
         values = verbs[verb].checked(given)
         if verb == "look":
             return Reply(self._display(agent, True, values.get("at", "all")))
@@ -494,13 +490,10 @@ class Room:
         return f"{notices} {self._display(agent, False)}".strip()
 
     def _display(self, agent: str, whole: bool, at: str = "all") -> str:
-        """Return the seat's observation in words, or the lines that have changed since the last reply.
+        """Return the seat's ``whole`` observation in words, or the lines that have changed since the last reply.
 
-        Args:
-            agent: the seat.
-            whole: True to show all lines.
-            at: a slot, or ``orders``, to show only this part, in detail; ``all``: without details that the seat was
-                already shown; "": with all details.
+        ``at`` is a slot, or ``orders``, to show only this part, in detail; ``all``: without details that the seat was
+        already shown; "": with all details.
         """
         labs = self.laboratories
         index = labs.agents.index(agent)
@@ -594,11 +587,8 @@ def call_of(text: str) -> tuple[str, dict[str, Any]]:
 
 def _is_small(arguments: Any) -> bool:
     """Return True for a mapping of at most ``_MOST_ARGUMENTS`` names."""
-    return (
-        isinstance(arguments, Mapping)
-        and len(arguments) <= _MOST_ARGUMENTS
-        and all(isinstance(key, str) for key in arguments)
-    )
+    is_few = isinstance(arguments, Mapping) and len(arguments) <= _MOST_ARGUMENTS
+    return is_few and all(isinstance(key, str) for key in arguments)
 
 
 # -- interface for frameworks -----------------------------------------------------------------------------------------

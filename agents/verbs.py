@@ -167,8 +167,6 @@ class Verb:
         return values
 
 
-# -- the manager ------------------------------------------------------------------------------------------------------
-
 _MANAGER = {
     "start": "Bring the vessel of a slot to a bench and begin an experiment there.",
     "measure": "Measure the vessel of a slot with an instrument, at its price.",
@@ -179,34 +177,26 @@ _MANAGER = {
     "calibrate": "Calibrate an instrument.",
     "repair": "Have a bench repaired.",
 }
+_ARGUMENTS = {
+    "bench": "the bench",
+    "slot": "the slot of the shelf",
+    "goal": "the material that the experiment is for",
+    "grade": "the quality that is asked for",
+    "instrument": "the instrument",
+    "order": "the order",
+}
 
 
 def manager_verbs(labs: Laboratories, name: Callable[[str], str]) -> list[Verb]:
     """Return the manager's verbs; ``name`` returns the name that the seat uses for a material."""
-    actions, scenario = labs.actions, labs.scenario
-    goal_of = {name(goal): goal for goal in scenario.goals}
+    actions = labs.actions
+    goal_of = {name(goal): goal for goal in labs.scenario.goals}
     goals = tuple(sorted(goal_of) if name is not str else goal_of)
-    bench = Argument("bench", "the bench", tuple(actions.bench_agents))
-    slot = Argument("slot", "the slot of the shelf", tuple(range(actions.slots)))
     arguments = {
-        "start": (
-            bench,
-            slot,
-            Argument("goal", "the material that the experiment is for", goals),
-            *([Argument("grade", "the quality that is asked for", actions.grades)] if actions.grades else []),
-        ),
-        "measure": (slot, Argument("instrument", "the instrument", actions.instruments)),
-        "discard": (slot,),
-        "submit": (
-            slot,
-            *([Argument("order", "the order", tuple(range(actions.orders)))] if actions.orders > 1 else ()),
-        ),
-        "recall": (bench,),
-        "wait": (),
-        "calibrate": (Argument("instrument", "the instrument", actions.drifting),),
-        "repair": (Argument("bench", "the bench", actions.wearing),),
+        kind: [Argument(key, _ARGUMENTS[key], goals if key == "goal" else values) for key, values in spaces.items()]
+        for kind, spaces in actions.arguments.items()
+        if all(spaces.values())
     }
-    kinds = {str(actions.decode(action)[0]) for action in range(len(actions))}
 
     def encode(kind: str, given: Mapping[str, Any]) -> int:
         values = [given.get(a.name, a.options[0]) for a in arguments[kind]]
@@ -215,11 +205,9 @@ def manager_verbs(labs: Laboratories, name: Callable[[str], str]) -> list[Verb]:
     return [
         Verb.of(kind, meaning, arguments[kind], functools.partial(encode, kind))
         for kind, meaning in _MANAGER.items()
-        if kind in kinds
+        if kind in arguments
     ]
 
-
-# -- benches ----------------------------------------------------------------------------------------------------------
 
 _OPERATIONS = {
     "drain": "Drain the lowest part of a vessel into another one.",

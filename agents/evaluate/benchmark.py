@@ -184,6 +184,7 @@ def _played_row(name: str, files: Sequence[Path], seats: Mapping[Path, Mapping[s
 def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
     """Return the rows of the first (if any), best and last checkpoints of runs, played greedily or sampled."""
     configs = [run.config() or {} for run in runs]
+    first_of: dict[Any, Run] = {}
     for run, config in zip(runs, configs, strict=True):
         other = differences(config, configs[0])
         other.pop("seed", None)
@@ -192,9 +193,8 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
                 f"policies: {name}: runs of one row differ in their seeds alone; {run.path} has "
                 f"{', '.join(other.values())}; give each of them with a --policy of its own"
             )
-    seeds = [config.get("seed") for config in configs]
-    for run, seed in zip(runs, seeds, strict=True):
-        first = runs[seeds.index(seed)]
+        seed = config.get("seed")
+        first = first_of.setdefault(seed, run)
         if first is not run:
             raise ValueError(f"policies: {name}: {run.path} has the seed of {first.path}, {seed}: leave one")
     ends = [curve[-1] for run in runs if (curve := run.curve())]
@@ -219,17 +219,8 @@ def _trained_rows(name: str, runs: Sequence[Run], way: str | None) -> list[Row]:
 # -- jobs -------------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Block:
-    """Episodes of a replication: its index, which selects a row's run; first episode; number of episodes."""
-
-    number: int
-    first: int
-    count: int
-
-    def of(self, scores: Any) -> FloatArray:
-        """Return the scores [count] of its episodes from those of all episodes."""
-        return np.asarray(scores)[self.first : self.first + self.count]
+_Block = npt.NDArray[np.intp]
+"""Indices of a replication's episodes."""
 
 
 def _normalised(scores: Any, random: float, oracle: float) -> FloatArray:
@@ -240,8 +231,7 @@ def _normalised(scores: Any, random: float, oracle: float) -> FloatArray:
 def _blocks(episodes: int, replications: int) -> list[_Block]:
     if not 1 <= replications <= episodes:
         raise ValueError(f"seeds: from 1 to the {episodes} episodes of the budget, given {replications}")
-    parts = np.array_split(np.arange(episodes), replications)
-    return [_Block(k, int(part[0]), len(part)) for k, part in enumerate(parts)]
+    return np.array_split(np.arange(episodes), replications)
 
 
 def _file_name(text: str) -> str:
@@ -257,16 +247,16 @@ def reference_jobs(split: str) -> list[Job]:
 
 
 def _job_name(row: Row, block: _Block) -> str:
-    return f"row-{_file_name(row.name)}-{block.first}-{block.count}"
+    return f"row-{_file_name(row.name)}-{block[0]}-{len(block)}"
 
 
 def _row_jobs(spec: Scenario, rows: Sequence[Row], blocks: Sequence[_Block], split: str) -> list[Job]:
     """Return the jobs of the rows that fit a scenario; with hidden parameters, also those in training worlds."""
     jobs = []
     for row in rows:
-        for block in blocks if row.policies and _fits(row, spec) else ():
-            policy, name = row.policies[block.number % len(row.policies)], _job_name(row, block)
-            arguments = {"policy": policy, "seed": AUDIT_SEED + block.first, "episodes": block.count}
+        for number, block in enumerate(blocks if row.policies and _fits(row, spec) else ()):
+            policy, name = row.policies[number % len(row.policies)], _job_name(row, block)
+            arguments = {"policy": policy, "seed": AUDIT_SEED + int(block[0]), "episodes": len(block)}
             jobs.append(Job(name, "play", {**arguments, "split": split}))
             if spec.world.draws and split != "train":
                 jobs.append(Job(f"{name}-train", "play", {**arguments, "split": "train"}))
@@ -294,8 +284,7 @@ def _verified_records(
 ) -> dict[int, tuple[float, Record]]:
     """Replay a row's records of a scenario, and return (score, record) by the number of the episode.
 
-    Raises:
-        ValueError: a record is of other episodes or of another scenario, is wrong, or two are of one episode.
+    A record that is wrong, of other episodes or of another scenario, or of the episode of another raises ValueError.
     """
     found: dict[int, tuple[float, Record]] = {}
     for record in _records_of(row, spec):
@@ -436,7 +425,7 @@ def _row_scores(
 ) -> tuple[FloatArray | str, FloatArray | None]:
     """Return a row's scores [E] (NaN: not played), or the reason why there are none, and those in training worlds."""
     if row.records:
-        scores = np.full(sum(block.count for block in blocks), np.nan)
+        scores = np.full(sum(map(len, blocks)), np.nan)
         scores[list(games[row.name])] = [score for score, _ in games[row.name].values()]
         return scores if games[row.name] else "has not been played yet", None
     if not _fits(row, spec):
@@ -486,7 +475,7 @@ def _cells(
             cells[name] = missing("no policy scores above random play in these episodes: there is no scale")
             continue
         # Replications of one run are not independent: together they are one. One without a scale is omitted.
-        sample = np.asarray(run_of or [block.number for block in blocks for _ in range(block.count)])
+        sample = np.asarray(run_of or [number for number, block in enumerate(blocks) for _ in block])
         own = [np.flatnonzero(played & (sample == k)) for k in range(len(blocks))]
         parts = [part for part in own if len(part) and oracle[part].mean() > random[part].mean() + statistics.TIE]
         cells[name] = {
@@ -502,9 +491,9 @@ def _cells(
             cells[name]["baseline"] = _replications(compared, random, oracle, parts)
     # The scale of a replication is that of its own worlds, so that easy worlds do not raise its scores.
     scales = [
-        {"first": b.first, "count": b.count}
-        | {"random": float(b.of(random).mean()), "oracle": float(b.of(oracle).mean())}
-        for b in blocks
+        {"first": int(block[0]), "count": len(block)}
+        | {"random": float(random[block].mean()), "oracle": float(oracle[block].mean())}
+        for block in blocks
     ]
     return {
         "scenario_hash": scenario_hash(spec),
@@ -514,9 +503,7 @@ def _cells(
     }
 
 
-def _replications(
-    scores: FloatArray, random: FloatArray, oracle: FloatArray, parts: Sequence[npt.NDArray[np.intp]]
-) -> list[float]:
+def _replications(scores: FloatArray, random: FloatArray, oracle: FloatArray, parts: Sequence[_Block]) -> list[float]:
     """Return the mean score in each part of the episodes, normalized on the scale of this part."""
     return [float(_normalised(scores[part].mean(), random[part].mean(), oracle[part].mean())) for part in parts]
 
@@ -609,17 +596,16 @@ def marl_eval(found: Mapping[str, Any], rows: Sequence[Row]) -> dict[str, Any]:
     for scenario, one in found["scenarios"].items():
         tasks[scenario] = {}
         for name, cell in one["cells"].items():
-            if (
-                cell["value"] is None or None in cell["scores"]
-            ):  # marl-eval requires equally many runs of all algorithms
+            # marl-eval requires equally many runs of all algorithms.
+            if cell["value"] is None or None in cell["scores"]:
                 continue
             row = _row_named(rows, name)
             algorithm = tasks[scenario][name] = {}
             for k, scale in enumerate(one["replications"]):
                 if scale["oracle"] <= scale["random"] + statistics.TIE:
                     continue
-                first, count, ends = scale["first"], scale["count"], (scale["random"], scale["oracle"])
-                returns = _normalised(cell["scores"][first : first + count], *ends)
+                first, ends = scale["first"], (scale["random"], scale["oracle"])
+                returns = _normalised(cell["scores"][first : first + scale["count"]], *ends)
                 curve = row.curves[k % len(row.curves)] if row.curves else ()
                 steps = {
                     f"step_{i}": {"step_count": step, "return": [float(_normalised(mean, *ends))]}

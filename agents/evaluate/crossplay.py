@@ -60,9 +60,6 @@ class Player:
     partner: str | None = None
 
 
-# -- players ----------------------------------------------------------------------------------------------------------
-
-
 def find_players(
     scenario: Scenario, managers: Sequence[str], benches: Sequence[str]
 ) -> tuple[list[Player], list[Player]]:
@@ -108,11 +105,7 @@ def _runs_of(name: str) -> list[str]:
 
 
 def _player(name: str, labs: Laboratories, side: str) -> Player:
-    """Return the player of a policy by name.
-
-    Raises:
-        ValueError: the policy is unknown, has no policy for this side, or does not fit.
-    """
+    """Return the player of a policy by name; raise ValueError if it has no policy for this side, or none that fits."""
     if side == MANAGER_ROLE and "," in name:
         raise ValueError(f"{side}: {name!r}: give one policy; benches are given with --benches")
     policies = _policies(name, labs, side)
@@ -126,11 +119,7 @@ def _player(name: str, labs: Laboratories, side: str) -> Player:
 
 
 def _policies(name: str, labs: Laboratories, side: str) -> list[Policy]:
-    """Return the policies of a side's agents.
-
-    Raises:
-        ValueError: the name is unknown, or the policies do not fit.
-    """
+    """Return the policies of a side's agents; raise ValueError if the name is unknown, or one does not fit."""
     numbers = [role.index for role in ([labs.manager] if side == MANAGER_ROLE else labs.bench_roles)]
     return [agent_policy(name, labs, number) for number in numbers]
 
@@ -195,9 +184,6 @@ def _team_policy(manager: Player, benches: Player) -> str:
     return f"{benches.policy},{MANAGER_ROLE}={manager.policy}"
 
 
-# -- cross-play -------------------------------------------------------------------------------------------------------
-
-
 def _cell_job(policy: str, split: str) -> Job:
     name = hashlib.blake2b(policy.encode(), digest_size=8).hexdigest()
     return Job(f"cross-{name}", "play", {"policy": policy, "split": split, "seed": AUDIT_SEED})
@@ -223,11 +209,8 @@ def crossplay(
     Args:
         scenario: the laboratory.
         managers, benches: players of both sides, see :func:`find_players`.
-        budget: the benchmark's budget: numbers of episodes and of plans in searches.
-        split: split of the worlds.
+        budget, split, executor, watch: as for :func:`~chemlab.agents.evaluate.benchmark.benchmark`.
         keep: folder of cached results; an audit's or a benchmark's folder of this scenario has those of the scale.
-        executor: executor of the jobs, see :mod:`chemlab.agents.executors`; None: this process.
-        watch: called with the name of each finished job.
 
     Returns:
         Plain data: ``managers`` and ``benches``; ``cells`` (manager, benches, policy for ``chemlab run``, whether they
@@ -294,12 +277,8 @@ def _gaps(
     """Yield the gap of each player of a side; ``scaled`` has normalized scores by (player, other)."""
     for player in players:
         with_partner = [scaled[player.name, other.name] for other in others if _trained_with(player, other)]
-        unseen = [
-            other
-            for other in others
-            if not _trained_with(player, other)
-            and (player.partner is None or _origin(player.policy) != _origin(other.policy))
-        ]
+        strangers = [other for other in others if not _trained_with(player, other)]
+        unseen = [one for one in strangers if player.partner is None or _origin(player.policy) != _origin(one.policy)]
         if with_partner and unseen:
             with_unseen = np.mean([scaled[player.name, other.name] for other in unseen], axis=0)
             yield {

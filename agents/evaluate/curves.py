@@ -12,7 +12,6 @@ import numpy as np
 from chemlab.kernels.arrays import FloatArray
 from chemlab.render.figure import SETTINGS, import_matplotlib, new_figure, save_figure
 
-from ..runs import Evaluation
 from .results import Groups, TrainedRun, display_name, group_runs, read_runs
 
 # Okabe and Ito's palette for colour-blind readers; line styles distinguish the curves without colour.
@@ -63,12 +62,12 @@ def average_curves(curves: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray
 
 def with_curves(groups: Groups) -> Groups:
     """Return the groups without runs that have neither a curve nor evaluations."""
-    kept = {
-        task: {label: [run for run in runs if len(run.curve) or run.evaluations] for label, runs in labels.items()}
-        for task, labels in groups.items()
-    }
-    some = {task: {label: runs for label, runs in labels.items() if runs} for task, labels in kept.items()}
-    return {task: labels for task, labels in some.items() if labels}
+    found: Groups = {}
+    for task, labels in groups.items():
+        for label, runs in labels.items():
+            if drawn := [run for run in runs if len(run.curve) or run.evaluations]:
+                found.setdefault(task, {})[label] = drawn
+    return found
 
 
 def draw_curves(folders: Sequence[Path]) -> Any:
@@ -139,7 +138,12 @@ def _panel(axes: Any, task: str, labels: dict[str, list[TrainedRun]]) -> None:
                 if len(rest):
                     axes.plot(rest[:, 0] / 1000.0, rest[:, 1], lw=0.7, color=style["color"], alpha=0.5)
         evaluations = [evaluation for run in runs for evaluation in run.evaluations]
-        _points(axes, evaluations, style["color"], None if average is not None else entry)
+        if evaluations:
+            # At each step, the mean over the runs that have an evaluation there.
+            at = sorted({evaluation.step for evaluation in evaluations})
+            means = [float(np.mean([e.mean for e in evaluations if e.step == step])) for step in at]
+            points = {"marker": "o", "ms": 5, "mfc": "white", "mec": style["color"], "mew": 1.5}
+            axes.plot(np.array(at) / 1000.0, means, ls="", label=entry if average is None else None, **points)
         scripted += [e.scripted_mean for e in evaluations if e.scripted_mean is not None]
     if scripted:
         axes.axhline(float(np.mean(scripted)), color="black", lw=1.3, ls=(0, (5, 3)), label="scripted")
@@ -151,12 +155,3 @@ def _panel(axes: Any, task: str, labels: dict[str, list[TrainedRun]]) -> None:
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)
     axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=_LEGEND_COLUMNS, frameon=False)
-
-
-def _points(axes: Any, evaluations: Sequence[Evaluation], color: str, label: str | None) -> None:
-    """Draw the mean over runs at each step, of the runs that have an evaluation there."""
-    if not evaluations:
-        return
-    steps = sorted({evaluation.step for evaluation in evaluations})
-    means = [float(np.mean([e.mean for e in evaluations if e.step == step])) for step in steps]
-    axes.plot(np.array(steps) / 1000.0, means, ls="", marker="o", ms=5, mfc="white", mec=color, mew=1.5, label=label)

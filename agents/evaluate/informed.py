@@ -190,18 +190,11 @@ def _table(
 
 
 def _choice(seen: Arrays, scores: FloatArray, present: Arrays) -> IntArray:
-    """Choose a plan for each of E worlds by kernel ridge regression.
+    """Return [E] the plan for each world with observations ``present`` [E, size], by kernel ridge regression.
 
-    Kernel and regularization are chosen by cross-validation with two folds. If no regression is better than the best
-    single plan, that is chosen in all worlds.
-
-    Args:
-        seen: [W, size] observations in training worlds.
-        scores: [plans, W] scores of the plans there.
-        present: [E, size] observations in the worlds for which a plan is chosen.
-
-    Returns:
-        [E] indices of plans.
+    The regression is fitted to observations ``seen`` [W, size] and ``scores`` [plans, W] in training worlds. Kernel and
+    regularization are chosen by cross-validation with two folds. If no regression is better than the best single plan,
+    that is chosen in all worlds.
     """
     single = np.full(len(present), scores.mean(axis=1).argmax())
     varies = seen.std(axis=0) > 1e-6

@@ -125,7 +125,6 @@ def _play(
         scenario = scenario.model_copy(update={"benches": mute})
     if not instruments:
         scenario = without_instruments(scenario)
-
     try:
         labs = Laboratories(scenario, budget.episodes if episodes is None else episodes, split=split)
         with warnings.catch_warnings():
@@ -135,8 +134,7 @@ def _play(
         if without:
             policies[MANAGER_AGENT] = scripted_manager(labs, policy != "scripted:unsafe", [without])
         counter = Contention(policies[MANAGER_AGENT], labs) if contended else None
-        if counter is not None:
-            policies[MANAGER_AGENT] = counter
+        policies[MANAGER_AGENT] = counter or policies[MANAGER_AGENT]
         scores = {"scores": play_laboratory(labs, policies, None, seed).returns.tolist()}
         return scores if counter is None else {**scores, "contention": counter.events().tolist()}
     except ValueError as error:
@@ -174,8 +172,7 @@ def _idle(scenario: Scenario, budget: AuditBudget) -> dict[str, Any]:
 
 def without_instruments(scenario: Scenario) -> Scenario:
     """Return a scenario without a budget for measurements; free instruments remain available."""
-    limits = scenario.limits.model_copy(update={"budget": _NO_BUDGET})
-    return scenario.model_copy(update={"limits": limits})
+    return scenario.model_copy(update={"limits": scenario.limits.model_copy(update={"budget": _NO_BUDGET})})
 
 
 def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: list[Any]) -> dict[str, Any]:
@@ -189,16 +186,9 @@ def _learn(scenario: Scenario, budget: AuditBudget, instruments: bool, plans: li
 
 def _inform(scenario: Scenario, budget: AuditBudget, opening: str, plans: list[Any]) -> dict[str, Any]:
     """Score controllers without instruments that choose among plans by all agents' or the manager's observations."""
-    found = informed_scores(
-        without_instruments(scenario),
-        opening,
-        _known(plans),
-        budget.worlds,
-        max(budget.worlds // _WORLDS_PER_PLAN, 1),
-        budget.planned,
-        budget.episodes,
-        AUDIT_SEED,
-    )
+    library = max(budget.worlds // _WORLDS_PER_PLAN, 1)
+    sizes = budget.worlds, library, budget.planned, budget.episodes
+    found = informed_scores(without_instruments(scenario), opening, _known(plans), *sizes, AUDIT_SEED)
     if found is None:
         return {"scores": None, "reason": "the best plan has one submission"}
     return {"scores": found[0], "feedback": found[1]}
@@ -248,25 +238,18 @@ def _apart(scenario: Scenario, budget: AuditBudget, policy: str) -> dict[str, An
 
 def _with_one_order(scenario: Scenario) -> Scenario:
     """Return the scenario with one order. An order then pays n times as much, so all prices are multiplied by n."""
-    times = scenario.orders
-    instruments = {}
-    for name, spec in scenario.instruments.items():
-        drift = spec.drift and spec.drift.model_copy(update={"price": times * spec.drift.price})
-        instruments[name] = spec.model_copy(update={"price": times * spec.price, "drift": drift})
-    benches = {}
-    for key, bench in scenario.benches.items():
-        wear = bench.wear and bench.wear.model_copy(update={"repair_price": times * bench.wear.repair_price})
-        benches[key] = bench.model_copy(update={"wear": wear})
-    costs = scenario.costs.model_copy(
-        update={
-            "stock_per_mol": {name: times * price for name, price in scenario.costs.stock_per_mol.items()},
-            "waste_per_l": times * scenario.costs.waste_per_l,
-            "tick": times * scenario.costs.tick,
-            "illegal_action": times * scenario.costs.illegal_action,
-        }
-    )
-    safety = scenario.safety.model_copy(update={"reward_price": times * scenario.safety.reward_price})
-    limits = scenario.limits.model_copy(update={"budget": times * scenario.limits.budget})
+
+    def dearer(model: Any, *prices: str, **others: Any) -> Any:
+        return model.model_copy(update={name: scenario.orders * getattr(model, name) for name in prices} | others)
+
+    instruments = {
+        name: dearer(spec, "price", drift=spec.drift and dearer(spec.drift, "price"))
+        for name, spec in scenario.instruments.items()
+    }
+    benches = {k: dearer(b, wear=b.wear and dearer(b.wear, "repair_price")) for k, b in scenario.benches.items()}
+    stock = {name: scenario.orders * price for name, price in scenario.costs.stock_per_mol.items()}
+    costs = dearer(scenario.costs, "waste_per_l", "tick", "illegal_action", stock_per_mol=stock)
+    safety, limits = dearer(scenario.safety, "reward_price"), dearer(scenario.limits, "budget")
     prices = {"benches": benches, "instruments": instruments, "costs": costs, "safety": safety, "limits": limits}
     return scenario.model_copy(update={"orders": 1, **prices})
 
@@ -375,6 +358,5 @@ class JobRunner:
         except DataError:
             return None
         result = part.get("result") if isinstance(part, dict) else None
-        if isinstance(result, dict) and part.get("stamp") == self._stamp(job, _policy_hash(job), result):
-            return result
-        return None
+        known = isinstance(result, dict) and part.get("stamp") == self._stamp(job, _policy_hash(job), result)
+        return result if known else None

@@ -12,7 +12,7 @@ import json
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
@@ -130,9 +130,6 @@ def write_leaderboard(path: Path, new: Sequence[Line]) -> None:
     text = json.dumps({"kind": "leaderboard", "format": 1, "lines": lines}, indent=1, allow_nan=False)
     # Write a list of numbers on one line.
     write_text(path, _NUMBERS.sub(lambda found: re.sub(r"\s+", "", found[0]).replace(",", ", "), text) + "\n")
-
-
-# -- scale ------------------------------------------------------------------------------------------------------------
 
 
 def runs_of(runs: int, seeds: int, episodes: int) -> list[int] | None:
@@ -268,9 +265,6 @@ def _recomputed(line: Line, lines: Mapping[tuple[str, str, str], Line]) -> dict[
     return on_scale(scores, random, oracle, runs, other, train)
 
 
-# -- verification -----------------------------------------------------------------------------------------------------
-
-
 @dataclass
 class LineCheck:
     """Result of verifying a line.
@@ -315,7 +309,7 @@ def check_leaderboard(path: Path, watch: Callable[[LineCheck], None] | None = No
         if len({entry["seed"] for entry in entries}) < len(entries):
             check.faults.append("records: two are of one episode")
         for entry in entries:
-            _check_record(check, line, entry, path.parent)
+            check.faults += [f"{entry['file']}: {fault}" for fault in _record_faults(check, line, entry, path.parent)]
         found.append(check)
         if watch is not None:
             watch(check)
@@ -392,36 +386,32 @@ def _compare(check: LineCheck, what: str, stored: float | None, computed: float 
         check.faults.append(f"{what}: is {stored}, and its scores give {computed}")
 
 
-def _check_record(check: LineCheck, line: Line, entry: Line, folder: Path) -> None:
-    """Replay a record of a line; append faults."""
+def _record_faults(check: LineCheck, line: Line, entry: Line, folder: Path) -> Iterator[str]:
+    """Replay a record of a line, and yield its faults."""
     name, number = entry["file"], entry["seed"] - AUDIT_SEED
     scores = line.get("scores")
-
-    def fault(text: str) -> None:
-        check.faults.append(f"{name}: {text}")
-
     if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
-        fault("is not below the leaderboard's folder")
+        yield "is not below the leaderboard's folder"
         return
     if scores is not None:
         stored = scores[number] if 0 <= number < len(scores) else None
         if stored is None or not _equal(stored, entry.get("score")):
-            fault(f"its score is {entry.get('score')}, and that of the line's episode {entry['seed']} is {stored}")
+            yield f"its score is {entry.get('score')}, and that of the line's episode {entry['seed']} is {stored}"
     try:
         record = read_record(folder / name)
         header, spec = record.checked_header(), recorded_scenario(record)
     except (RecordError, DataError) as error:
-        fault(str(error))
+        yield str(error)
         return
     if (header.seed, spec.name) != (entry["seed"], line["scenario"]) or header.options:
-        fault(f"is of {spec.name}, seed {header.seed}{', with options' * bool(header.options)}")
+        yield f"is of {spec.name}, seed {header.seed}{', with options' * bool(header.options)}"
     if header.split not in (None, line["split"].partition(":")[0]):
-        fault(f"is of the split {header.split}")
+        yield f"is of the split {header.split}"
     own = scenario_hash(spec)
     if line.get("scenario_hash") not in (None, own):
-        fault("is of a scenario with other prices or rules")
+        yield "is of a scenario with other prices or rules"
     elif shipped_file(spec.name) and own != scenario_hash(load_scenario(spec.name)):
-        fault(f"is of another {spec.name} than the bundled one: prices or rules differ")
+        yield f"is of another {spec.name} than the bundled one: prices or rules differ"
     private = line["split"] if ":" in line["split"] else None
     proof = verify_record(record, None, may_run(otherwise=False), split=private)
     check.records += 1
@@ -429,6 +419,6 @@ def _check_record(check: LineCheck, line: Line, entry: Line, folder: Path) -> No
     # end without calls left; they count with the score at that time.
     unfinished = record.torn and not line.get("seats")
     if proof.status not in ("ok", "other", "foreign", "torn") or proof.where or proof.score is None or unfinished:
-        fault(f"{proof.status}: {proof.message}")
+        yield f"{proof.status}: {proof.message}"
     elif not _equal(proof.score, entry.get("score"), _ROUNDING if proof.status == "other" else _TOLERANCE):
-        fault(f"its replay gives a score of {proof.score}, and the line has {entry.get('score')}")
+        yield f"its replay gives a score of {proof.score}, and the line has {entry.get('score')}"

@@ -35,9 +35,6 @@ DRAWN = "drawn"
 """Name used instead of a goal if each episode draws the goals of its orders."""
 
 
-# -- targets --------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Target:
     """A bench or a laboratory in which policies are evaluated.
@@ -148,9 +145,6 @@ def find_target(name: str, bench: str | None = None, starts: str = "paper", spli
     if bench is None and starts != "paper":
         raise ValueError(f"starts: only for single benches, not for a laboratory; given {starts!r}")
     return Target(scenario, bench, starts, split=split)
-
-
-# -- evaluating -----------------------------------------------------------------------------------------------------
 
 
 def evaluate(

@@ -87,9 +87,6 @@ def _from_folder(run: Run, name: str) -> TrainedRun:
     return TrainedRun(name, run.config() or {}, run.result(), curve, run.evaluations(), run)
 
 
-# -- aggregates -------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class Cell:
     """Finished runs of one task and label, which differ only in their seed."""

@@ -72,11 +72,7 @@ def interval_text(estimate: Mapping[str, Any], digits: int = 3, sign: str = "") 
 
 
 def _checked(strata: Strata, together: bool = False) -> list[FloatArray]:
-    """Return strata as arrays.
-
-    Raises:
-        ValueError: a stratum is empty, a sample is not finite, or sizes differ although samples belong ``together``.
-    """
+    """Return strata as arrays, checked as :func:`mean` says."""
     arrays = [np.asarray(stratum, dtype=np.float64).ravel() for stratum in strata]
     if not arrays or any(array.size == 0 for array in arrays):
         raise ValueError("statistics: needs at least one sample in every stratum")
@@ -90,28 +86,20 @@ def _checked(strata: Strata, together: bool = False) -> list[FloatArray]:
     return arrays
 
 
-# -- Student's t ------------------------------------------------------------------------------------------------------
-
-
 def _student(value: float, variance: float, freedom: float) -> Estimate:
     half = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom)) * math.sqrt(variance) if variance > 0.0 else 0.0
     return Estimate(value, value - half, value + half)
 
 
 def _welch(value: float, strata: Sequence[FloatArray], weights: Sequence[float], freedoms: Sequence[float]) -> Estimate:
-    """Return an estimate with the interval of a weighted sum of stratum means.
+    """Return an estimate, which need not be the sum, with the interval of a weighted sum of stratum means.
 
-    Args:
-        value: the estimate, which may differ from that sum.
-        strata: samples.
-        weights: weight of each stratum's mean.
-        freedoms: degrees of freedom of each stratum's variance.
+    ``freedoms`` are the degrees of freedom of each stratum's variance.
     """
     if any(stratum.size < 2 for stratum in strata):
         return Estimate(value, None, None)
-    variances = [
-        weight**2 * float(stratum.var(ddof=1)) / stratum.size for weight, stratum in zip(weights, strata, strict=True)
-    ]
+    pairs = zip(weights, strata, strict=True)
+    variances = [weight**2 * float(stratum.var(ddof=1)) / stratum.size for weight, stratum in pairs]
     total = sum(variances)
     # Shares of the variance, because the square of a tiny variance underflows.
     shares = [variance / total if total > 0.0 else 0.0 for variance in variances]
@@ -162,22 +150,13 @@ def jackknife(value: float, without: npt.ArrayLike) -> Estimate:
 
     Args:
         value: the statistic of all samples.
-        without: [n] the statistic without each sample (or group of samples). There is no interval if n < 2 or a number
-            is not finite.
+        without: [n] the statistic without each sample (or group of samples). No interval if n < 2 or one is not finite.
     """
     left = np.asarray(without, dtype=np.float64)
     n = left.size
     if n < 2 or not np.isfinite(left).all():
         return Estimate(value, None, None)
     return _student(value, (n - 1) * float(left.var()), n - 1.0)
-
-
-# -- score intervals --------------------------------------------------------------------------------------------------
-
-
-def _binomial(p: float, n: int) -> float:
-    """Return the variance of a share of n samples."""
-    return p * (1.0 - p) / n
 
 
 def _mann_whitney(p: float, m: int, n: int) -> float:
@@ -187,14 +166,10 @@ def _mann_whitney(p: float, m: int, n: int) -> float:
 
 
 def _mean_share(shares: Sequence[float], variances: Sequence[Callable[[float], float]], together: bool) -> Estimate:
-    """Return the mean over strata of shares with its score interval.
+    """Return the mean over strata of shares in [0, 1] with its score interval.
 
-    The interval has all probabilities from which the mean is at most z standard deviations away.
-
-    Args:
-        shares: shares in [0, 1].
-        variances: variance of each share as a function of the probability, which is taken as equal in all strata.
-        together: as for :func:`mean`.
+    The interval has all probabilities from which the mean is at most z standard deviations away. ``variances`` are
+    those of the shares as functions of the probability, which is taken as equal in all strata.
     """
     k, share = len(shares), float(np.mean(shares))
     z2 = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) ** 2
@@ -218,7 +193,7 @@ def _share_estimate(strata: Sequence[FloatArray], together: bool) -> Estimate:
     shares = [float(stratum.mean()) for stratum in strata]
     if any(stratum.size < 2 for stratum in strata):
         return Estimate(float(np.mean(shares)), None, None)
-    variances = [functools.partial(_binomial, n=stratum.size) for stratum in strata]
+    variances = [lambda p, n=stratum.size: p * (1.0 - p) / n for stratum in strata]  # of a share of n samples
     return _mean_share(shares, variances, together)
 
 

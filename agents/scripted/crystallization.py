@@ -28,9 +28,7 @@ _HOT_K = 3.0
 _COLD_K = 283.15
 """Lowest cooling temperature in K; below it impurities precipitate as well."""
 _SEED_AT = 0.8
-"""Ratio of solubility to dissolved amount at which crystals are seeded: past saturation, before spontaneous
-nucleation.
-"""
+"""Ratio of solubility to dissolved amount for seeding crystals: past saturation, before spontaneous nucleation."""
 _STILL = 0.01
 """Relative change of the solids' volume per step below which dissolution and growth are considered finished."""
 _LEAST_SOLIDS = 5e-4

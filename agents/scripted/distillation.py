@@ -31,9 +31,7 @@ _HEEL_PIXELS = 1
 
 STRIP, SWAP, COLLECT, DONE = range(4)
 _PHASE, _LAST_K, _TRUST, _KEPT = range(4)
-"""Columns of the memory: phase, temperature (K) and factor of the minimum heat at the last step of stripping; and
-their number.
-"""
+"""Columns of the memory, and their number: phase; temperature (K) and factor of the least heat when last stripping."""
 _SAME = np.float32(SAME_SHADE)
 
 
@@ -188,8 +186,7 @@ class ScriptedDistillation(Remembering):
 
     Args:
         bench: the bench.
-        careful: True stops before the vessel boils to dryness if the scenario prices accidents; False heats with full
-            power.
+        careful: True stops before the vessel boils to dryness if accidents are priced; False heats with full power.
     """
 
     def __init__(self, bench: DistillationBench, careful: bool = True) -> None:

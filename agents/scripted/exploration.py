@@ -159,8 +159,7 @@ def _foreseen(
     """Simulate a batch at each candidate rate in the public scenario.
 
     Returns:
-        Readings [T, runs + 1, size] without noise, and the batch's value [T, runs + 1] in raw score less the cost of
-        time.
+        Readings [T, runs + 1, size] without noise, and the batch's value [T, runs + 1] less the cost of time.
     """
     draw = scenario.world.draws[drawn]
     is_single = draw.shared == "episode" or not draw.of

@@ -26,8 +26,7 @@ class ScriptedExtraction(Remembering):
     """Drains solids if there is metal at the bottom; otherwise washes.
 
     Metal must not meet water, so after draining the experiment ends with the product in B1. Washing adds the first
-    solvent, mixes, settles and drains the lower layer into B1 several times. Several small washes extract more than a
-    large one.
+    solvent, mixes, settles and drains the lower layer into B1 several times: small washes extract more.
 
     If the polarity of impurities is revealed to the bench, it determines the volume of a wash, and the bench washes
     until the step limit.
@@ -117,11 +116,9 @@ def _greys(*shades: float) -> ObservationArray:
 
 
 def _wash_volumes(bench: ExtractionBench, wash: str) -> tuple[int, FloatArray]:
-    """Return the washes for a revealed polarity of an impurity.
+    """Return the column of an impurity's revealed polarity in the bench's observation, and [101] litres of a wash.
 
-    Returns:
-        Column of the polarity in the bench's observation, and [101] litres of a wash that removes half of the impurity,
-        by percentile of the polarity; no volumes if no polarity is revealed.
+    The wash removes half of the impurity, by percentile of the polarity; no volumes if no polarity is revealed.
     """
     draws, materials = bench.scenario.world.draws, bench.scenario.materials
     draw = next((name for name in bench.told if draws[name].what == "polarity"), None)

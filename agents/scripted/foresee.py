@@ -356,15 +356,11 @@ def _steps(labs: Laboratories, goal: str, skip: Collection[str]) -> list[tuple[S
     for bench in labs.benches:
         if bench.key in skip or any(agent == f"{bench.key}_0" for (agent, _), _ in steps):
             continue
+        runs = labs.scenario.limits.ticks // (bench.step_limit * labs.scenario.orders)
+        most = max(min(_MOST_RUNS, runs), 1) if bench.kind == "reaction" else 1
         for wanted in [goal] if bench.kind == "extraction" else labs.scenario.goals:
-            steps.append(((f"{bench.key}_0", wanted), _most_runs(labs, bench)))
+            steps.append(((f"{bench.key}_0", wanted), most))
     return steps
-
-
-def _most_runs(labs: Laboratories, bench: Bench) -> int:
-    if bench.kind != "reaction":
-        return 1
-    return max(min(_MOST_RUNS, labs.scenario.limits.ticks // (bench.step_limit * labs.scenario.orders)), 1)
 
 
 @functools.lru_cache(maxsize=16)

@@ -133,10 +133,7 @@ class IdentifyingManager(BeliefManager[Contents]):
             members, zeros = np.arange(count), np.zeros(count, dtype=np.int64)
             table.read(shelf, readings, np.zeros((count, 1), dtype=np.uint64), members, zeros, zeros + number)
             parts.append(readings[:, 0, table.start[number] : table.start[number + 1]])
-        shape = (len(self._vessels), len(self._options), len(self._titres), -1)
-        return np.array(parts).reshape(shape)
-
-    # -- deciding ---------------------------------------------------------------------------------------------
+        return np.array(parts).reshape(len(self._vessels), len(self._options), len(self._titres), -1)
 
     def _begin(self, observation: ObservationArray) -> Contents:
         likelihood = np.ones((len(self._vessels), len(self._options), len(self._titres)))

@@ -25,13 +25,10 @@ _LOSS = 0.1
 
 
 def _hottest(bench: ReactionBench) -> tuple[int, FloatArray, FloatArray] | None:
-    """Return the maximum temperature of a bench to which the rate constant of a decomposition is revealed.
+    """Return the temperature in K at which the share ``_LOSS`` of the product decomposes in one run.
 
-    At this temperature, the share ``_LOSS`` of the product decomposes in one run.
-
-    Returns:
-        Column of the rate constant in the bench's observation, shares of the prior, and the temperature in K at these
-        quantiles; None if no single rate constant is revealed to the bench.
+    It is given as the column of the revealed rate constant in the bench's observation, shares of the prior, and the
+    temperature at these quantiles; None if no single rate constant is revealed to the bench.
     """
     draws = bench.scenario.world.draws
     name = next((n for n, d in draws.items() if d.what == "pre_exponential" and bench.key in d.told), None)

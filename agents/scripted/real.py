@@ -35,8 +35,7 @@ class ScriptedRealReaction:
 
     def __init__(self, bench: ReactionBench, careful: bool = True) -> None:
         self._slices = channel_slices(bench.channels)
-        gauges = {channel.name: channel for channel in bench.channels}
-        self._temperature = gauges["temperature"]
+        self._temperature = next(channel for channel in bench.channels if channel.name == "temperature")
         self._step_k = bench.options.temperature_k.step
         self._careful = careful
         materials, family = bench.scenario.materials, bench.scenario.family
@@ -44,10 +43,7 @@ class ScriptedRealReaction:
         self._feed_until, self._quench_from = round(_FEED * limit), round(_QUENCH * limit)
         reagents = bench.reagent_names
         dangerous = {n for step in family.violent if step.event != "none" for n in step.reactants} - {"water"}
-        self._needed = np.zeros((len(bench.goals.names), len(reagents)), dtype=bool)
-        for g, goal in enumerate(bench.goals.names):
-            wanted = family.towards(goal)
-            self._needed[g] = [name in wanted for name in reagents]
+        self._needed = np.array([[name in family.towards(goal) for name in reagents] for goal in bench.goals.names])
         quenching = {n for step in family.reaction if dangerous & set(step.reactants) for n in step.reactants}
         self._quench = np.array([n in quenching - dangerous for n in reagents]) & ~self._needed.any(axis=0)
         self._solid = np.array([materials[name].role == "solid" for name in reagents])

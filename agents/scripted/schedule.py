@@ -101,8 +101,7 @@ class SchedulingManager(BeliefManager[_Shop]):
     Args:
         setting: the manager's laboratory; if not careful, it never measures. Its margin is that of the benches.
         script: function that makes the bench policies of the simulations, with a margin.
-        schedule: False processes one order at a time, in the order of arrival, and drops only orders that can no longer
-            be met.
+        schedule: False processes one order at a time, in the order of arrival, and drops only those past their time.
         remember: False infers nothing from reports.
     """
 
@@ -187,11 +186,8 @@ class SchedulingManager(BeliefManager[_Shop]):
     ) -> tuple[FloatArray, FloatArray]:
         """Return [..., L] mol and [..., L] purity after a stage, for each candidate of the parameter of its bench.
 
-        Args:
-            shop, slot, stage: belief, slot of the vessel, and stage. Stage 0 begins with the measured titre, or with
-                all candidates [T].
-            grades: quality requirements of the previous stage and of this one.
-            before: [...] mol after the previous stage; None: the reported amount.
+        Stage 0 begins with the measured titre, or with all candidates [T]; others with ``before`` [...] mol, or with
+        the reported amount. ``grades`` are the quality requirements of the previous stage and of this one.
         """
         earlier = grades[0] if self._pure else 0
         if stage == 0:

@@ -170,9 +170,7 @@ class ScriptedManager(Generic[M]):
         self._kept: dict[int, M] = {}
         self._memories: list[dict[int, Any]] = [self._kept]
         self._advised: dict[int, tuple[int, bytes, ObservationArray]] = {}
-        """By environment index, advice to be confirmed: action, memory before it (pickled, as few are restored), and
-        observation.
-        """
+        """Advice to be confirmed by environment index: action, pickled memory before it, and observation."""
 
     def act(self, observation: ObservationArray, mask: MaskArray | None, step: IntArray, members: IntArray) -> Actions:
         """See :class:`chemlab.envs.players.Policy`."""

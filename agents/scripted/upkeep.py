@@ -152,8 +152,10 @@ class UpkeepManager(BeliefManager[_Lines]):
         belief = self._kept[member]
         for line in belief.lines:
             if line.begun is not None and self._value(observation, f"{line.agent}_busy") < 0.5:
-                line.speed, line.age = self._worked(line, belief.known - line.begun, belief.rng)
-                line.begun, line.looked = None, 0
+                ticks = belief.known - line.begun
+                change = line.wear.drift * np.sqrt(ticks) * belief.rng.standard_normal(_PARTICLES)
+                line.age = line.age + ticks / self._steps * np.exp(line.speed + 0.5 * change)
+                line.speed, line.begun, line.looked = line.speed + change, None, 0
 
     def _pass_time(self, belief: _Lines, observation: ObservationArray) -> None:
         now = self._scenario.limits.ticks - self._left(observation)
@@ -229,11 +231,6 @@ class UpkeepManager(BeliefManager[_Lines]):
                 belief.orders = belief.orders[1:]
                 return submit
         return int(mask.argmax())
-
-    def _worked(self, line: _Line, ticks: int, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """Return particles of speed and age [K] after a number of ticks of work."""
-        change = line.wear.drift * np.sqrt(ticks) * rng.standard_normal(_PARTICLES)
-        return line.speed + change, line.age + ticks / self._steps * np.exp(line.speed + 0.5 * change)
 
     def _attend(
         self, belief: _Lines, line: _Line, observation: ObservationArray, mask: MaskArray, left: int

@@ -18,8 +18,7 @@ from ..kernels.rng import uniform
 from ..physics.shelf import Shelf, ShelfArrays
 from ..roles.bench import Bench, Experiments, ExperimentState
 from ..roles.kinds import build_bench
-from ..roles.maintenance import equip
-from ..roles.wear import wear_out
+from ..roles.maintenance import equip, wear_out
 from .episode_streams import EpisodeStreams
 from .hidden import World, Worlds, world_chemistry
 from .starts import Start, StartPool, draw_start, lab_starts, start_pool

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import math
@@ -98,8 +99,6 @@ def seen_hash(observation: ObservationArray, mask: MaskArray | None) -> str:
     return digest(shown, b"" if mask is None else np.ascontiguousarray(mask, dtype=np.int8).tobytes())
 
 
-# -- schema of the header ---------------------------------------------------------------------------------------------
-
 _Word = Annotated[str, Field(max_length=200)]
 _Text = Annotated[str, Field(max_length=4096)]
 
@@ -131,9 +130,6 @@ class Header(BaseModel):
     positions: list[_Word]
     hidden: dict[str, Any]
     scenario: dict[str, Any]
-
-
-# -- reading ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(repr=False)
@@ -209,7 +205,13 @@ def read_record(path: str | Path) -> Record:
         RecordError: the file does not exist, is not a record, or exceeds :data:`LIMITS`.
     """
     path = Path(path)
-    content = _content(path)
+    try:
+        content = read_bytes(path, LIMITS.file_bytes)
+    except (OSError, ValueError) as error:  # a name that contains NUL raises ValueError
+        hint = ""
+        if isinstance(error, FileNotFoundError) and path.with_name(path.name + ".part").is_file():
+            hint = f"; the episode was not finished: read {path}.part"
+        raise RecordError(f"{path}: {getattr(error, 'strerror', None) or error}{hint}") from error
     lines = content.split(b"\n", LIMITS.turns + 3)
     whole, tail = lines[:-1], lines[-1]
     if sum(content.count(mark) for mark in (b",", b":", b"[", b"{")) > LIMITS.values:
@@ -218,7 +220,8 @@ def read_record(path: str | Path) -> Record:
     if whole and all(line.endswith(b"\r") for line in whole):
         whole, tail = [line[:-1] for line in whole], tail.removesuffix(b"\r")
         notes.append("has lines that end with CR LF instead of LF, probably changed by version control or an editor")
-    if _whole(tail):
+    with contextlib.suppress(ValueError):  # a truncated object is not valid JSON
+        _parse(tail)
         whole, tail = [*whole, tail], b""
         notes.append("has no newline at the end of its last line")
     if len(whole) > LIMITS.turns + 2:
@@ -252,31 +255,8 @@ def read_record(path: str | Path) -> Record:
     return record
 
 
-def _whole(text: bytes) -> bool:
-    """Return True if a line without newline is complete; a truncated object is not valid JSON."""
-    try:
-        _parse(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _content(path: Path) -> bytes:
-    try:
-        return read_bytes(path, LIMITS.file_bytes)
-    except (OSError, ValueError) as error:  # a name that contains NUL raises ValueError
-        hint = ""
-        if isinstance(error, FileNotFoundError) and path.with_name(path.name + ".part").is_file():
-            hint = f"; the episode was not finished: read {path}.part"
-        raise RecordError(f"{path}: {getattr(error, 'strerror', None) or error}{hint}") from error
-
-
 def _parse(text: bytes) -> dict[str, Any]:
-    """Parse a line.
-
-    Raises:
-        ValueError: the line is not valid in a record; the message states the reason.
-    """
+    """Parse a line; raise ValueError with the reason if it is not valid in a record."""
     if len(text) > LIMITS.line_bytes:
         raise ValueError(f"is longer than {LIMITS.line_bytes} bytes")
     try:
@@ -319,11 +299,7 @@ def _reject_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _check_values(values: Any, deeper: int) -> None:
-    """Check that numbers are finite and not too large, and that the nesting depth is at most ``deeper``.
-
-    Raises:
-        ValueError: a value is not allowed in a record.
-    """
+    """Raise ValueError if a number is not finite or too large, or values are nested more than ``deeper``."""
     if not deeper:
         raise ValueError(f"has more than {LIMITS.depth} nested lists and objects")
     for value in values.values() if type(values) is dict else values:

@@ -306,11 +306,7 @@ class Recorder:
             self._held[0] = to_text(self._opening).encode() + b"\n"
 
     def _opened(self) -> BinaryIO:
-        """Open the file for exclusive use.
-
-        Raises:
-            ValueError: another process is recording there.
-        """
+        """Open the file for exclusive use; raise ValueError if another process is recording there."""
         file = self.part.open("ab" if self._force else "xb")
         try:
             # The process that held the lock may have renamed the file by now.

@@ -218,7 +218,8 @@ def verify_record(
         record = path if isinstance(path, Record) else read_record(path)
     except RecordError as error:
         return Verification(name, "unchecked", _message(error, name))
-    other = _other_version(record)
+    made = record.header.get("chemlab")
+    other = "" if made == __version__ else f"made by chemlab {short(made)}, this is {__version__}"
     try:
         header = record.checked_header()
         replay = Replay(record, trust, split, required)
@@ -244,12 +245,6 @@ def _message(error: RecordError, name: str) -> str:
 def _broken(record: Record) -> str:
     assert record.broken is not None
     return f"line {record.broken[0]} {record.broken[1]}"
-
-
-def _other_version(record: Record) -> str:
-    """Describe the other version that made a record; empty for this version."""
-    made = record.header.get("chemlab")
-    return "" if made == __version__ else f"made by chemlab {short(made)}, this is {__version__}"
 
 
 def _foreign(spec: Scenario, required: Scenario | None) -> str:
@@ -293,20 +288,19 @@ def _verdict(check: _Check, other: str, foreign: str) -> Verification:
             f"{check.hashes} hashes of observations or hidden state differ, which only that platform can verify"
         )
     if problems and (record.broken is not None or not other):
-        result.status, result.message = "tampered", "; ".join([*problems, *filter(None, (other, foreign, chosen))])
+        result.status, parts = "tampered", [*problems, other, foreign, chosen]
     elif other or deviations:
-        result.status = "other"
         elsewhere = f"made on another platform: {', '.join(deviations)}" if deviations else ""
         agree = problems or ["nothing differs by more" if deviations else f"played on it, {played} agree"]
         missing = "the end is missing" if record.torn else ""
-        result.message = "; ".join(filter(None, [other, foreign, chosen, elsewhere, *agree, missing]))
+        result.status, parts = "other", [other, foreign, chosen, elsewhere, *agree, missing]
     elif foreign:
-        result.status, result.message = "foreign", "; ".join(filter(None, (foreign, chosen, f"on it {right}")))
+        result.status, parts = "foreign", [foreign, chosen, f"on it {right}"]
     elif chosen:
-        result.status, result.message = "chosen", f"{chosen}; in it {right}"
+        result.status, parts = "chosen", [chosen, f"in it {right}"]
     else:
-        result.status, result.message = "torn" if record.torn else "ok", right
-    result.notes = _notes(check)
+        result.status, parts = "torn" if record.torn else "ok", [right]
+    result.message, result.notes = "; ".join(filter(None, parts)), _notes(check)
     return result
 
 

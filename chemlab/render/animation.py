@@ -82,11 +82,11 @@ def _scenes(record: Record, most: int, replay: Replay) -> list[Scene]:
     count = len(record.turns)
     chosen = {round(turn) for turn in np.linspace(0, count, max(min(most, count + 1), 1))} | {count}
     scenes = [laboratory_scene(replay.laboratories)]
-    for number, turn in enumerate(record.turns, start=1):
+    for number, turn in enumerate(record.turns):
         try:
             replay.play(turn)
         except (ValueError, TypeError) as error:
             raise RecordError(f"{record.path}: turn {number}: {error}") from error
-        if number in chosen:
+        if number + 1 in chosen:
             scenes.append(laboratory_scene(replay.laboratories))
     return scenes

@@ -73,9 +73,6 @@ def _title(record: Record, scenario: Scenario) -> str:
     return f"{title}{'' if seed is None else f', seed {seed}'}"
 
 
-# -- timeline ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass
 class _Strip:
     """Consecutive actions of one kind of one agent, from unit ``start`` to ``stop``."""
@@ -103,18 +100,6 @@ class _Timeline:
     rewards: list[list[float]] = field(default_factory=list)
     """[units + 1][agents] cumulative rewards"""
     over: bool = False
-
-    def add_action(self, agent: str, unit: int, kind: str, invalid: bool, by_manager: bool) -> None:
-        """Add an action of an agent to its strips; benches' equal actions of consecutive units form one strip."""
-        strips = self.strips[agent]
-        if (
-            strips
-            and not by_manager
-            and (strips[-1].stop, strips[-1].kind, strips[-1].invalid) == (unit, kind, invalid)
-        ):
-            strips[-1].stop = unit + 1
-        else:
-            strips.append(_Strip(unit, unit + 1, kind, invalid))
 
 
 def _kind(labs: Laboratories, agent: int, action: Any) -> str:
@@ -154,8 +139,13 @@ def _timeline(record: Record, trust: bool) -> _Timeline:
         costs = list(labs.costs().values())
         for play in move.plays:
             agent, kind = labs.agents[play.agent], _kind(labs, play.agent, play.action)
-            timeline.add_action(agent, unit, kind, agent in move.lost, by_manager)
-        rewards += np.array([move.rewards[agent] for agent in labs.agents])
+            strips, invalid = timeline.strips[agent], agent in move.lost
+            # Equal actions of a bench in consecutive units form one strip.
+            if strips and not by_manager and strips[-1] == _Strip(strips[-1].start, unit, kind, invalid):
+                strips[-1].stop = unit + 1
+            else:
+                strips.append(_Strip(unit, unit + 1, kind, invalid))
+        rewards += labs.rewards[0]
         if by_manager:
             timeline.decisions.append((unit, action_words(labs, labs.manager.index, move.plays[0].action)))
         if move.started:
@@ -313,9 +303,6 @@ def _decisions(figure: Any, timeline: _Timeline, listed: Sequence[tuple[int, str
         figure.text(0.02 + column * 0.33, share * 0.97, part, fontsize=8, va="top", color=SOFT, linespacing=1.35)
 
 
-# -- spectra ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class _Reaction:
     """A reaction experiment: spectra before and after it, and the vessel's final contents."""
@@ -389,13 +376,7 @@ def _peaks(labs: Laboratories, contents: FloatArray) -> list[tuple[float, str, s
 def draw_spectra(record: Record, trust: bool = False) -> Any:
     """Draw the vessel's spectrum before and after each reaction experiment, with labelled peaks.
 
-    Args:
-        record: A record, finished or not.
-        trust: Allow imports of code that the record names.
-
-    Raises:
-        RecordError: the record cannot be replayed here or has no reaction experiment.
-        ImportError: matplotlib is not installed.
+    Arguments and errors are those of :func:`draw_timeline`; RecordError also without a reaction experiment.
     """
     labs, reactions = _reactions(record, trust)
     if not reactions:
@@ -435,8 +416,6 @@ def _spectrum(axes: Any, labs: Laboratories, reaction: _Reaction) -> None:
     axes.text(0.0, -0.36, words, transform=axes.transAxes, fontsize=9, color=SOFT)
 
 
-# -- mole balance ------------------------------------------------------------------------------------------------------
-
 _PLACE_WORDS = {
     "submitted": "submitted",
     "vessels": "in vessels",
@@ -455,14 +434,11 @@ def draw_moles(record: Record, trust: bool = False, only: Sequence[str] = ()) ->
     """Draw the mole balance: one panel for each element that reacted and each material that was only moved.
 
     Args:
-        record: A record, finished or not.
-        trust: Allow imports of code that the record names.
+        record, trust: as for :func:`draw_timeline`, whose errors it raises as well.
         only: Names of elements and materials to draw. Default: all, without hydrogen if there is carbon.
 
     Raises:
-        RecordError: the record cannot be replayed here.
         ValueError: the amounts do not balance, or a name is unknown.
-        ImportError: matplotlib is not installed.
     """
     balance = mole_balance(record, trust)
     groups = _chosen(balance, only)
@@ -537,8 +513,7 @@ def _alluvium(axes: Any, balance: Balance, group: Group, scenario: Scenario) -> 
         heights = spread([0.5 * (low + top) for _, low, top in named], 0.085, 0.0, 1.0)
         for (what, low, top), y in zip(named, heights, strict=True):
             align = "right" if side < 0.0 else "left"
-            words = f"{what} {top - low:.0%}"
-            axes.text(edge + 0.1 * side, y, words, ha=align, va="center", fontsize=8, color=INK)
+            axes.text(edge + 0.1 * side, y, f"{what} {top - low:.0%}", ha=align, va="center", fontsize=8, color=INK)
             axes.plot([edge, edge + 0.08 * side], [0.5 * (low + top), y], color=FAINT, lw=0.7, clip_on=False)
     inventories = [balance.inventories[c] for c in chosen]
     axes.set_xticks(range(len(chosen)), [f"{at.label}\ntick {at.tick}" for at in inventories], fontsize=7.5)

@@ -73,8 +73,7 @@ class Painting(NamedTuple):
     glasses: list[GlassBox]
 
 
-@dataclass(frozen=True)
-class _Rect:
+class _Rect(NamedTuple):
     """A rectangle in units."""
 
     left: float
@@ -194,11 +193,7 @@ def draw_vessel(scene: Scene, width: int = 240, height: int = 240) -> npt.NDArra
 
 
 def _check_size(width: int, height: int, least_width: int, least_height: int) -> None:
-    """Check a picture's size in pixels.
-
-    Raises:
-        ValueError: the size is out of bounds.
-    """
+    """Raise ValueError if a picture's size in pixels is out of bounds."""
     if width < least_width or height < least_height or max(width, height) > _LARGEST:
         raise ValueError(
             f"width x height must be at least {least_width} x {least_height}, and at most {_LARGEST} each, "
@@ -216,44 +211,38 @@ def _scale(width: int, height: int) -> float:
 _TAG_WIDTH = 30.0
 
 
-def _legend_name(material: MaterialPicture) -> str:
-    """Return the legend text beside a material's tag; empty if the tag is the full name."""
-    return "" if material.name == material.tag else material.name.replace("_", " ")
+_LegendRow = list[tuple[MaterialPicture, str, float]]
+"""Materials with the text beside the tag, empty if the tag is the full name, and with their width."""
 
 
-def _legend_width(material: MaterialPicture, scale: float) -> float:
-    name = _legend_name(material)
-    beside = 5.0 + text_width(name, max(round(10.0 * scale), 5)) / scale if name else 0.0
-    return min(_TAG_WIDTH + beside, 240.0) + 14.0
-
-
-def _legend_rows(materials: Sequence[MaterialPicture], room: float, scale: float) -> list[list[MaterialPicture]]:
+def _legend_rows(materials: Sequence[MaterialPicture], room: float, scale: float) -> list[_LegendRow]:
     """Arrange materials in rows of at most ``room`` units; materials beyond the last row are omitted."""
-    rows: list[list[MaterialPicture]] = [[]]
+    rows: list[_LegendRow] = [[]]
     used = 0.0
     for material in materials:
-        wide = _legend_width(material, scale)
+        name = "" if material.name == material.tag else material.name.replace("_", " ")
+        beside = 5.0 + text_width(name, max(round(10.0 * scale), 5)) / scale if name else 0.0
+        wide = min(_TAG_WIDTH + beside, 240.0) + 14.0
         if rows[-1] and used + wide > room - (_MORE if len(rows) == _LEGEND_ROWS else 0.0):
             if len(rows) == _LEGEND_ROWS:
                 break
             rows.append([])
             used = 0.0
-        rows[-1].append(material)
+        rows[-1].append((material, name, wide))
         used += wide
     return rows
 
 
-def _legend(canvas: Canvas, rows: list[list[MaterialPicture]], left: float, top: float, room: float) -> None:
+def _legend(canvas: Canvas, rows: list[_LegendRow], left: float, top: float, room: float) -> None:
     """Draw rows of the legend, each material at most ``room`` units wide."""
     for i, row in enumerate(rows):
         x, y = left, top + 15.0 * i
-        for material in row:
-            color, name, right = material.color, _legend_name(material), x + _TAG_WIDTH
+        for material, name, width in row:
+            color, right, wide = material.color, x + _TAG_WIDTH, min(width, room)
             edge = "#" + bytes(int(value * 0.75) for value in _rgb(color)).hex()
             canvas.card(x, y + 1.5, right, y + 13.5, color, edge, radius=3.0)
             middle = x + _TAG_WIDTH / 2
             canvas.text(middle, y + 11.0, material.tag, 9.0, _ink_on(color), "center", room=_TAG_WIDTH - 2.0)
-            wide = min(_legend_width(material, canvas.scale), room)
             canvas.text(right + 5.0, y + 11.0, name, 10.0, SOFT, room=wide - _TAG_WIDTH - 15.0)
             x += wide
 
@@ -276,17 +265,16 @@ def _plan(still: _Still, width: int, height: int) -> _Plan:
     header = _Rect(0.0, 0.0, width / scale, _HEADER)
     top, low = _HEADER + 4.0, legend.top - 6.0
     sidebar = _Rect(right - _SIDEBAR, top + 4.0, right, low)
-    main = _Rect(_MARGIN, top, sidebar.left - 10.0, low)
+    benches = _Rect(_MARGIN, top + _SECTION, sidebar.left - 10.0, low)
     shelf: _Rect | None = None
     slots: list[_Rect] = []
-    benches = _Rect(main.left, main.top + _SECTION, main.right, main.bottom)
     if still.slots:
         slot_rows = math.ceil(still.slots / 13)
         # Two rows of benches need a larger share of the height than one.
         share = 0.42 if len(still.benches) <= 4 else 0.37
-        shelf = _Rect(main.left, main.top + _SECTION, main.right, main.top + _SECTION + main.height * share)
+        shelf = benches._replace(bottom=benches.top + (low - top) * share)
         slots = shelf.grid(still.slots, math.ceil(still.slots / slot_rows))
-        benches = _Rect(main.left, shelf.bottom + _SECTION + 4.0, main.right, main.bottom)
+        benches = benches._replace(top=shelf.bottom + _SECTION + 4.0)
     cards = benches.grid(
         len(still.benches), _columns(len(still.benches), benches, [positions for _, positions in still.benches])
     )
@@ -302,16 +290,14 @@ def _background(still: _Still, width: int, height: int) -> tuple[Image.Image, tu
     scale = _scale(width, height)
     plan = _plan(still, width, height)
     canvas = Canvas(Image.new("RGB", (width, height), PAGE), scale)
-    canvas.rectangle(plan.header.left, plan.header.top, plan.header.right, plan.header.bottom, CARD)
+    canvas.rectangle(*plan.header, CARD)
     canvas.line([(0.0, _HEADER), (plan.header.right, _HEADER)], EDGE)
     canvas.text(_MARGIN, 21.0, still.title, 15.0, INK, room=plan.header.right - 2 * _MARGIN - 420.0)
     if plan.shelf:
         canvas.text(plan.shelf.left, plan.shelf.top - 4.0, "Shelf", 11.0, SOFT)
-        for rect in plan.slots:
-            canvas.card(rect.left, rect.top, rect.right, rect.bottom, CARD, EDGE)
     canvas.text(plan.benches.left, plan.benches.top - 4.0, "Benches" if plan.shelf else "Bench", 11.0, SOFT)
-    for rect in plan.cards:
-        canvas.card(rect.left, rect.top, rect.right, rect.bottom, CARD, EDGE)
+    for rect in (*plan.slots, *plan.cards):
+        canvas.card(*rect, CARD, EDGE)
     _key(canvas, plan.sidebar, still)
     y = plan.legend.top
     canvas.line([(plan.legend.left, y - 3.0), (plan.legend.right, y - 3.0)], EDGE)
@@ -401,8 +387,6 @@ class _Painter:
         self.canvas = canvas
         self.glasses: list[GlassBox] = []
         self.materials = {material.name: material for material in scene.materials}
-
-    # -- around the laboratory
 
     def header(self, plan: _Plan) -> None:
         """Draw the orders, the meters and the agent that has the turn."""
@@ -496,8 +480,6 @@ class _Painter:
         self.canvas.text(right, y + 13.0, value, 10.0, SOFT, "right")
         return y + 13.0 + _LINE
 
-    # -- shelf
-
     def slot(self, slot: SlotPicture, rect: _Rect) -> None:
         """Draw the card of a shelf slot."""
         canvas, vessel = self.canvas, slot.vessel
@@ -553,8 +535,6 @@ class _Painter:
         canvas.pen.polygon([*outline, *ends], fill="#d6e8f4")
         canvas.line(points, BLUE)
         canvas.line([(rect.left, rect.bottom), (rect.right, rect.bottom)], GLASS)
-
-    # -- vessels
 
     def vessel(self, vessel: VesselPicture, owner: str, rect: _Rect, piston: bool, label: str = "") -> None:
         """Draw a vessel with its layers, camera picture, thermometer and a line of figures."""
@@ -663,14 +643,12 @@ class _Painter:
         if reached < bottom:
             pen.rectangle((left, reached, left + wide - 1, bottom - 1), fill=ORANGE)
 
-    # -- benches
-
     def bench(self, bench: BenchPicture, rect: _Rect) -> None:
         """Draw the card of a bench."""
         canvas = self.canvas
         left, right = rect.left + 8.0, rect.right - 8.0
         if bench.turn:
-            canvas.card(rect.left, rect.top, rect.right, rect.bottom, CARD, BLUE, width=max(canvas.px(2.0), 1))
+            canvas.card(*rect, CARD, BLUE, width=max(canvas.px(2.0), 1))
         name = canvas.text(left, rect.top + 16.0, bench.agent, 12.0, INK if bench.busy else FAINT)
         tall = rect.height > 160.0
         words = ", ".join(" ".join(event_words(*event)) for event in bench.events)
@@ -717,7 +695,7 @@ class _Painter:
             plot = _Rect(rect.left, rect.top + 14.0, rect.right, y - 14.0)
             canvas.text(rect.left, rect.top + 9.0, "absorption", 10.0, SOFT, room=rect.width)
             if plot.height > 14.0:
-                canvas.rectangle(plot.left, plot.top, plot.right, plot.bottom, "#fafbfc")
+                canvas.rectangle(*plot, "#fafbfc")
                 self._curve(spectrum, plot)
                 canvas.text(plot.left, plot.bottom + 10.0, "200", 9.0, FAINT)
                 canvas.text(plot.right, plot.bottom + 10.0, "800 nm", 9.0, FAINT, "right")

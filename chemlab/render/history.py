@@ -27,8 +27,6 @@ class Look(NamedTuple):
 class Move:
     """A turn, or a simultaneous round of several agents, that was just played."""
 
-    number: int
-    """number of the turn, from 0"""
     tick: int
     """laboratory tick before the turn"""
     plays: list[Play]
@@ -81,7 +79,6 @@ class RecordReplay(Replay):
             ended = [labs.bench_roles[b].index for b in np.flatnonzero(busy & ~labs.state.busy[:, 0])]
             started = np.flatnonzero(~busy & labs.state.busy[:, 0])
             yield Move(
-                number=number,
                 tick=tick,
                 plays=plays,
                 manager=labs.actions.decode(int(plays[0].action)) if by_manager and not lost else (),

@@ -9,7 +9,7 @@ import numpy as np
 from ..kernels.arrays import FloatArray
 from ..lab.engine import Laboratories
 from ..record import Record
-from .history import Move, RecordReplay
+from .history import RecordReplay
 
 PLACES = ("submitted", "vessels", "stock", "samples", "discarded", "lost")
 """Locations of material.
@@ -68,41 +68,6 @@ class Balance:
                 raise ValueError(f"{group.name}: {totals[0]:.6g} mol at the start, off by {worst:.3g} mol later")
 
 
-class _Account:
-    """Totals of the material that has left the vessels so far, by location."""
-
-    def __init__(self, labs: Laboratories) -> None:
-        self._labs = labs
-        count = len(labs.shelf.layout.materials)
-        self._out = {place: np.zeros(count) for place in ("samples", "discarded", "lost")}
-        self._waste = labs.shelf.waste[0].copy()
-        self._last = np.zeros(count)
-        """Contents of the vessel whose submission ended the episode; such a vessel is not removed from the shelf."""
-
-    def add(self, move: Move) -> None:
-        """Add the material that a move removed from the vessels."""
-        labs = self._labs
-        kind = move.manager[0] if move.manager else ""
-        place = {"measure": "samples", "discard": "discarded"}.get(str(kind), "lost")
-        self._out[place] += labs.shelf.waste[0] - self._waste
-        self._waste = labs.shelf.waste[0].copy()
-        if kind == "submit":
-            vessel = labs.shelf.amounts[0, int(move.manager[1])]
-            self._last = vessel.copy()  # zeros if the vessel was removed
-
-    def inventory(self, label: str) -> Inventory:
-        """Return the inventory at the current state of the laboratory."""
-        labs = self._labs
-        shelf, state = labs.shelf, labs.state
-        amounts = {
-            "submitted": state.delivered[0] + self._last,
-            "vessels": shelf.amounts[0].sum(axis=0) - self._last,
-            "stock": shelf.bottled()[0],
-            **self._out,
-        }
-        return Inventory(label, int(state.ticks[0]), np.array([amounts[place] for place in PLACES]))
-
-
 def mole_balance(record: Record, trust: bool = False) -> Balance:
     """Compute the mole balance at the start, after each experiment and at the end of a record.
 
@@ -116,14 +81,30 @@ def mole_balance(record: Record, trust: bool = False) -> Balance:
     """
     replay = RecordReplay(record, trust)
     labs = replay.laboratories
-    account = _Account(labs)
-    inventories = [account.inventory("start")]
+    waste = labs.shelf.waste[0].copy()
+    left = {place: np.zeros_like(waste) for place in ("samples", "discarded", "lost")}
+    last = np.zeros_like(waste)  # in the vessel whose submission ended the episode, which stays on the shelf
+
+    def inventory(label: str) -> Inventory:
+        amounts = {
+            "submitted": labs.state.delivered[0] + last,
+            "vessels": labs.shelf.amounts[0].sum(axis=0) - last,
+            "stock": labs.shelf.bottled()[0],
+            **left,
+        }
+        return Inventory(label, int(labs.state.ticks[0]), np.array([amounts[place] for place in PLACES]))
+
+    inventories = [inventory("start")]
     for move in replay.moves():
-        account.add(move)
+        kind = str(move.manager[0]) if move.manager else ""
+        left[{"measure": "samples", "discard": "discarded"}.get(kind, "lost")] += labs.shelf.waste[0] - waste
+        waste = labs.shelf.waste[0].copy()
+        if kind == "submit":
+            last = labs.shelf.amounts[0, int(move.manager[1])].copy()  # zeros if the vessel was removed
         if move.scores:
-            inventories.append(account.inventory(", ".join(move.scores)))
+            inventories.append(inventory(", ".join(move.scores)))
     # The last inventory includes the actions after the last experiment, such as measurements and submissions.
-    inventories.append(account.inventory("end" if replay.over else "so far"))
+    inventories.append(inventory("end" if replay.over else "so far"))
     balance = Balance(labs.shelf.layout.materials, tuple(inventories), tuple(_groups(labs, inventories)))
     balance.check()
     return balance

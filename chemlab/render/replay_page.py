@@ -138,15 +138,6 @@ def _manager_kind(labs: Laboratories, plays: Sequence[Play]) -> str:
     return str(labs.actions.decode(int(plays[0].action))[0]) if plays[0].agent == labs.manager.index else ""
 
 
-def _materials(labs: Laboratories, scene: Scene) -> list[dict[str, Any]]:
-    """Return the legend with the peaks [height in L/mol, center in nm, width in nm] of each material's spectrum."""
-    absorption = {picture.name: labs.scenario.materials[picture.name].absorption for picture in scene.materials}
-    return [
-        {**vars(picture), "peaks": [[p.height_l_mol, p.center_nm, p.width_nm] for p in absorption[picture.name]]}
-        for picture in scene.materials
-    ]
-
-
 class _Call(BaseModel):
     """A line of a transcript: a call by a language agent, and the reply."""
 
@@ -177,10 +168,9 @@ def _calls(record: Record) -> list[list[Any]]:
         return []
     try:
         lines = read_text(path, LIMITS.file_bytes).splitlines()[1:]
+        return [_Call.model_validate_json(line).words() for line in lines]
     except DataError as error:
         raise RecordError(f"{error}; move it away, or restore it") from error
-    try:
-        return [_Call.model_validate_json(line).words() for line in lines]
     except ValueError as error:
         raise RecordError(f"{path}: is not a transcript; move it away, or restore it") from error
 
@@ -247,13 +237,17 @@ class Film:
         """Return the data that are constant during the episode."""
         labs, scene, table = self._labs, self._first, self._labs.instruments
         scenario = labs.scenario
+        peaks = {
+            name: [[peak.height_l_mol, peak.center_nm, peak.width_nm] for peak in material.absorption]
+            for name, material in scenario.materials.items()
+        }
         return {
             "title": scenario.title,
             "scenario": scenario.name,
             "summary": scenario.summary,
             "agents": labs.agents,
             "limits": {"ticks": scenario.limits.ticks, "manager_actions": scenario.limits.manager_actions},
-            "materials": _materials(labs, scene),
+            "materials": [{**vars(picture), "peaks": peaks[picture.name]} for picture in scene.materials],
             "largest_capacity_l": _rounded(scene.largest_capacity_l),
             "wavelengths_nm": [float(WAVELENGTHS_NM[0]), float(WAVELENGTHS_NM[-1]), len(WAVELENGTHS_NM)],
             "analytes": {

@@ -1,8 +1,7 @@
 """Scenes: plain data that describe a picture of a laboratory, read from the state arrays.
 
 A :class:`Scene` contains the true state. Agents observe only ``BenchPicture.seen`` and ``SlotPicture.readings``;
-:func:`visible_scene` removes the properties that only a measurement can show. Pictures and pages are drawn from scenes
-only.
+:func:`visible_scene` removes the properties that only a measurement can show. Pictures and pages show scenes only.
 
 Layers have true proportions. ``VesselPicture.layers`` lists them with their volumes from the bottom up; the rest of the
 vessel is air. If the contents are not separated, ``VesselPicture.mixture`` has the share of every liquid in equal
@@ -17,7 +16,7 @@ import functools
 import itertools
 import math
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -330,8 +329,23 @@ class Camera:
 
     def scales(self, benches: Iterable[Bench], member: int) -> tuple[float, tuple[float, float]]:
         """Return the largest capacity in litres and the temperature range in kelvin of an episode's pictures."""
-        if member not in self._scales:
-            self._scales[member] = _ranges(self._scenario, benches, self.shelf, member)
+        if member in self._scales:
+            return self._scales[member]
+        ambient = self._scenario.ambient_temperature_k
+        capacities = [vessel.capacity_l for vessel in self._scenario.shelf.vessel]
+        low, high = ambient - 30.0, ambient + 70.0
+        for bench in benches:
+            capacities += [bench.auxiliary_capacity_l, bench.spec.start.capacity_l]
+            options = bench.options
+            piston, thermostat = getattr(options, "volume_l", None), getattr(options, "temperature_k", None)
+            if piston is not None:
+                capacities.append(float(piston.high))
+            if thermostat is not None:
+                low, high = min(low, float(thermostat.low)), max(high, float(thermostat.high))
+            if any(process.kind == "heat" for process in getattr(options, "process", ())):
+                low, high = min(low, float(options.coolest_k)), max(high, float(options.hottest_k))
+        capacities += [self.shelf.vessel(member, p).capacity_l for p in range(self.shelf.vessels.shape[1])]
+        self._scales[member] = max(capacities), (low, high)
         return self._scales[member]
 
     def _layered(
@@ -397,26 +411,22 @@ def _mixture(shares: FloatArray) -> tuple[tuple[float, ...], ...]:
     return tuple(tuple(column) for column in slices.T.tolist())
 
 
-def _seen(bench: Bench, observation: Any) -> tuple[ChannelPicture, ...]:
-    values = {name: tuple(observation[part].tolist()) for name, part in channel_slices(bench.channels).items()}
-    channels = [channel for channel in bench.channels if channel.name != "goal"]
-    return tuple(ChannelPicture(c.name, c.unit, c.low, c.high, values[c.name]) for c in channels)
-
-
 def _events(row: FloatArray, scenario: Scenario) -> tuple[tuple[str, float], ...]:
     return tuple((kind, float(x)) for kind, x in zip(scenario.safety_events, row, strict=True) if x > 0.0)
 
 
-def _bench(
-    camera: Camera, bench: Bench, experiments: Experiments, member: int, places: Sequence[int], turn: bool
-) -> BenchPicture:
+def _bench(camera: Camera, bench: Bench, experiments: Experiments, member: int, first: int, turn: bool) -> BenchPicture:
+    """Return the picture of a bench whose vessels begin at position ``first`` of the shelf's arrays."""
     busy = bool(experiments.busy[member])
-    vessels = [camera.take(member, places[p], name, experiments, p) for p, name in enumerate(bench.positions)]
-    seen: tuple[ChannelPicture, ...] = ()
+    vessels = [camera.take(member, first + p, name, experiments, p) for p, name in enumerate(bench.positions)]
+    seen: list[ChannelPicture] = []
     if busy:
         observation = np.zeros((1, *bench.observation_space.shape), dtype=np.float32)
         bench.observe(camera.shelf, experiments, np.array([member]), observation)
-        seen = _seen(bench, observation[0])
+        for channel, part in zip(bench.channels, channel_slices(bench.channels).values(), strict=True):
+            if channel.name != "goal":
+                values = tuple(observation[0, part].tolist())
+                seen.append(ChannelPicture(channel.name, channel.unit, channel.low, channel.high, values))
     return BenchPicture(
         agent=experiments.agent,
         key=bench.key,
@@ -428,30 +438,9 @@ def _bench(
         step_limit=bench.spec.step_limit,
         positions=bench.positions,
         vessels=tuple(vessel for vessel in vessels if vessel is not None),
-        seen=seen,
+        seen=tuple(seen),
         events=_events(experiments.events[member], bench.scenario),
     )
-
-
-def _ranges(
-    scenario: Scenario, benches: Iterable[Bench], shelf: Shelf, member: int
-) -> tuple[float, tuple[float, float]]:
-    """Return the largest capacity in litres and the temperature range in kelvin, which scale an episode's pictures."""
-    ambient = scenario.ambient_temperature_k
-    capacities = [vessel.capacity_l for vessel in scenario.shelf.vessel]
-    low, high = ambient - 30.0, ambient + 70.0
-    for bench in benches:
-        capacities += [bench.auxiliary_capacity_l, bench.spec.start.capacity_l]
-        options = bench.options
-        piston, thermostat = getattr(options, "volume_l", None), getattr(options, "temperature_k", None)
-        if piston is not None:
-            capacities.append(float(piston.high))
-        if thermostat is not None:
-            low, high = min(low, float(thermostat.low)), max(high, float(thermostat.high))
-        if any(process.kind == "heat" for process in getattr(options, "process", ())):
-            low, high = min(low, float(options.coolest_k)), max(high, float(options.hottest_k))
-    capacities += [shelf.vessel(member, p).capacity_l for p in range(shelf.vessels.shape[1])]
-    return max(capacities), (low, high)
 
 
 def _stock(scenario: Scenario, shelf: Shelf, member: int) -> tuple[BottlePicture, ...]:
@@ -476,8 +465,8 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
     """
     labs, state, scenario = laboratories, laboratories.state, laboratories.scenario
     camera = camera or Camera(scenario, labs.shelf)
-    status, turn = int(state.status[member]), labs.turn(member)
-    running = status == RUNNING
+    status = int(state.status[member])
+    turn = labs.turn(member) if status == RUNNING else -1
     costs = labs.costs(member)
     largest, temperatures = camera.scales(labs.benches, member)
     return Scene(
@@ -485,7 +474,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
         scenario=scenario.name,
         title=scenario.title,
         status=STATUS_WORDS[status],
-        turn=labs.agents[turn] if running else "",
+        turn="" if turn < 0 else labs.agents[turn],
         manager_actions=int(state.actions[member]),
         manager_action_limit=scenario.limits.manager_actions,
         ticks=int(state.ticks[member]),
@@ -499,14 +488,7 @@ def laboratory_scene(laboratories: Laboratories, member: int = 0, camera: Camera
         waste_l=_waste_l(labs.shelf, member),
         shelf=tuple(_slot(labs, camera, member, s) for s in range(scenario.shelf.slots)),
         benches=tuple(
-            _bench(
-                camera,
-                role.workplace,
-                role.experiments,
-                member,
-                range(role.first_position, role.first_position + len(role.workplace.positions)),
-                running and turn == role.index,
-            )
+            _bench(camera, role.workplace, role.experiments, member, role.first_position, turn == role.index)
             for role in labs.bench_roles
         ),
         materials=material_pictures(scenario),
@@ -519,19 +501,12 @@ def _orders(labs: Laboratories, member: int) -> tuple[OrderPicture, ...]:
     state, feedback = labs.state, labs.feedback(member)
     pictures = []
     for o, goal in enumerate(state.goal[member]):
-        mol, purity = feedback[o].tolist()
-        picture = OrderPicture(labs.scenario.goals[goal], bool(state.filled[member, o]), mol, purity)
+        terms: list[Any] = []
         if state.terms.shape[1]:
-            arrives, within, price, amount, purity = state.terms[member, o].tolist()
-            picture = dataclasses.replace(
-                picture,
-                arrives=math.ceil(arrives),
-                due=math.floor(arrives + within),
-                price=price,
-                amount_at_least_mol=amount,
-                purity_at_least=purity,
-            )
-        pictures.append(picture)
+            arrives, within, *others = state.terms[member, o].tolist()
+            terms = [math.ceil(arrives), math.floor(arrives + within), *others]
+        filled, seen = bool(state.filled[member, o]), feedback[o].tolist()
+        pictures.append(OrderPicture(labs.scenario.goals[goal], filled, *seen, *terms))
     return tuple(pictures)
 
 
@@ -621,15 +596,9 @@ def bench_scene(batch: ExperimentBatch, member: int = 0) -> Scene:
         member: environment index.
     """
     scenario, shelf, experiments = batch.scenario, batch.shelf, batch.experiments
-    picture = _bench(
-        Camera(scenario, shelf),
-        batch.bench,
-        experiments,
-        member,
-        range(len(batch.bench.positions)),
-        bool(experiments.busy[member]),
-    )
-    largest, temperatures = _ranges(scenario, [batch.bench], shelf, member)
+    camera = Camera(scenario, shelf)
+    picture = _bench(camera, batch.bench, experiments, member, 0, bool(experiments.busy[member]))
+    largest, temperatures = camera.scales([batch.bench], member)
     return Scene(
         kind="bench",
         scenario=scenario.name,
@@ -656,16 +625,15 @@ def vessel_scene(scenario: Scenario, shelf: Shelf) -> Scene:
         scenario: scenario whose materials are listed.
         shelf: shelf of the vessel; it is not changed.
     """
-    vessel = Camera(scenario, shelf).take(0, 0, "")
-    _, temperatures = _ranges(scenario, [], shelf, 0)
+    camera = Camera(scenario, shelf)
     return Scene(
         kind="vessel",
         scenario=scenario.name,
         title=scenario.title,
         status="running",
         waste_l=_waste_l(shelf, 0),
-        shelf=(SlotPicture(0, vessel, None, "", ()),),
+        shelf=(SlotPicture(0, camera.take(0, 0, ""), None, "", ()),),
         materials=material_pictures(scenario),
         largest_capacity_l=shelf.vessel(0, 0).capacity_l,
-        temperature_range_k=temperatures,
+        temperature_range_k=camera.scales([], 0)[1],
     )

@@ -120,14 +120,9 @@ class Observation(Part):
         return checked_numbers(values, (members, size), f"{name}: see()", 0.0, 1.0)
 
 
-def load_observations(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Observation]:
-    """Load the observation channels that a scenario names under a key, by name."""
-    return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Observation) for name in names}
-
-
-def load_terms(names: Sequence[str], scenario: Scenario, key: str) -> dict[str, Callable[..., FloatArray]]:
-    """Load the reward terms that a scenario names under a key, by name."""
-    return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=Callable) for name in names}
+def load_parts(names: Sequence[str], scenario: Scenario, key: str, of: Any) -> dict[str, Any]:
+    """Load the observation channels (``of=Observation``) or reward terms that a scenario names under a key, by name."""
+    return {f"{scenario.origin}: {key}: {name}": load_part(name, scenario, key, of=of) for name in names}
 
 
 def distinct_channels(channels: Iterable[Channel], where: str) -> tuple[Channel, ...]:
@@ -344,9 +339,7 @@ def _check_mask(where: str, busy: BoolArray, out: MaskArray) -> None:
 
 @helper
 def goal_amount(row: FloatArray, part: IntArray) -> float:
-    """Return mol of the goal in a vessel; for a salt, dissolved pairs of ions count. ``part`` is a row of
-    Goals.parts.
-    """
+    """Return mol of the goal in a vessel, with dissolved pairs of ions for a salt. ``part`` is a row of Goals.parts."""
     amount = row[AMOUNTS + part[0]]
     if part[1] >= 0:
         amount += min(row[AMOUNTS + part[1]], row[AMOUNTS + part[2]])
@@ -538,8 +531,8 @@ class Bench(ABC):
         self.model: Any = load_model(scenario, key, self.model_methods)
         """Replaces the built-in physics where the scenario names one."""
         self._model_name = f"{scenario.origin}: benches.{key}.model: {self.spec.model}"
-        self._added = load_observations(self.spec.observe, scenario, f"benches.{key}.observe")
-        self._terms = load_terms(self.spec.reward, scenario, f"benches.{key}.reward")
+        self._added = load_parts(self.spec.observe, scenario, f"benches.{key}.observe", Observation)
+        self._terms = load_parts(self.spec.reward, scenario, f"benches.{key}.reward", Callable)
 
     @property
     def layout(self) -> Layout:
@@ -616,11 +609,7 @@ class Bench(ABC):
         self._set_rules()
 
     def _channel_errors(self, channels: Sequence[Channel]) -> tuple[FloatArray, FloatArray] | None:
-        """Return noise and resolution [size] of the bench's own values; None if all are exact.
-
-        Raises:
-            DataError: the scenario names another channel.
-        """
+        """Return noise and resolution [size] of the bench's own values; None if all are exact."""
         found = []
         for key in ("noise", "resolution"):
             named: dict[str, float] = getattr(self.spec, key)
@@ -639,20 +628,13 @@ class Bench(ABC):
         return self.spec.kind
 
     @property
-    def _is_shipped(self) -> bool:
-        """True for a built-in bench, whose results are known to be within bounds."""
-        return is_bundled(type(self))
-
-    @property
     def action_count(self) -> int:
         """Number of discrete actions; 0 for continuous actions."""
         return int(self.action_space.n) if isinstance(self.action_space, gymnasium.spaces.Discrete) else 0
 
     @property
     def end_action(self) -> int:
-        """The discrete action that ends the experiment or, if there is none, changes nothing; by default the last
-        one.
-        """
+        """Discrete action that ends the experiment or, if there is none, changes nothing; by default the last one."""
         return self.action_count - 1
 
     @property
@@ -669,8 +651,7 @@ class Bench(ABC):
     def representative_actions(self) -> list[tuple[str, FloatArray]]:
         """Return the discretised actions (``actions = "discrete"``): a description and the numbers [n] of each.
 
-        The last one changes nothing. By default: each number at its low, middle and high end while the others are in
-        the middle.
+        The last one changes nothing. By default: each number at its low and high end, the others in the middle.
         """
         middle = np.full(len(self.action_meanings), 0.5)
         ways = []
@@ -748,33 +729,30 @@ class Bench(ABC):
         self.see(shelf, experiments, members, out)
         if self._errors is not None:
             _blur(members, experiments.handle, *self._errors, np.zeros(2, dtype=np.uint64), out)
-        if not self._is_shipped:
+        if not is_bundled(type(self)):  # the results of bundled benches are within bounds
             name = f"{self.scenario.origin}: benches.{self.key}: {self.kind}"
             vessels = shelf.rows[experiments.places[members]]
             check_vessels(vessels.reshape(-1, vessels.shape[-1]), f"{name}: act()")
             seen = out[:, : self._graded_from]
             seen[:] = checked_numbers(seen, seen.shape, f"{name}: see()", 0.0, 1.0)
-        if self._added_from > self._graded_from:
-            self._observe_graded(experiments, members, out)
-        if self._added:
-            self._observe_added(shelf, experiments, members, out)
-
-    def _observe_graded(self, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
-        busy, at = experiments.busy[members][:, None], self._graded_from
+        at = self._graded_from
         if self.grades.names:
-            out[:, at : at + 3] = self.grades.shown[experiments.grade[members]] * busy
+            out[:, at : at + 3] = self.grades.shown[experiments.grade[members]] * experiments.busy[members][:, None]
             at += 3
         if self.told:
-            out[:, at : self._added_from] = experiments.told[members] * busy
+            out[:, at : self._added_from] = experiments.told[members] * experiments.busy[members][:, None]
+        if self._added:
+            self._observe_added(shelf, experiments, members, out)
 
     def _observe_added(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: ObservationArray) -> None:
         busy, at = experiments.busy[members], self._added_from
         some = members[busy]
         out[:, at:] = 0.0
-        channels = self.channels[len(self.channels) - len(self._added) :]
-        for (name, part), channel in zip(self._added.items(), channels if len(some) else (), strict=len(some) > 0):
-            out[busy, at : at + channel.size] = part.seen(name, len(some), channel.size, self, shelf, experiments, some)
-            at += channel.size
+        if len(some):
+            for (name, part), channel in zip(self._added.items(), self.channels[-len(self._added) :], strict=True):
+                seen = part.seen(name, len(some), channel.size, self, shelf, experiments, some)
+                out[busy, at : at + channel.size] = seen
+                at += channel.size
 
     @abstractmethod
     def mask(self, shelf: Shelf, experiments: Experiments, members: IntArray, out: MaskArray) -> None:
@@ -804,15 +782,14 @@ class Bench(ABC):
         without an action, so there are no terms.
         """
         _consequences(members, experiments.handle, self.rules.handle, cost, reward)
-        if not begun:
-            if self.grades.names:
-                experiments.ended[members] |= (
-                    experiments.steps[members] >= self.grades.ticks[experiments.grade[members]]
-                )
-            for name, term in self._terms.items():
-                with blamed(name):
-                    earned = term(self, shelf, experiments, members)
-                reward[members] += checked_numbers(earned, members.shape, name)
+        if begun:
+            return
+        if self.grades.names:
+            experiments.ended[members] |= experiments.steps[members] >= self.grades.ticks[experiments.grade[members]]
+        for name, term in self._terms.items():
+            with blamed(name):
+                earned = term(self, shelf, experiments, members)
+            reward[members] += checked_numbers(earned, members.shape, name)
 
     def memory(self, experiments: Experiments, members: IntArray) -> list[Quantity]:
         """The bench's own state in the global state (``env.state()``) of laboratories ``members`` [B].

@@ -10,10 +10,10 @@ import numpy.typing as npt
 from ..kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 from .base import Quantity, Role, one_hot
 from .bench import Bench, Experiments
+from .maintenance import MOST_GAIN, wear_out
 from .manager import charge_events, return_vessels
 from .manager_actions import GOAL, GRADE
 from .manager_state import MANAGER
-from .wear import MOST_GAIN, renew, wear_out
 
 if TYPE_CHECKING:
     from ..lab.engine import Laboratories
@@ -38,23 +38,19 @@ class BenchRole(Role):
 
     @property
     def turns_had(self) -> IntArray:
-        steps: IntArray = self.experiments.steps
-        return steps
+        return np.asarray(self.experiments.steps)
 
     @property
     def illegal(self) -> BoolArray:
-        illegal: BoolArray = self.experiments.illegal
-        return illegal
+        return np.asarray(self.experiments.illegal)
 
     @property
     def events(self) -> FloatArray:
-        events: FloatArray = self.experiments.events
-        return events
+        return np.asarray(self.experiments.events)
 
     @property
     def stream(self) -> StreamArray:
-        stream: StreamArray = self.experiments.stream
-        return stream
+        return np.asarray(self.experiments.stream)
 
     def goal(self, member: int) -> str:
         return str(self.labs.scenario.goals[self.experiments.goal[member]])
@@ -64,14 +60,11 @@ class BenchRole(Role):
         """Position of its main vessel among those of a laboratory."""
         return int(self.labs.rules.arrays.first[self.number])
 
-    # -- observations and actions -----------------------------------------------------------------------------
-
     def observe(self, members: IntArray, out: ObservationArray, rows: IntArray | None = None) -> None:
         seen = out if rows is None else np.empty((len(members), out.shape[1]), dtype=np.float32)
         self.workplace.observe(self.labs.shelf, self.experiments, members, seen)
         if self._hides:  # nothing of a vessel before the first turn
-            own = self.experiments
-            seen[(own.steps[members] == 0) & (self.labs.state.cursor[members] == MANAGER)] = 0.0
+            seen[(self.experiments.steps[members] == 0) & (self.labs.state.cursor[members] == MANAGER)] = 0.0
         if rows is not None:
             out[rows] = seen
 
@@ -120,14 +113,8 @@ class BenchRole(Role):
         manager, rules, *rest = labs.handles()
         return_vessels(members, self.number, manager, rules, self.experiments.handle, *rest)
 
-    def renew(self, members: IntArray) -> None:
-        """Give the bench a new condition after a repair."""
-        renew(self.workplace, self.experiments, members)
-
     def settle(self, members: IntArray, result: FloatArray, charges: FloatArray) -> None:
         self.labs.state.rewards[self.index, members] += self.labs.scenario.rewards.bench_team * result
-
-    # -- state ------------------------------------------------------------------------------------------------
 
     def state(self, members: IntArray) -> list[Quantity]:
         labs, rules, name = self.labs, self.labs.rules.arrays, self.name

@@ -43,9 +43,7 @@ class Discretised(Bench):
         return np.array([check_discrete(agent, action, len(self.action_rows))])
 
     def nearest(self, actions: FloatArray) -> IntArray:
-        """Return [B] the nearest discrete action of each continuous one of [B, n] (least squares; the first of
-        equals).
-        """
+        """Return [B] the nearest discrete action of each continuous one of [B, n] (least squares)."""
         distance = ((np.asarray(actions)[:, None, :] - self.action_rows) ** 2).sum(axis=2)
         return np.asarray(distance.argmin(axis=1), dtype=np.int64)
 

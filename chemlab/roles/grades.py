@@ -13,9 +13,7 @@ from ..kernels.rng import normal
 from ..physics.chemistry import AMOUNTS
 
 REPORT = ("amount", "purity", "ticks")
-"""Self-reported outcome of an experiment: mol of the goal in the vessel with the largest mol x purity, its purity,
-and the elapsed ticks.
-"""
+"""Self-reported outcome: mol of the goal in the vessel with the largest mol x purity, its purity, the elapsed ticks."""
 
 
 class GradeState(NamedTuple):

@@ -165,7 +165,14 @@ class InstrumentTable:
                     f"{where}: must be lower-case letters, digits and _, and none of "
                     f"{', '.join(sorted(_TAKEN))}, which are other channels of the manager's observation"
                 )
-            kind = INSTRUMENTS.get(spec.kind) or self._own_kind(spec.kind, scenario, where)
+            if spec.kind not in INSTRUMENTS and ":" not in spec.kind:
+                raise DataError(
+                    f"{where}.kind: unknown kind {spec.kind!r}; choose from {', '.join(INSTRUMENTS)}, or your own, "
+                    "'file.py:NAME'"
+                )
+            kind: Instrument = INSTRUMENTS.get(spec.kind) or load_part(
+                spec.kind, scenario, f"instruments.{name}.kind", of=Instrument
+            )
             missing = [field for field in kind.needs if not hasattr(known, field)]
             if missing:
                 raise DataError(
@@ -209,7 +216,6 @@ class InstrumentTable:
                 work=np.zeros((columns + 9, max(columns + 1, CAMERA_PIXELS))),
             )
         )
-
         self._right = np.zeros((1, int(self.rules.arrays.start[-1])))
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -238,18 +244,6 @@ class InstrumentTable:
     def words(self, instrument: int, values: FloatArray) -> str:
         """Describe a reading (in [0, 1]) of the instrument with index ``instrument``."""
         return self.kinds[instrument].words(values, self.channels[instrument], self.analytes[instrument])
-
-    @staticmethod
-    def _own_kind(kind: str, scenario: Scenario, where: str) -> Instrument:
-        if ":" not in kind:
-            raise DataError(
-                f"{where}.kind: unknown kind {kind!r}; choose from {', '.join(INSTRUMENTS)}, or your own, "
-                "'file.py:NAME'"
-            )
-        part: Instrument = load_part(
-            kind, scenario, where.removeprefix(f"{scenario.origin}: ") + ".kind", of=Instrument
-        )
-        return part
 
     def read(
         self,

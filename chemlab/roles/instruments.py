@@ -115,12 +115,14 @@ class Instrument(Part):
     needs: tuple[str, ...] = ()
 
 
-# -- what they read ---------------------------------------------------------------------------------------------------
-
-
 def _channel(unit: str, low: float, high: float, meaning: str, name: str, analytes: Sequence[str]) -> Channel:
     """Return the channel of a single number."""
     return Channel(name, 1, unit, low, high, meaning)
+
+
+def _shares_channel(rest: str, name: str, analytes: Sequence[str]) -> Channel:
+    """Return the channel of the mole fractions of the analytes and of ``rest``."""
+    return Channel(name, len(analytes) + 1, "mole fraction", 0.0, 1.0, ", ".join([*analytes, rest]))
 
 
 def _or_none(none: str, values: FloatArray, channel: Channel, analytes: Sequence[str]) -> str:
@@ -181,11 +183,6 @@ def _read_volatile(reading: Reading, chem: Handle) -> float:
 def _volatile(chemistry: Chemistry) -> IntArray:
     liquid = np.isin(np.arange(len(chemistry.role)), chemistry.volatile)
     return np.flatnonzero(liquid & (chemistry.boiling_point < _HOTTEST_COLUMN_K)).astype(np.int64)
-
-
-def _volatile_channel(name: str, analytes: Sequence[str]) -> Channel:
-    meaning = ", ".join(analytes) + ", residue (does not evaporate)"
-    return Channel(name, len(analytes) + 1, "mole fraction", 0.0, 1.0, meaning)
 
 
 @inner
@@ -288,10 +285,6 @@ def _molecules(chemistry: Chemistry) -> IntArray:
     return np.flatnonzero((chemistry.role == ROLE_SOLVENT) | (chemistry.role == ROLE_SOLUTE)).astype(np.int64)
 
 
-def _molecules_channel(name: str, analytes: Sequence[str]) -> Channel:
-    return Channel(name, len(analytes) + 1, "mole fraction", 0.0, 1.0, ", ".join(analytes) + ", ions (two as one)")
-
-
 _PH = f"pH of the aqueous layer; {_LOWEST_PH:g} without one"
 _MELTING = f"where the last crystals melt; {_COLDEST_K:g} without any"
 
@@ -303,7 +296,7 @@ INSTRUMENTS: dict[str, Instrument] = {
     ),
     "gas_chromatograph": Instrument(
         "mole fraction of every volatile material, and of the residue",
-        _volatile_channel,
+        partial(_shares_channel, "residue (does not evaporate)"),
         _read_volatile,
         _volatile,
         shares_in_words,
@@ -343,7 +336,7 @@ INSTRUMENTS: dict[str, Instrument] = {
     ),
     "hplc": Instrument(
         "mole fraction of every molecule, and of ions together",
-        _molecules_channel,
+        partial(_shares_channel, "ions (two as one)"),
         _read_molecules,
         _molecules,
         shares_in_words,

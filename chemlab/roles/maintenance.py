@@ -15,15 +15,17 @@ import numpy.typing as npt
 from ..config.scenario import DriftSpec, Scenario, WearSpec
 from ..kernels.arrays import Handle, IntArray
 from ..kernels.jit import inner, kernel, opened
-from ..kernels.rng import normal
+from ..kernels.rng import normal, uniform
 from ..kernels.tables import Table
-from . import wear
-from .bench import HEAT, STIR, Bench, Experiments
+from .bench import HEAT, STIR, Bench, BenchRules, Experiments, ExperimentState
 from .instrument_table import InstrumentTable
 from .manager_state import INSTRUMENTS, TIME, ManagerState, Rules
 
 if TYPE_CHECKING:
     from ..lab.hidden import Worlds
+
+LEAST_GAIN, MOST_GAIN = 0.01, 100.0
+"""Bounds of a drifting gain."""
 
 
 def maintenance_rules(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
@@ -43,6 +45,45 @@ def maintenance_rules(scenario: Scenario) -> dict[str, npt.NDArray[Any]]:
     }
 
 
+@kernel
+def _renew(members: IntArray, experiment: Handle, bench: Handle) -> None:
+    state, rules = opened(ExperimentState, experiment), opened(BenchRules, bench)
+    for b in range(members.shape[0]):
+        m = members[b]
+        stream = state.wear_stream[m]
+        gain = rules.wear_gain * math.exp(rules.wear_spread * normal(stream))
+        state.gain[m, rules.wear_actuator] = min(max(gain, LEAST_GAIN), MOST_GAIN)
+        span = -math.log(1.0 - uniform(stream))
+        state.life[m] = rules.wear_life * span if rules.wear_life > 0.0 else math.inf
+        state.broken[m] = False
+
+
+@kernel
+def _wear_out(members: IntArray, experiment: Handle, bench: Handle) -> None:
+    state, rules = opened(ExperimentState, experiment), opened(BenchRules, bench)
+    k = rules.wear_actuator
+    for b in range(members.shape[0]):
+        m = members[b]
+        if rules.wear_drift > 0.0:
+            gain = state.gain[m, k] * math.exp(rules.wear_drift * normal(state.wear_stream[m]))
+            state.gain[m, k] = min(max(gain, LEAST_GAIN), MOST_GAIN)
+        state.life[m] -= 1.0
+        if state.life[m] <= 0.0:
+            state.broken[m] = True
+            state.ended[m] = True
+
+
+def renew(bench: Bench, experiments: Experiments, members: IntArray) -> None:
+    """Draw gain and lifetime of new or repaired benches of ``members`` [B] from the degradation's stream."""
+    _renew(members, experiments.handle, bench.rules.handle)
+
+
+def wear_out(bench: Bench, experiments: Experiments, members: IntArray) -> None:
+    """Apply one tick of work to the benches of ``members`` [B]; a breakdown ends the experiment."""
+    if bench.spec.wear is not None:
+        _wear_out(members, experiments.handle, bench.rules.handle)
+
+
 def equip(bench: Bench, experiments: Experiments, members: IntArray, worlds: Worlds, device: int, name: str) -> None:
     """Set the benches of ``members`` [B] to the drawn condition of their worlds.
 
@@ -58,7 +99,7 @@ def equip(bench: Bench, experiments: Experiments, members: IntArray, worlds: Wor
     if spec is None:
         return
     experiments.wear_stream[members, 0] = worlds.device_streams(members, device)
-    wear.renew(bench, experiments, members)
+    renew(bench, experiments, members)
     actuator = HEAT if spec.actuator == "heat" else STIR
     gain = worlds.drawn("gain", name, members, experiments.gain[members, actuator])
     experiments.gain[members, actuator] = gain

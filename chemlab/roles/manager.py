@@ -14,18 +14,7 @@ from ..physics.surroundings import Surroundings
 from ..physics.transfer import clear, move, remove_fraction, spill, volume
 from .bench import ExperimentState, goal_amount, weighted_amount
 from .maintenance import calibrate, send_fitter, under_repair, usable
-from .manager_actions import (
-    CALIBRATE,
-    DISCARD,
-    FIRST,
-    KIND,
-    MEASURE,
-    RECALL,
-    REPAIR,
-    SECOND,
-    START,
-    SUBMIT,
-)
+from .manager_actions import CALIBRATE, DISCARD, FIRST, KIND, MEASURE, RECALL, REPAIR, SECOND, START, SUBMIT
 from .manager_state import (
     ARRIVES,
     CLOSED,
@@ -48,9 +37,7 @@ from .manager_state import (
 from .manager_view import shown_fill
 
 BEGUN, RECALLED, OVER, MEASURED, REPAIRED = 1, 2, 4, 8, 16
-"""Flags of a turn's consequences: experiment started, experiment recalled, episode over, measurement due, repair
-due.
-"""
+"""Flags of a turn's consequences: experiment started or recalled, episode over, measurement or repair due."""
 
 _RTOL, _ATOL = 1e-3, 1e-6
 """Error tolerances of reactions on the shelf: the defaults of a reaction bench (relative; mol/L)."""
@@ -102,8 +89,8 @@ def _allowed(
     if kind == DISCARD:  # the last vessel cannot be discarded: without one no action would remain
         return bool(shelf.rows[base + x, PRESENT] > 0.0 and (slots[1] > 1 or any_busy))
     if kind == SUBMIT:
-        free = not state.filled[n, y] and _has_come(n, y, state)
-        return free and _may_leave(n, x, state, rules, shelf, chem)
+        has_come = state.terms.shape[1] == 0 or state.ticks[n] >= state.terms[n, y, ARRIVES]
+        return bool(not state.filled[n, y] and has_come and _may_leave(n, x, state, rules, shelf, chem))
     if kind == RECALL:
         return bool(state.busy[x, n] and (state.bench_steps[x, n] > 0 or not rules.hides))
     if kind == CALIBRATE:
@@ -111,12 +98,6 @@ def _allowed(
     if kind == REPAIR:
         return not state.busy[x, n] and bool(state.ready[n, x] <= state.ticks[n])
     return any_busy or under_repair(n, state) or _expects(n, state)
-
-
-@helper
-def _has_come(n: int, o: int, state: ManagerState) -> bool:
-    """Return True if an order has arrived."""
-    return bool(state.terms.shape[1] == 0 or state.ticks[n] >= state.terms[n, o, ARRIVES])
 
 
 @inner
@@ -148,11 +129,11 @@ def _differ(action: IntArray, other: IntArray) -> bool:
 
 
 @helper
-def _any_busy(n: int, busy: BoolArray) -> bool:
-    found = False
-    for b in range(busy.shape[0]):
-        found = found or busy[b, n]
-    return found
+def _next_busy(n: int, b: int, busy: BoolArray) -> int:
+    """Return the first busy bench from ``b`` on; the number of benches if there is none."""
+    while b < busy.shape[0] and not busy[b, n]:
+        b += 1
+    return b
 
 
 @kernel
@@ -164,8 +145,8 @@ def manager_mask(
     for i in range(members.shape[0]):
         n = members[i]
         slots = _count_slots(n, n * arrays.vessels, state, rules, arrays)
-        any_busy, chem = _any_busy(n, state.busy), chemistry[arrays.variant[n]]
-        before, allowed = 0, False
+        any_busy = _next_busy(n, 0, state.busy) < state.busy.shape[0]
+        before, allowed, chem = 0, False, chemistry[arrays.variant[n]]
         for a in range(rules.table.shape[0]):
             # Goals and requirements of one start are adjacent and have the same legality.
             if a == 0 or _differ(rules.table[a], rules.table[before]):
@@ -277,16 +258,6 @@ def _submit(
         _remove(n, x, state, chem, row, state.delivered[n])
 
 
-@inner
-def _age_shelf(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> None:
-    """Let a tick pass for the vessels at rest; evaporation losses count as the episode's safety events."""
-    base = n * shelf.vessels
-    for s in range(rules.slots):
-        row = shelf.rows[base + s]
-        if row[PRESENT] > 0.0 and elapse(row, 1.0, chem, shelf.waste[n], state.safety_totals[n], rules.work):
-            partition(row, chem, rules.work)
-
-
 @helper
 def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, chem: Handle) -> bool:
     """End a tick: charge time, age vessels and readings, and check the limits.
@@ -296,8 +267,11 @@ def _pass_tick(n: int, state: ManagerState, rules: Rules, shelf: ShelfArrays, ch
     """
     state.ticks[n] += 1
     state.charges[n, TIME] += rules.tick_price
-    _age_shelf(n, state, rules, shelf, chem)
-    for s in range(state.age.shape[1]):
+    for s in range(rules.slots):
+        row = shelf.rows[n * shelf.vessels + s]
+        # Evaporation losses count as the episode's safety events.
+        if row[PRESENT] > 0.0 and elapse(row, 1.0, chem, shelf.waste[n], state.safety_totals[n], rules.work):
+            partition(row, chem, rules.work)
         for k in range(state.age.shape[2]):
             if state.age[n, s, k] >= 0:
                 state.age[n, s, k] += 1
@@ -333,8 +307,7 @@ def manager_act(
     """Carry out one manager action in each laboratory of ``members``.
 
     Returns:
-        The flags BEGUN, RECALLED, OVER, MEASURED and REPAIRED of its consequences in any laboratory; the state has them
-        by laboratory.
+        The flags BEGUN, RECALLED, OVER, MEASURED, REPAIRED of any laboratory; the state has them by laboratory.
     """
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     flags = 0
@@ -343,7 +316,8 @@ def manager_act(
         base, chem = n * arrays.vessels, chemistry[arrays.variant[n]]
         state.begun[n], state.recalled[n], state.measured[n] = -1, -1, -1
         state.actions[n] += 1
-        slots, any_busy = _count_slots(n, base, state, rules, arrays), _any_busy(n, state.busy)
+        slots, first = _count_slots(n, base, state, rules, arrays), _next_busy(n, 0, state.busy)
+        any_busy = first < state.busy.shape[0]
         state.illegal[n] = not _allowed(n, a, slots, any_busy, state, rules, arrays, chem)
         kind, x, y = rules.table[a, KIND], rules.table[a, FIRST], rules.table[a, SECOND]
         if state.illegal[n]:
@@ -372,9 +346,6 @@ def manager_act(
         elif not any_busy:
             _idle(n, state, rules, arrays, chem)
         else:
-            first = 0
-            while not state.busy[first, n]:
-                first += 1
             state.cursor[n] = first
             state.finished[n] = False
         if state.status[n] == RUNNING and state.actions[n] >= rules.action_limit:
@@ -388,11 +359,7 @@ def manager_act(
 def return_vessels(
     members: IntArray, b: int, manager: Handle, scenario: Handle, experiment: Handle, shelf: Handle, chemistry: Handle
 ) -> None:
-    """Return the vessels of bench ``b`` to the shelf: the main vessel to its origin, the others to their reserved
-    slots.
-
-    Empty vessels are washed and removed.
-    """
+    """Return the vessels of bench ``b``: the main one to its origin, others to their reserved slots, unless empty."""
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     events = opened(ExperimentState, experiment).events
     for i in range(members.shape[0]):
@@ -481,23 +448,16 @@ def advance(members: IntArray, manager: Handle, scenario: Handle, shelf: Handle,
     flags = 0
     for i in range(members.shape[0]):
         n = members[i]
-        b = state.cursor[n] + 1
-        while b < state.busy.shape[0] and not state.busy[b, n]:
-            b += 1
-        if b < state.busy.shape[0]:
-            state.cursor[n] = b
+        following = _next_busy(n, state.cursor[n] + 1, state.busy)
+        if following < state.busy.shape[0]:
+            state.cursor[n] = following
             continue
         news = _pass_tick(n, state, rules, arrays, chemistry[arrays.variant[n]])
-        if state.status[n] != RUNNING:
-            state.cursor[n] = MANAGER
-            flags |= OVER
-        elif state.finished[n] or news or not _any_busy(n, state.busy):
-            state.cursor[n] = MANAGER
-        else:
-            b = 0
-            while not state.busy[b, n]:
-                b += 1
-            state.cursor[n] = b
+        first = _next_busy(n, 0, state.busy)
+        over = state.status[n] != RUNNING
+        to_manager = over or state.finished[n] or news or first == state.busy.shape[0]
+        state.cursor[n] = MANAGER if to_manager else first
+        flags |= OVER if over else 0
     return flags
 
 

@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -92,29 +91,34 @@ class ManagerActions:
         graded = [key for key in found if loosest and key[0] == "start" and key[-1:] == loosest]
         return found | {key[:-1]: found[key] for key in graded}
 
+    @property
+    def arguments(self) -> Mapping[str, Mapping[str, tuple[str | int, ...]]]:
+        """Arguments of each kind of action by name, with their values."""
+        slot, order = {"slot": tuple(range(self.slots))}, {"order": tuple(range(self.orders))}
+        bench, grade = {"bench": self.bench_agents}, {"grade": self.grades} if self.grades else {}
+        return {
+            "start": {**bench, **slot, "goal": self.goals, **grade},
+            "measure": {**slot, "instrument": self.instruments},
+            "discard": slot,
+            "submit": {**slot, **(order if self.orders > 1 else {})},
+            "recall": bench,
+            "wait": {},
+            **({"calibrate": {"instrument": self.drifting}} if self.drifting else {}),
+            **({"repair": {"bench": self.wearing}} if self.wearing else {}),
+        }
+
     def _mistake(self, kind: str, arguments: tuple[str | int, ...]) -> str:
         """Describe why an action does not exist."""
-        spaces = {
-            "start": (self.bench_agents, range(self.slots), self.goals, self.grades)[: 3 + bool(self.grades)],
-            "measure": (range(self.slots), self.instruments),
-            "discard": (range(self.slots),),
-            "submit": (range(self.slots), range(self.orders))[: 1 + (self.orders > 1)],
-            "recall": (self.bench_agents,),
-            "wait": (),
-            **({"calibrate": (self.drifting,)} if self.drifting else {}),
-            **({"repair": (self.wearing,)} if self.wearing else {}),
-        }
+        spaces = self.arguments
         if kind not in spaces:
             return f": unknown kind {kind!r}; known: {', '.join(spaces)}"
-        expected: tuple[Any, ...] = spaces[kind]
+        expected = spaces[kind].values()
         if len(arguments) != len(expected):
             return f" {kind!r}: takes {len(expected)} arguments, given {arguments!r}"
-        given = zip(arguments, expected, strict=True)
-        wrong = (
-            pair for pair in given if not isinstance(pair[0], (str, int, float, np.number)) or pair[0] not in pair[1]
-        )
-        argument, values = next(wrong, (arguments, self._numbers))
-        return f" {kind!r}: argument {argument!r} is not one of {list(values)}"
+        for argument, values in zip(arguments, expected, strict=True):
+            if not isinstance(argument, (str, int, float, np.number)) or argument not in values:
+                return f" {kind!r}: argument {argument!r} is not one of {list(values)}"
+        return f" {kind!r}: argument {arguments!r} is not one of {list(self._numbers)}"
 
     def decode(self, action: int) -> tuple[str | int, ...]:
         """Return (kind, arguments...) of an action: the inverse of :meth:`encode`."""

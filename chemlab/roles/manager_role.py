@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import gymnasium
@@ -11,8 +12,8 @@ import numpy.typing as npt
 from ..config.parts import blamed, checked_numbers
 from ..kernels.arrays import BoolArray, FloatArray, IntArray, MaskArray, ObservationArray, StreamArray
 from .base import Quantity, Role
-from .bench import check_discrete, distinct_channels, load_observations, load_terms, told_channel
-from .maintenance import go_astray
+from .bench import Observation, check_discrete, distinct_channels, load_parts, told_channel
+from .maintenance import go_astray, renew
 from .manager import BEGUN, MEASURED, OVER, RECALLED, REPAIRED, manager_act, manager_mask
 from .manager_actions import FIRST, KIND, MEASURE, REPAIR, SECOND
 from .manager_state import ARRIVES, MANAGER
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def _score_meaning(demand: DemandSpec) -> str:
-    """Say in words what an episode scores."""
+    """Describe the score of an episode."""
     paid, missed = "mol submitted x absolute purity / theoretical maximum", f"{demand.missed:g}"
     if demand.order:
         paid, missed = "price of each order that is met", f"{missed} x price"
@@ -47,8 +48,8 @@ class Manager:
         self.score_meaning = _score_meaning(spec.demand)
         self.step_limit = spec.limits.manager_actions
         self.actions = labs.actions
-        self.terms = load_terms(spec.manager.reward, spec, "manager.reward")
-        self.added = load_observations(spec.manager.observe, spec, "manager.observe")
+        self.terms = load_parts(spec.manager.reward, spec, "manager.reward", Callable)
+        self.added = load_parts(spec.manager.observe, spec, "manager.observe", Observation)
         own = manager_channels(spec, labs.instruments, labs.rules.arrays)
         reports = report_channels(spec)
         self.told = spec.world.told_to("manager")
@@ -107,8 +108,6 @@ class ManagerRole(Role):
     def stream(self) -> StreamArray:
         return self.labs.state.stream
 
-    # -- observations and actions -----------------------------------------------------------------------------
-
     def observe(self, members: IntArray, out: ObservationArray, rows: IntArray | None = None) -> None:
         labs, manager = self.labs, self.workplace
         if rows is None:
@@ -126,8 +125,7 @@ class ManagerRole(Role):
             at += channel.size
 
     def mask(self, members: IntArray, out: MaskArray) -> None:
-        labs = self.labs
-        manager_mask(members, *labs.handles(), out)
+        manager_mask(members, *self.labs.handles(), out)
 
     def act(self, members: IntArray, actions: npt.NDArray[Any]) -> None:
         labs = self.labs
@@ -144,13 +142,7 @@ class ManagerRole(Role):
             labs.settle(members)
 
     def _carry_out(self, effects: int, members: IntArray, asked: IntArray) -> None:
-        """Carry out the effects of actions on instruments and benches.
-
-        Args:
-            effects: flags of :func:`~.manager.manager_act`.
-            members: [B] laboratories.
-            asked: [B, 5] rows of their actions.
-        """
+        """Carry out the effects (flags of :func:`~.manager.manager_act`) of actions ``asked`` [B, 5]."""
         state = self.labs.state
         if effects & MEASURED:
             sent = state.measured[members] >= 0
@@ -159,7 +151,7 @@ class ManagerRole(Role):
         begun, recalled = state.begun[members], state.recalled[members]
         for role in self.labs.bench_roles:
             if effects & REPAIRED and (sent := repaired == role.number).any():
-                role.renew(members[sent])
+                renew(role.workplace, role.experiments, members[sent])
             if effects & BEGUN and (sent := begun == role.number).any():
                 role.begin(members[sent], asked[sent])
             if effects & RECALLED and (sent := recalled == role.number).any():
@@ -209,8 +201,6 @@ class ManagerRole(Role):
         if state.terms.shape[1]:
             goals[state.ticks[which, ..., None] < state.terms[which, ..., ARRIVES]] = -1
         return {"costs": costs, "goals": goals, "submitted_mol": told[..., 0], "purity": told[..., 1]}
-
-    # -- state ------------------------------------------------------------------------------------------------
 
     def condition(self, members: IntArray) -> list[Quantity]:
         labs, state, limit = self.labs, self.labs.state, self.labs.rules.arrays.tick_limit

@@ -259,9 +259,7 @@ def manager_observe(
     out: ObservationArray,
     rows: IntArray,
 ) -> None:
-    """Write the observations of the managers of ``members`` [B] into ``rows`` [B] of ``out`` [any, observation
-    size].
-    """
+    """Write the observations of the managers of ``members`` [B] into ``rows`` [B] of ``out`` [any, size]."""
     state, rules, arrays = opened(ManagerState, manager), opened(Rules, scenario), opened(ShelfArrays, shelf)
     for i in range(members.shape[0]):
         n = members[i]

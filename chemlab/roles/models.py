@@ -19,9 +19,7 @@ class ReactionModel(Protocol):
     """A callable with this signature replaces the kinetics of reaction benches."""
 
     def __call__(self, amount_mol: FloatArray, temperature_k: float, volume_l: float, dt: float) -> FloatArray:
-        """Return amounts [M] (mol, in the order of ``scenario.materials``) after ``dt`` at constant T and liquid
-        volume.
-        """
+        """Return amounts [M] (mol, in the order of ``scenario.materials``) after ``dt`` at constant T and volume."""
 
 
 class SeparationModel(Protocol):

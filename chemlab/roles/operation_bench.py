@@ -88,9 +88,7 @@ class OperationOptions(DataModel):
     hottest_k: float = Field(default=800.0, ge=COLDEST_K, le=HOTTEST_K)
     coolest_k: float = Field(default=273.15, ge=COLDEST_K, le=HOTTEST_K)
     stages: int = Field(default=1, ge=1, le=16)
-    """Theoretical stages between the boiling pot, which is one of them, and the condenser (physics backend
-    ``real``).
-    """
+    """Theoretical stages from the boiling pot, which is one of them, to the condenser (physics backend ``real``)."""
     reflux: float = Field(default=1.0, ge=0.0, le=100.0)
     """Reflux ratio: mol that the head of a column returns per mol that passes."""
 
@@ -411,8 +409,7 @@ class OperationBench(Bench):
         return list(self._meanings)
 
     def choices(self, kind: str, **wanted: str | None) -> dict[float, int]:
-        """Return {magnitude: action} of the first process of a kind with the wanted vessel, target or material; empty
-        without one."""
+        """Return {magnitude: action} of the first process of a kind with the wanted vessel, target or material."""
         first = 0
         for process in self.options.process:
             if process.kind == kind and all(getattr(process, name) == value for name, value in wanted.items()):

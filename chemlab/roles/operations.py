@@ -95,9 +95,6 @@ class Operation(Part):
     numbers: Callable[[Bench], FloatArray] = no_numbers
 
 
-# -- what they do -----------------------------------------------------------------------------------------------------
-
-
 @inner
 def _always(turn: Turn, chem: Handle) -> bool:
     """Return True: legal at any time."""

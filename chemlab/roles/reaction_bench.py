@@ -360,11 +360,7 @@ class ReactionBench(Bench):
         ]
 
     def representative_actions(self) -> list[tuple[str, FloatArray]]:
-        """Return each control separately, and combinations on the route to a goal: unheated, heating, or with more
-        volume.
-
-        See :meth:`Bench.representative_actions`.
-        """
+        """Return each control separately, and combinations on the route to a goal; see the method of :class:`Bench`."""
         t, v, names = self.options.temperature_k.step, self.options.volume_l.step, self.reagent_names
         rest = np.array([0.5, 0.5, *(0.0 for _ in names)])
         gauges = {f"{t:g} K down": (0, 0.0), f"{t / 4:g} K down": (0, 0.375), f"{t / 4:g} K up": (0, 0.625)}

@@ -460,12 +460,15 @@ def test_tokens_and_hosts(tmp_path: Path) -> None:
         assert lab.ask("GET", f"/lab/0/events?token={tokens['watch']}&turns=many")[0] == 400
 
 
-def test_a_page_that_is_closed_while_news_are_told_stops_nobody() -> None:
+def test_a_page_that_is_closed_while_news_are_told_stops_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
     """A waiter that is cut off twice released the lock of another, and all pages stood still."""
+    monkeypatch.setattr(live, "_NEWS_S", 0.0)
 
     async def story(steps: int) -> None:
         show = live._Show([], [], True, 1)
-        waiting = asyncio.create_task(show.wait(0))
+        rounds = show.rounds()
+        await anext(rounds)
+        waiting = asyncio.ensure_future(anext(rounds))
         await asyncio.sleep(0.01)
         async with show.changed:
             waiting.cancel()

@@ -23,7 +23,7 @@ from chemlab.config.loading import dump_scenario, load_scenario, restore_scenari
 from chemlab.envs.aec import raw_env
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.transfer import liquid_volume
-from chemlab.record import LIMITS, Recorder, Replay, read_record
+from chemlab.record import LIMITS, Recorder, RecordError, Replay, read_record
 from chemlab.render.animation import animation
 from chemlab.render.draw import draw
 from chemlab.render.protocol import protocol
@@ -538,6 +538,9 @@ def test_a_record_as_an_animation(episode: Path, tmp_path: Path, suffix: str) ->
     ends = draw(laboratory_scene(replay.laboratories), 480, 270)
     assert np.abs(first - begins).mean() < np.abs(first - ends).mean()
     assert np.abs(last - ends).mean() < np.abs(last - begins).mean()
+    picture.turns[2]["play"] = {}
+    with pytest.raises(RecordError, match=r"turn 2: play: \w+ had the turn"):
+        animation(picture, suffix)
 
 
 @pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="needs ffmpeg")
