@@ -52,9 +52,6 @@ def _own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CHEMLAB_CATALOGUE", str(tmp_path / "kept"))
 
 
-# -- names ------------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", [*NAMES, *map(str.upper, NAMES[:10])])
 def test_everyday_names_are_known(name: str) -> None:
     flask = Flask({"Water ": 30.0, name: 0.1})
@@ -102,9 +99,6 @@ def test_every_name_leads_to_a_material() -> None:
 def test_mistakes_are_answered(made: Callable[[], object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         made()
-
-
-# -- data -------------------------------------------------------------------------------------------------------------
 
 
 def everyday(monkeypatch: pytest.MonkeyPatch) -> Any:
@@ -302,9 +296,6 @@ def test_an_acid_uses_up_a_solid_salt(tmp_path: Path) -> None:
     assert one.amounts["acetate"] + one.amounts["sodium_acetate"] == pytest.approx(0.08, rel=1e-6)
 
 
-# -- history ----------------------------------------------------------------------------------------------------------
-
-
 def test_a_flask_remembers(tmp_path: Path) -> None:
     pot = Flask({"acetone": 3.0, "MeOH": 3.0, "water": 3.0}, capacity_l=1.0)
     head = pot.another()
@@ -333,9 +324,6 @@ def test_a_flask_remembers(tmp_path: Path) -> None:
     pot.add("KCl", 5.0)
     colors = {line.get_label(): line.get_color() for line in pot.plot().axes[1].lines}
     assert len(set(colors.values())) == len(colors) > 4
-
-
-# -- what is added ----------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rdkit") is None, reason="needs the extra chem")

@@ -60,9 +60,6 @@ GASES = {"air", "H2"}
 SOLVENTS = ["diethyl_ether", "ethyl_acetate", "hexane", "water"]
 
 
-# -- Looking values up in the packages -------------------------------------------------------------------------------
-
-
 chemicals = pytest.importorskip("chemicals")
 thermo = pytest.importorskip("thermo")
 
@@ -126,9 +123,6 @@ def test_values_are_those_their_sources_list() -> None:
         assert value == expected, (key, field, cited)
 
 
-# -- Form of the files -----------------------------------------------------------------------------------------------
-
-
 def test_uncited_values_say_what_they_are() -> None:
     # A number that no compilation key backs must name a work, or admit being an estimate or a design value.
     for key, field in itertools.product(REAL, NUMERIC):
@@ -137,9 +131,6 @@ def test_uncited_values_say_what_they_are() -> None:
         admitted = text.startswith(("estimate: ", "design value", "unused by the model"))
         derived = "atomic weights" in text or text.startswith("ideal gas law")
         assert cited_key(MATERIALS[key], field) or named_work or admitted or derived, f"{key} {field}: {text}"
-
-
-# -- Composition and molar mass --------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("key", [key for key in ALL if key not in FICTITIOUS])
@@ -174,9 +165,6 @@ def test_cas_number_belongs_to_the_substance(key: str) -> None:
         assert by_name.CASs == material["cas"]
 
 
-# -- Ions, polarity, appearance --------------------------------------------------------------------------------------
-
-
 # Measured E_T(30) in kcal/mol; tetramethylsilane (30.7) and water (63.1) define the ends of the scale.
 E_T_30 = {"diethyl_ether": 34.5, "water": 63.1, "hexane": 31.0, "ethyl_acetate": 38.1, "dodecane": 31.1}
 
@@ -198,8 +186,6 @@ def test_shades_and_colors_are_distinct() -> None:
         for one, other in itertools.combinations(group, 2):
             assert np.linalg.norm(rgb(one) - rgb(other)) >= apart, (one, other)
 
-
-# -- Spectra ---------------------------------------------------------------------------------------------------------
 
 WAVELENGTHS = np.linspace(200.0, 800.0, 200)
 PYRROLIDINYLS = ["ortho_pyrrolidinyl", "para_pyrrolidinyl", "bis_pyrrolidinyl"]

@@ -26,9 +26,6 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_episode(tmp_path_factory.mktemp("plot") / "scripted.jsonl")
 
 
-# -- where the moles went -------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FEATURED)
 def test_the_books_balance(name: str, tmp_path: Path) -> None:
     """Of every group there is as much at each stage as the scenario's stock and vessels hold."""
@@ -98,8 +95,6 @@ def test_books_that_do_not_balance_are_refused(scripted: Path) -> None:
     with pytest.raises(ValueError, match="off by"):
         balance.check()
 
-
-# -- pictures -------------------------------------------------------------------------------------------------
 
 pytest.importorskip("matplotlib")
 
@@ -199,9 +194,6 @@ def test_timeline_has_every_decision_and_experiment(scripted: Path) -> None:
     assert measured == np.flatnonzero(paid).tolist(), "a measurement costs when it is taken"
     texts = "\n".join(text.get_text() for text in draw_timeline(found).texts)
     assert "1  start rxn_0 on slot 0, goal dodecane" in texts
-
-
-# -- the command ----------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("kind", "ending"), [("timeline", "png"), ("spectra", "svg"), ("moles", "png")])

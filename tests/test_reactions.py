@@ -142,8 +142,6 @@ def test_shipped_families_conserve_atoms_charge_and_mass(name: str) -> None:
         assert change == pytest.approx(dict.fromkeys(change, 0.0), abs=1e-3)
 
 
-# -- what the tier ``real`` knows besides ------------------------------------------------------------------------------
-
 REAL = """
 name = "mine"
 
@@ -236,8 +234,6 @@ def test_a_species_is_of_one_acid_and_dissolved(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"acid\.0: species: 'H2X' is a solid; it must be dissolved in water"):
         load_real(tmp_path, REAL, H2X="solid")
 
-
-# -- salts in water ---------------------------------------------------------------------------------------------------
 
 SOLUBLE = FAMILY.replace(
     'anion = "Cl-"', 'anion = "Cl-"\nsolubility = { solvents = { water = [[298.15, 6.1]] }, source = "made up" }'

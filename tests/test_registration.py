@@ -88,8 +88,6 @@ def test_a_registered_library_keeps_its_own_loader() -> None:
     assert run(f"import chemlab; {show}") == run(show)
 
 
-# -- a checkout works as it is: installed, installed otherwise, or not at all ----------------------------------------
-
 ROOT = Path(__file__).parent.parent
 CHECKOUT = pytest.mark.skipif(not (ROOT / "chemlab").is_dir(), reason="not a checkout")
 

@@ -76,9 +76,6 @@ def test_the_table_of_results_is_of_these_scenarios() -> None:
             assert [float(number) for number in numbers] == pytest.approx(expected, rel=0.2, abs=0.02)
 
 
-# -- what was published -----------------------------------------------------------------------------------------------
-
-
 @functools.cache
 def rows_of(name: str) -> list[Any]:
     rows: list[Any] = script("studies/physics/syntheses.py").SYNTHESES[name]()

@@ -215,8 +215,6 @@ def test_splits_that_there_are_not(name: str) -> None:
     assert Split.of(new).number == 3
 
 
-# -- scenario files ---------------------------------------------------------------------------------------------------
-
 WURTZ = "2 1-chlorohexane + 2 Na -> dodecane + 2 NaCl"
 FEED = {"of": ["slot_0"], "material": "1-chlorohexane"}
 BOTTLE = {"of": ["stock"], "material": "Na", "inert": "water"}

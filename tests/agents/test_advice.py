@@ -150,9 +150,6 @@ def test_the_episode_s_seed_is_the_teacher_s_seed_too() -> None:
     assert drawn[0] == drawn[1]
 
 
-# -- learners -------------------------------------------------------------------------------------------------
-
-
 def arguments(**more: Any) -> Any:
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.train.arguments import training_arguments

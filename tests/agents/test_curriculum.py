@@ -38,9 +38,6 @@ SMALL: dict[str, Any] = {"roles": "manager", "preset": "manager", "envs": 8, "ro
 SMALL |= {"evaluations": 2, "checkpoints": 4, "eval_episodes": 2, "final_episodes": 2}
 
 
-# -- beginning half way -----------------------------------------------------------------------------------------------
-
-
 def begun(labs: Laboratories, seed: int = 0) -> Laboratories:
     labs.begin(seed)
     return labs
@@ -138,9 +135,6 @@ def test_either_kind_of_start_is_drawn_as_often() -> None:
     assert 0.42 < paper.mean() < 0.58
 
 
-# -- as configuration -------------------------------------------------------------------------------------------------
-
-
 def test_backward_adds_a_bench_at_a_time() -> None:
     """Or stages are one's own."""
     arguments = training_arguments({"steps": 1000, "roles": "manager", "curriculum": ["backward"]})
@@ -177,9 +171,6 @@ def test_a_manager_that_stops_goes_on_in_the_same_stage(tmp_path: Path) -> None:
         train(arguments, broken.path, Stop(2))
     train(arguments, broken.path)
     assert without_times(broken) == without_times(whole)
-
-
-# -- imitation --------------------------------------------------------------------------------------------------------
 
 
 def test_a_clone_of_continuous_actions(tmp_path: Path) -> None:
@@ -250,9 +241,6 @@ def test_too_few_turns_to_imitate(tmp_path: Path) -> None:
     arguments = training_arguments({**SMALL, "bc": "scripted", "bc_steps": 1})
     refused("bc_steps", "bc_steps: no episode ended", train, arguments, tmp_path / "run")
     assert Run(tmp_path / "run").config() is None, "more turns are not refused as other arguments"
-
-
-# -- who plays --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.usefixtures("hasty")

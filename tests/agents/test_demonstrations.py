@@ -29,9 +29,6 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_episode(tmp_path_factory.mktemp("demonstrations") / "scripted.jsonl", named=True)
 
 
-# -- what is in them ------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("scenario", "policy", "more"),
     [
@@ -133,9 +130,6 @@ def test_an_unfinished_record_is_truncated(scripted: Path, tmp_path: Path) -> No
     assert [d.truncated for d in told["manager_0"]] == [True]
     assert [d.terminated for d in told["rxn_0"]] == [True]
     assert [(d.terminated, d.truncated) for d in told["ext_0"]] == [(True, False), (False, True)][: len(told["ext_0"])]
-
-
-# -- datasets -------------------------------------------------------------------------------------------------
 
 
 @pytest.fixture

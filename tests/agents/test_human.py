@@ -49,9 +49,6 @@ def advance(env: raw_env, *actions: tuple[Any, ...]) -> None:
         env.step(env.laboratories.actions.encode(*action))
 
 
-# -- typing ---------------------------------------------------------------------------------------------------
-
-
 def test_continuous_actions_as_typed() -> None:
     for typed, numbers in (
         ("t- v-", [0, 0, 0, 0, 0]),
@@ -140,9 +137,6 @@ def test_every_legal_action_can_be_typed(name: str) -> None:
         else:
             open_lists += [f"{numbers} {i}".strip() for i in range(1, len(menu.entries()) + 1)]
     assert sorted(reached) == legal
-
-
-# -- being shown ----------------------------------------------------------------------------------------------
 
 
 def test_layers_have_letters_of_their_own() -> None:

@@ -65,9 +65,6 @@ def played(scenario: Scenario, plan: Plan, seed: int = 0) -> list[tuple[str | in
     return [actions.decode(action) for action in taped.actions[0]]
 
 
-# -- searching --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.slow
 def test_the_search_finds_what_is_best_of_all_plans() -> None:
     """Where an episode has three actions, all sequences of three can be tried one by one."""
@@ -116,9 +113,6 @@ def test_bad_searches_are_refused() -> None:
         ("'omniscient'", {"benches": "omniscient", "budget": 5}),
     ):
         refused(said, said, search_plan, "wurtz_dodecane", **arguments)
-
-
-# -- playing ----------------------------------------------------------------------------------------------------------
 
 
 def test_a_plan_is_blind() -> None:
@@ -192,9 +186,6 @@ def test_a_plan_remembers_where_it_stands() -> None:
     assert act(0) == plan[0]
 
 
-# -- stored plans -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("path", EVERY_STORED, ids=lambda path: path.stem)
 def test_stored_plans_reach_what_their_files_say(path: Path) -> None:
     """Every plan that comes along fits its scenario, and is worth on some of the same seeds what it says."""
@@ -262,9 +253,6 @@ def test_the_command(tmp_path: Path) -> None:
     assert content["command"] == made
     run = json.loads(command("run", "salt_from_oil", "--policy", f"scripted,manager=plan:{file}", "--json"))
     assert run["score"] == pytest.approx(content["evaluation"]["value"], abs=0.02)
-
-
-# -- replaying --------------------------------------------------------------------------------------------------------
 
 
 def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None:

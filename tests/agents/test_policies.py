@@ -155,9 +155,6 @@ def test_a_bench_without_a_script_plays_random_legal_actions_and_says_so_once(un
     assert result.score == pytest.approx(without.score), "the manager does without it"
 
 
-# -- former names, which work for one release ----------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("given", "current"),
     [

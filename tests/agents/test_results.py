@@ -112,9 +112,6 @@ def test_variants_have_looks_of_their_own() -> None:
     assert len({str(look["linestyle"]) for look in looks[4:] if look is not looks[5]}) == 3
 
 
-# -- the command ------------------------------------------------------------------------------------------------------
-
-
 def test_the_page_of_runs(runs: Path, tmp_path: Path) -> None:
     """Also of managers; nothing is written into the runs."""
     pytest.importorskip("matplotlib")

@@ -38,9 +38,6 @@ def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[PlayedTurn, ...]],
     return tuple(zip(results, map(tuple, turns), strict=True))
 
 
-# -- careful and unsafe ----------------------------------------------------------------------------------------------
-
-
 def test_the_careful_have_no_accident() -> None:
     for result, turns in episodes("scripted"):
         assert result.safety_events == {}, f"seed {result.seed}"

@@ -35,9 +35,6 @@ def manager_batch(members: int, name: str = "wurtz_dodecane") -> ChemlabVecEnv:
     return ChemlabVecEnv(role_vector_env(members, name, autoreset_mode="SameStep"))
 
 
-# -- what it returns --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("bench", "copy"), [("rxn", True), ("ext", False), ("dit", True)])
 def test_members_are_single_environments(bench: str, copy: bool) -> None:
     venv = ChemlabVecEnv(4, bench=bench, copy=copy)
@@ -205,9 +202,6 @@ def test_batches_it_cannot_take() -> None:
     refused("masks", "show_masks: continuous", ChemlabVecEnv, 2, bench="rxn", show_masks=True)
     with pytest.raises(TypeError, match="one of chemlab's batches"):
         ChemlabVecEnv(gymnasium.make_vec("CartPole-v1", num_envs=2))
-
-
-# -- learners ---------------------------------------------------------------------------------------------------------
 
 
 def test_ppo_learns_reproducibly_and_hears_of_episodes() -> None:

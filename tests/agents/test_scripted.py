@@ -36,9 +36,6 @@ def played(scenario: str, policy: str, episodes: int, split: str = "train") -> t
     return found, dict(zip(labs.scenario.safety_events, labs.safety_totals.sum(axis=0).tolist(), strict=True))
 
 
-# -- what they reach ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", DODECANE)
 def test_dodecane_is_made_purely(name: str) -> None:
     """LABORATORY.md: the scripted manager submits at least 0.40 mol at a purity of at least 0.95."""
@@ -71,8 +68,6 @@ def test_scripted_agents_are_safe_and_clearly_better_than_chance(name: str) -> N
     assert not scripted.illegal.any()
     assert not scripted.measures["unsafe"].any()
 
-
-# -- what they see --------------------------------------------------------------------------------------------------
 
 Call = tuple[str, Any, Any, Any, Any, Any]
 

@@ -46,9 +46,6 @@ def room() -> Room:
     return Room("unlabelled", TWO, salt=SALT, seed=3)
 
 
-# -- calls ------------------------------------------------------------------------------------------------------------
-
-
 def test_arguments_are_taken_as_text_or_number(room: Room) -> None:
     reply = room.call("manager_0", "start", {"bench": "dit_0", "slot": "1", "goal": "dodecane"})
     assert not reply.error
@@ -231,9 +228,6 @@ def test_messages_are_quoted_and_counted() -> None:
     room.call("dit_0", "say", {"to": "manager_0", "text": "heiß"})
     assert 'says: "heiß"' in room.call("manager_0", "measure", {"slot": 0, "instrument": "uv_vis"}).text
     assert "say" not in [verb.name for verb in Room("unlabelled", TWO).verbs("dit_0")]
-
-
-# -- episodes ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(("scenario", "seats"), [("unlabelled", TWO), ("relay", RELAY)])
@@ -433,9 +427,6 @@ def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:
     assert call_of(call + " " * 10_000) == ("", {})
 
 
-# -- tokens -----------------------------------------------------------------------------------------------------------
-
-
 def token_table() -> dict[str, list[int]]:
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "language-agent.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if re.match(r"\| [a-z_]+ \| \d+ \|", line)]
@@ -456,9 +447,6 @@ def test_texts_of_every_scenario_are_within_their_bars() -> None:
 def test_the_page_has_the_tokens_of_the_present_texts(name: str) -> None:
     encoding = pytest.importorskip("bpe_openai", reason="needs bpe-openai (extra test)").get_encoding("o200k_base")
     assert measure(name, lambda text: len(encoding.encode(text)))[1:] == list(map(str, token_table()[name]))
-
-
-# -- tools ------------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", scenario_names())

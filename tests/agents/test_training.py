@@ -349,9 +349,6 @@ def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -
         refused("sac", message, training_arguments, {"bench": "rxn", **values})
 
 
-# -- arguments --------------------------------------------------------------------------------------------------------
-
-
 def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
     file = tmp_path / "train.toml"
     file.write_text('bench = "rxn"\npreset = "ppo-xl"\nsteps = 1e5\nseed = 4\nnet_arch = [32, 32]\n')

@@ -54,9 +54,6 @@ def test_managers_are_chosen_by_what_is_hidden() -> None:
         assert isinstance(manager, SchedulingManager) == has_orders_to_schedule(scenario) == scheduled
 
 
-# -- vessels without a label ------------------------------------------------------------------------------------------
-
-
 def test_the_vessel_that_is_chosen_is_the_right_one() -> None:
     labs, watched = played("unlabelled", "scripted", 40)
     goals = ("dodecane", "5,6-dimethyldecane", "4,5-diethyloctane")
@@ -101,9 +98,6 @@ def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
     after = manager._posterior(belief).sum(axis=2)
     assert after[0] == pytest.approx([1.0, 0.0, 0.0, 0.0])
     assert after[1:] == pytest.approx(np.tile([1 / 7, 2 / 7, 2 / 7, 2 / 7], (7, 1)))
-
-
-# -- a campaign -------------------------------------------------------------------------------------------------------
 
 
 def test_batches_are_foreseen_as_two_first_order_steps_go() -> None:
@@ -188,9 +182,6 @@ def test_policies_of_who_has_no_choice_are_refused() -> None:
         refused(name, message, make_policies, f"scripted:{name}", Laboratories(scenario))
 
 
-# -- lines that fail --------------------------------------------------------------------------------------------------
-
-
 def failing(**wear: Any) -> dict[str, Any]:
     """The shipped scenario with other benches, whose gains are as they say."""
     values = mapping("failing")
@@ -252,9 +243,6 @@ def test_repairs_and_calibrations_are_worth_their_price() -> None:
     for case in ("no repair", "no calibration"):
         gained = scores["as it is"] - scores[case]
         assert gained.mean() > 2.0 * gained.std() / 25**0.5 > 0.0, case
-
-
-# -- orders over time -------------------------------------------------------------------------------------------------
 
 
 def known_shop(name: str, orders: int, **terms: list[float]) -> dict[str, Any]:
@@ -406,9 +394,6 @@ def test_reports_decide_what_a_manager_takes_a_rate_for() -> None:
         rates = policies[0].get_memory()[0][0].rates[0]
         believed.append(float(rates @ np.arange(len(rates))))
     assert believed[0] < believed[1]
-
-
-# -- specifications ---------------------------------------------------------------------------------------------------
 
 
 def submitted(specification: dict[str, Any], **contents: float) -> Laboratories:

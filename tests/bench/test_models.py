@@ -75,9 +75,6 @@ def recipe(steps: int, size: int) -> FloatArray:
     return actions
 
 
-# -- reaction models ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
 def test_a_reaction_model_of_the_same_network_gives_the_same_amounts(scenario: str) -> None:
     """SciPy's BDF in place of the kernel, through a whole experiment: final amounts within 1e-3 (1e-3 mol + 0.1 %)."""
@@ -135,9 +132,6 @@ def test_a_reaction_model_that_returns_garbage_is_refused(kind: str, monkeypatch
     batch = begun(ExperimentBatch(modelled("wurtz_dodecane", "rxn", "inert"), "rxn"))
     with pytest.raises(PartError, match=r"benches\.rxn\.model: test_models:inert: (must|does|IndexError: )"):
         batch.act(np.array([[0.5, 0.5, 1.0, 0.0, 0.0, 1.0]]))
-
-
-# -- separation models --------------------------------------------------------------------------------------------
 
 
 class IdealSeparation:
@@ -240,9 +234,6 @@ def test_a_separation_model_that_returns_garbage_is_refused(kind: str) -> None:
     setattr(model, method, lambda *given: spoil(right(*given)))
     with pytest.raises(PartError, match=rf"benches\.ext\.model: test_models:IdealSeparation: {method}\(\): "):
         batch.act(np.array([batch.bench.action_meanings.index("add water to EV, 0.2 L")]))
-
-
-# -- what a scenario may name -------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

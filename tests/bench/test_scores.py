@@ -19,8 +19,6 @@ from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.backends import most_steps
 from chemlab.roles.operation_bench import OperationBench
 
-# -- scores of given contents -------------------------------------------------------------------------------------
-
 
 def arena_for(bench: str, goal: str, scenario: str | Scenario = "wurtz_dodecane", members: int = 1) -> ExperimentBatch:
     """A running experiment of each member, on its paper's starting state."""
@@ -133,9 +131,6 @@ def test_fictitious_penalty(goal: str, score: float) -> None:
     made = {"diethyl_ether": 4.0, "E": 0.2, "F": 0.5, "G": 0.1, "H": 0.3, "I": 0.05, "A": 0.4}
     assert measured(batch, made) == pytest.approx(score, rel=1e-14)
     assert float(batch.finish(batch.members)[0]) == pytest.approx(score, rel=1e-14)
-
-
-# -- what policies earn -------------------------------------------------------------------------------------------
 
 
 def means(bench: str, scenario: str, episodes: int, policy: str) -> dict[str, float]:

@@ -46,9 +46,6 @@ pytestmark = pytest.mark.filterwarnings(
 )
 
 
-# -- its tests --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FEATURED)
 def test_api(name: str) -> None:
     api_test(seeded(laboratory_env(name)), num_cycles=500)
@@ -93,9 +90,6 @@ def test_seeds_bombardment_and_pictures(name: str, monkeypatch: pytest.MonkeyPat
     render_test(make, custom_tests={"ansi": lambda text: all(agent in text for agent in agents)})
 
 
-# -- its tools --------------------------------------------------------------------------------------------------------
-
-
 def test_conversions() -> None:
     api_test(seeded(parallel_to_aec(parallel_env())), num_cycles=100)
     with pytest.raises(AssertionError, match="is_parallelizable"):
@@ -120,9 +114,6 @@ def test_terminating_and_asserting_wrappers_read_the_mask_from_info() -> None:
     env.reset(seed=0)
     with pytest.raises(AssertionError, match="action is not in action space"):
         env.step(10**6)
-
-
-# -- infos ------------------------------------------------------------------------------------------------------------
 
 
 def assert_flat(infos: dict[str, dict[str, Any]], shapes: dict[str, dict[str, Any]]) -> None:

@@ -63,9 +63,6 @@ def parts(observation: Any) -> tuple[Any, Any]:
     return observation, None
 
 
-# -- the environment ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("scenario", ["wurtz_two_lines", "fictitious"])
 def test_same_actions_give_the_same_observations_and_rewards(scenario: str) -> None:
     """RLlib's environment beside PettingZoo's, which plays the same script: turns, observations, masks, rewards, ends.
@@ -163,8 +160,6 @@ def test_wrong_settings_and_steps_are_named() -> None:
     refused("action", r"manager_0: .*given -1", env.step, {"manager_0": -1})
     refused("options", 'options must be a dict such as {"goal": "dodecane"}', env.reset, options=["goal"])
 
-
-# -- what RLlib makes of it -----------------------------------------------------------------------------------------
 
 TAPES: list[_Taped] = []
 

@@ -69,9 +69,6 @@ def test_wrapped_laboratories_keep_to_pettingzoos_interface_and_masks_come_throu
             assert not any(info["illegal_action"] for info in infos.values()), wrapper
 
 
-# -- all agents as one batch ------------------------------------------------------------------------------------------
-
-
 def homogeneous(name: str) -> Any:
     """All agents with one observation space and one action space."""
     return ss.pad_action_space_v0(ss.pad_observations_v0(parallel_env(name)))

@@ -45,9 +45,6 @@ def played(api: str, rollout: TensorDictBase, env: PettingZooWrapper) -> dict[st
     return counts
 
 
-# -- specs and masks --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("api", FACTORIES)
 @pytest.mark.parametrize("name", FEATURED)
 def test_specs(name: str, api: str) -> None:
@@ -74,9 +71,6 @@ def test_rollouts_play_legal_actions_only(name: str, api: str) -> None:
     # `submit` is one of many legal actions, so random episodes are short: benches are not always reached.
     assert counts[next(iter(env.group_map))] > 10
     assert sum(counts.values()) > 30
-
-
-# -- training ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

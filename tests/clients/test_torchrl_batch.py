@@ -112,9 +112,6 @@ def test_seeds_begin_the_same_episodes_again() -> None:
     assert not torch.equal(first[0], env.reset()["state"])
 
 
-# -- BenchMARL --------------------------------------------------------------------------------------------------------
-
-
 def _trained(algorithm: str, folder: Path, **config: Any) -> Any:
     """An experiment of BenchMARL after two updates at toy size."""
     reason = "BenchMARL, or the TorchRL it needs, is not installed"

@@ -34,9 +34,6 @@ def random_turn(env: raw_env, rng: np.random.Generator, submit: bool = True) -> 
     return random_legal(env.action_space(agent), mask, rng)
 
 
-# -- PettingZoo's tests of the state --------------------------------------------------------------------------------
-
-
 @pytest.mark.filterwarnings("error::UserWarning")
 @pytest.mark.parametrize("name", FEATURED)
 def test_state(name: str) -> None:
@@ -44,9 +41,6 @@ def test_state(name: str) -> None:
     check_state_space(env)
     check_state(env, 100)  # plays any action of the spaces, legal or not
     assert sum(channel.size for channel in env.unwrapped.state_channels) == env.state_space.shape[0]
-
-
-# -- turns ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FEATURED)
@@ -101,9 +95,6 @@ def check_seen(env: raw_env) -> None:
         else:
             goal = seen[channel_slices(env.laboratories.benches[number - 1].channels)["goal"]]
             assert goal.tolist() == np.eye(len(goal))[own.goal[0]].tolist()
-
-
-# -- masks ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["crude", "failing", "wurtz_two_lines"])
@@ -161,9 +152,6 @@ def test_masks_agree_with_what_actions_do(name: str) -> None:
     assert all(played[role, illegal] > 20 for role in roles for illegal in (True, False)), played
 
 
-# -- actions -----------------------------------------------------------------------------------------------------------
-
-
 def test_every_way_to_write_an_action_is_the_same_action() -> None:
     numbers, fine = [int, np.int32, np.int64, np.array], [0.5, 0.25, 0.5, 0.0, 1.0, 0.125]
     boxes = [list, tuple, np.array, lambda values: np.array(values, dtype=np.float32)]
@@ -178,9 +166,6 @@ def test_every_way_to_write_an_action_is_the_same_action() -> None:
             env.step(write(action))
             states.add(digest(env.laboratories.snapshot()))
         assert len(states) == 1, agent
-
-
-# -- rewards --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FEATURED)
@@ -210,9 +195,6 @@ def test_no_reward_is_lost(name: str) -> None:
     assert seen == pytest.approx(paid, rel=1e-12, abs=1e-12)
     assert paid == pytest.approx(scored, rel=1e-12, abs=1e-12)
     assert told == pytest.approx(scored, rel=1e-12, abs=1e-12)
-
-
-# -- endings --------------------------------------------------------------------------------------------------------
 
 
 def test_a_start_and_a_recall_keep_what_is_unread() -> None:
@@ -258,9 +240,6 @@ def test_submitting_with_the_last_action_is_a_submission() -> None:
     env = laboratory(values)
     manager(env, "submit", 0)
     assert env.laboratories.state.status[0] == CLOSED
-
-
-# -- reset, render --------------------------------------------------------------------------------------------------
 
 
 def test_a_goal_can_be_asked_for() -> None:

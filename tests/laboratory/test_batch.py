@@ -82,9 +82,6 @@ def test_idle_rows_may_be_left_as_they_were(name: str) -> None:
     assert_plays_rounds(Batched(name, 3, copy=False), name, 3, 60)
 
 
-# -- seeds and resets -----------------------------------------------------------------------------------------------
-
-
 def test_seeds_of_members_and_resets_of_some() -> None:
     batch = BatchedLaboratory(4, "wurtz_any")
     seen, _ = batch.reset(seed=[7, 3, 7, 5])
@@ -108,9 +105,6 @@ def test_seeds_of_members_and_resets_of_some() -> None:
     other = BatchedLaboratory(6, "wurtz_any")
     other.reset()
     assert len(set(other.laboratories.state.stream[:, 0].tolist())) == 6
-
-
-# -- actions --------------------------------------------------------------------------------------------------------
 
 
 def mixed() -> tuple[BatchedLaboratory, dict[str, npt.NDArray[Any]]]:
@@ -182,9 +176,6 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
     for agent, rows in (*(("rxn_0", rows) for rows in boxes), *(("ext_0", rows) for rows in whole)):
         batch, actions = mixed()
         assert after(batch, {**actions, agent: rows}) == expected
-
-
-# -- the parallel environment ---------------------------------------------------------------------------------------
 
 
 class Parallel:

@@ -73,9 +73,6 @@ def test_every_bench_kind_is_registered() -> None:
         assert isinstance(spec.vector_entry_point, str)
 
 
-# -- spaces, seeds ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", IDS)
 def test_spaces_are_the_laboratory_s(name: str) -> None:
     arguments = gymnasium.spec(name).kwargs
@@ -127,9 +124,6 @@ def test_a_seed_is_an_experiment_and_a_first_reset_without_one_draws_it() -> Non
         assert len(seen) == (8 if first is None else 7), "members without a seed get one each"
 
 
-# -- copies and states ------------------------------------------------------------------------------------------------
-
-
 def test_a_state_of_another_environment_changes_nothing() -> None:
     """Another bench's, one with an array less or more, a shorter one, one of other numbers; of batches and of
     laboratories, too."""
@@ -149,9 +143,6 @@ def test_a_state_of_another_environment_changes_nothing() -> None:
             assert_same_arrays(take(), state)
         put(state)
     more.close()
-
-
-# -- batches ----------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -253,9 +244,6 @@ def test_returned_arrays_are_copies_unless_asked_otherwise(name: str) -> None:
     assert not np.array_equal(first, overwritten)
 
 
-# -- masks, goals, rewards --------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", KINDS)
 def test_goals_can_be_chosen(name: str) -> None:
     """Those of all episodes, or the one of the next."""
@@ -310,9 +298,6 @@ def test_a_step_after_the_end_is_refused(name: str) -> None:
     assert_same_arrays(env.get_state(), before)
     env.reset()
     env.step(action)
-
-
-# -- the generic id, starting states, rendering -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -78,8 +78,6 @@ def test_the_seed_moves_the_camera_and_not_only_the_policy() -> None:
     assert hidden[0] == hidden[1] == hidden[2]
 
 
-# -- series of episodes ---------------------------------------------------------------------------------------------
-
 EPISODES = 4
 WORLDLY = ("wurtz_any", "alike")
 """Scenarios whose goals and, in the second, whose hidden parameters are drawn."""

@@ -156,9 +156,6 @@ def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str)
     assert episodes > 0 or (background == "scripted" and agent == "manager_0")
 
 
-# -- ends -----------------------------------------------------------------------------------------------------------
-
-
 def test_every_interface_says_that_a_limit_terminates() -> None:
     """A limit is observed and nothing follows it: a learner must not add the value of what would follow."""
     values = mapping(WURTZ)
@@ -195,9 +192,6 @@ def test_every_interface_says_that_a_limit_terminates() -> None:
     assert set(ends) == {(True, False)}
 
 
-# -- batches --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("background", ["scripted", "random"])
 @pytest.mark.parametrize(
     ("name", "agent", "mode"), [(*case, mode) for case, mode in zip(MEMBERS, AutoresetMode, strict=True)]
@@ -214,9 +208,6 @@ def test_members_are_single_environments(name: str, agent: str, background: str,
 
     ends = assert_is_singles(batch, singles, 70, act, 60)
     assert ends > 0 or background == "scripted" or agent != "manager_0"
-
-
-# -- what may play in the background ----------------------------------------------------------------------------------
 
 
 def anything(observation: Any, mask: Any) -> Any:
@@ -321,9 +312,6 @@ def test_an_agent_that_never_has_a_turn_is_named() -> None:
         env.reset(seed=0)
     with pytest.raises(ResetNeeded):
         env.step(np.full(6, 0.5))
-
-
-# -- Gymnasium's interface ------------------------------------------------------------------------------------------
 
 
 def test_render_and_meanings() -> None:

@@ -113,9 +113,6 @@ def test_hplc_sees_what_dissolves(physics: str) -> None:
     assert dict(zip(dry.labels, dry.values, strict=True))["hexane"] == 1.0
 
 
-# -- in a laboratory --------------------------------------------------------------------------------------------------
-
-
 def measured(name: str, spec: dict[str, Any], count: int = 1, seed: int = 0) -> Any:
     """The first values that an instrument of wurtz_dodecane's first vessel reads, from 0 to 1."""
     values = mapping("wurtz_dodecane") | {"instruments": {name: {"kind": "balance", **spec}}}

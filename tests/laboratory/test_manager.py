@@ -38,9 +38,6 @@ def occupied(env: raw_env) -> list[int]:
     return [s for s in range(env.scenario.shelf.slots) if seen(env, f"slot_{s}_occupied")[0] == 1.0]
 
 
-# -- the action table -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FEATURED)
 def test_every_action_has_one_number_and_one_meaning(name: str) -> None:
     scenario = load_scenario(name)
@@ -73,9 +70,6 @@ def test_an_action_that_does_not_exist_is_refused() -> None:
         (("discard", -1), "-1"),
     ):
         refused(str(action), f"manager action.*{part}", actions.encode, *action)
-
-
-# -- starting and returning -----------------------------------------------------------------------------------------
 
 
 def test_starting_reserves_slots_and_is_masked_without_them() -> None:
@@ -195,9 +189,6 @@ def test_a_recalled_experiment_pays_for_what_it_lost() -> None:
     assert env.agent_selection == "manager_0"
 
 
-# -- measuring ------------------------------------------------------------------------------------------------------
-
-
 def test_what_the_instruments_read() -> None:
     contents = {"water": 5.0, "diethyl_ether": 4.0, "dodecane": 1.0}
     values = mapping(WURTZ)
@@ -257,9 +248,6 @@ def test_measuring_ends_with_the_budget() -> None:
     manager(env, "measure", 0, "balance")  # 0.0005
     manager(env, "measure", 0, "balance")
     assert not any(allowed(env, "measure", slot, name) for slot in (0, 1) for name in values["instruments"])
-
-
-# -- stock, waste, costs --------------------------------------------------------------------------------------------
 
 
 def test_stock_is_finite_and_shared() -> None:
@@ -361,9 +349,6 @@ def test_dissolved_salt_counts_as_salt_and_nothing_as_nothing() -> None:
         # Two pairs of ions are 2 mol of salt in 8 mol, of at most 1.
         assert env.rewards["manager_0"] == pytest.approx(paid, rel=1e-12)
         assert env.infos["manager_0"]["purity"] == pytest.approx([purity], rel=1e-12)
-
-
-# -- what the manager may not see -----------------------------------------------------------------------------------
 
 
 def test_the_outside_of_a_vessel_is_what_it_is() -> None:

@@ -67,9 +67,6 @@ def play(labs: Laboratories, rng: np.random.Generator, measure: bool = True) -> 
     return number
 
 
-# -- the manager ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", FEATURED)
 def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None:
     """In the middle of random play, with benches at work: exchange everything that is hidden; nothing changes."""
@@ -106,9 +103,6 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
         np.testing.assert_equal(labs.mask(0, labs.members), mask)
         labs.restore(before)
     assert worked > 10
-
-
-# -- benches --------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", ["failing", "wurtz_two_lines"])
@@ -149,9 +143,6 @@ def test_benches_see_nothing_but_their_own(name: str) -> None:
             np.testing.assert_equal(labs.mask(b + 1, labs.members), mask)
             labs.restore(before)
     assert (looked > 0).all()
-
-
-# -- readings -------------------------------------------------------------------------------------------------------
 
 
 def reading(env: raw_env, slot: int, instrument: str) -> tuple[npt.NDArray[np.float32], float]:
@@ -206,9 +197,6 @@ def test_a_reading_goes_when_its_vessel_goes_to_a_bench(way: str) -> None:
         assert age == 1.0
         assert not values.any()
         np.testing.assert_array_equal(reading(env, 1, instrument)[0], shown)
-
-
-# -- readings that the manager's observation has ---------------------------------------------------------------------
 
 
 def test_readings_that_are_left_out_change_nothing_else() -> None:

@@ -44,9 +44,6 @@ def atoms(env: raw_env) -> Any:
     return element_matrix(env.scenario) @ (labs.shelf.total()[0] + labs.state.delivered[0])
 
 
-# -- submitting -----------------------------------------------------------------------------------------------------
-
-
 def test_each_submission_is_paid_when_it_is_made_and_costs_at_the_end() -> None:
     env = laboratory(LINES)
     labs, scenario = env.laboratories, env.scenario
@@ -152,9 +149,6 @@ def test_random_play_with_orders() -> None:
     assert max(filled) == 2
 
 
-# -- goals ----------------------------------------------------------------------------------------------------------
-
-
 def test_goals_of_orders_are_drawn_apart() -> None:
     """Uniformly and independently, in the first episodes of seeds and in the next; asked-for goals are all orders'."""
     env = laboratory(LINES)
@@ -170,9 +164,6 @@ def test_goals_of_orders_are_drawn_apart() -> None:
     assert (((counts - expected) ** 2 / expected).sum(axis=(1, 2)) < 80.0).all()
     env.reset(seed=0, options={"goal": choices[3]})
     assert goals(env) == [choices[3]] * 2
-
-
-# -- two lines at once ------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
@@ -195,9 +186,6 @@ def test_the_scripted_manager_keeps_both_lines_busy() -> None:
             # Its own product, and not the other line's, or what was distilled off.
             assert order["submitted_mol"] > 0.15, f"seed {seed}"
             assert order["purity"] > 0.9, f"seed {seed}"
-
-
-# -- who is paid what -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", [LINES, "wurtz_safe"])

@@ -23,7 +23,6 @@ from chemlab.laboratory import parallel_env, raw_env
 
 WURTZ = "wurtz_dodecane"
 
-# -- actions --------------------------------------------------------------------------------------------------------
 
 WRONG_NUMBERS: list[Any] = [-1, None, "0", b"0", 0.0, 1.5, float("nan"), True, np.True_, np.float32(0.0)]
 WRONG_NUMBERS += [np.array([0, 1]), np.array([0]), np.array(True), [0], {}, [], object(), 10**400, 1j]
@@ -161,8 +160,6 @@ def test_a_dead_agent_has_one_action_and_none_has_a_turn_without_an_episode() ->
         for call in (env.last, env.action_masks, stepped):
             refused(str(call), r"the episode is over \(or has not begun\): call reset\(\)", call)
 
-
-# -- resets ---------------------------------------------------------------------------------------------------------
 
 ONE: dict[str, Callable[[str], Any]] = {
     "AEC": raw_env,

@@ -52,9 +52,6 @@ def begun(spec: Scenario, members: int = 1, seed: int = 0, **world: Any) -> Labo
     return labs
 
 
-# -- benches ----------------------------------------------------------------------------------------------------------
-
-
 def first_isomer(labs: Laboratories, slot: int = 0) -> float:
     return float(labs.shelf.amounts[0, slot, labs.shelf.layout.index("1-chlorohexane")])
 
@@ -192,9 +189,6 @@ def test_single_benches_wear_and_break_too() -> None:
     assert len(set(lengths)) > 2
 
 
-# -- instruments ------------------------------------------------------------------------------------------------------
-
-
 def readings(labs: Laboratories) -> Any:
     labs.act(0, labs.members, np.full(len(labs.members), labs.actions.encode("measure", 0, GC)))
     return labs.state.reading[:, 0].copy()
@@ -238,8 +232,6 @@ def test_a_trend_goes_on_from_the_last_calibration() -> None:
     seen = labs.observe(0, labs.members)[0, sum(sizes[:at])]
     assert seen == pytest.approx(20 / spec.limits.ticks)
 
-
-# -- worlds -----------------------------------------------------------------------------------------------------------
 
 DRAWS: dict[str, dict[str, Any]] = {
     "gain": {

@@ -87,9 +87,6 @@ def worlds(env: Any, member: int = 0) -> tuple[int, dict[str, Any]]:
     return owner.worlds.number(member), owner.worlds.values(member)
 
 
-# -- the same world everywhere ----------------------------------------------------------------------------------------
-
-
 def test_a_world_disturbs_no_other_stream() -> None:
     """With amounts that come out as the file has them anyway, episodes are equal however many numbers are drawn."""
     same = {"kind": "choice", "options": [1.0]}
@@ -114,9 +111,6 @@ def test_splits_have_worlds_of_their_own() -> None:
     assert titres["test"] < 0.5 < titres["train"]
     with pytest.raises(ValueError, match="split: must be train"):
         Laboratories(scenario(), split="dev")
-
-
-# -- what a world does ------------------------------------------------------------------------------------------------
 
 
 def test_what_is_drawn_is_in_vessels_and_parameters() -> None:
@@ -210,9 +204,6 @@ def test_a_world_can_be_asked_for() -> None:
     assert [worlds(batch, member) for member in range(3)] == [(number, values)] * 3
 
 
-# -- what agents see --------------------------------------------------------------------------------------------------
-
-
 def test_two_worlds_look_equal_until_something_physical_differs() -> None:
     """All agents' observations and masks are the same in every world until somebody looks inside a vessel, or something
     happens in one."""
@@ -238,9 +229,6 @@ def test_two_worlds_look_equal_until_something_physical_differs() -> None:
     # A measurement does.
     labs.act(0, labs.members, np.full(40, labs.actions.encode("measure", 0, "gas_chromatograph")))
     assert len(set(seen())) == 40
-
-
-# -- numbers of either sign -------------------------------------------------------------------------------------------
 
 
 def estimated(distribution: dict[str, Any]) -> Scenario:

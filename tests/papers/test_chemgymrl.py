@@ -117,9 +117,6 @@ def full(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-# -- reading ----------------------------------------------------------------------------------------------------------
-
-
 def test_runs_find_their_cells(tmp_path: Path) -> None:
     """The paper's have its starting states; of runs that differ in more than the seed most count, as everywhere."""
     for seed in (0, 1):
@@ -133,9 +130,6 @@ def test_runs_find_their_cells(tmp_path: Path) -> None:
     assert [line.partition(":")[0] for line in sorted(results.left_out)] == [
         f"b/wurtz_rxn/{label}/seed-0" for label in ("a2c", "ppo")
     ]
-
-
-# -- drawing ----------------------------------------------------------------------------------------------------------
 
 
 def drawn(folder: Path, stem: str) -> Any:
@@ -225,9 +219,6 @@ def _is_drawn(text: Any, figure: Any) -> bool:
             if text is axis.get_offset_text():
                 return bool(text.get_text())
     return True
-
-
-# -- tables -----------------------------------------------------------------------------------------------------------
 
 
 def findings(results: Results) -> dict[tuple[int, str], Finding]:
@@ -347,9 +338,6 @@ def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
     refused("traces", r"traces\.csv: has the columns", read_results, tmp_path)
 
 
-# -- all of it --------------------------------------------------------------------------------------------------------
-
-
 def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:
     """An empty folder, and one with a single run; pictures of earlier results go."""
     source, target = tmp_path / "results", tmp_path / "figures"
@@ -408,9 +396,6 @@ def test_a_real_run_from_training_to_the_tables(tmp_path: Path, monkeypatch: pyt
     assert results.traces["wurtz_dit"]["dqn"] == before
     assert results.scripted_mean("wurtz_rxn") == pytest.approx(0.626, abs=6e-4)
     assert [run.name for run in read_runs(tmp_path / "laboratory")] == ["lab/seed-0"]
-
-
-# -- what is published ------------------------------------------------------------------------------------------------
 
 
 def without_intervals(text: str) -> str:

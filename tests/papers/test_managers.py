@@ -60,9 +60,6 @@ def rows_of(page: Path) -> dict[tuple[str, str], list[str]]:
     return {(row[0], row[1]): row[2:] for row in rows if row[0] != "benches"}
 
 
-# -- which runs -------------------------------------------------------------------------------------------------------
-
-
 def labels(folder: Path) -> dict[tuple[str, str], list[int]]:
     """{(background, label): seeds} of a folder's managers."""
     groups = managers._groups(read_runs(folder))
@@ -99,9 +96,6 @@ def test_without_managers_nothing_is_written(tmp_path: Path) -> None:
     assert not (tables / "managers.csv").exists()
     assert write_laboratory(source, out) == (None, [])
     assert not out.exists()
-
-
-# -- the page ---------------------------------------------------------------------------------------------------------
 
 
 def test_intervals_are_over_seeds(tmp_path: Path) -> None:
@@ -149,9 +143,6 @@ def test_runs_that_have_not_been_played_are_said(tmp_path: Path) -> None:
     assert "![laboratory_curves](laboratory_curves.png)" in page
     files = {"laboratory.md", "laboratory_curves.png", "laboratory_curves.svg"}
     assert {path.name for path in out.iterdir()} == files
-
-
-# -- playing ----------------------------------------------------------------------------------------------------------
 
 
 def test_what_measuring_costs_and_how_often_a_manager_acts() -> None:

@@ -47,9 +47,6 @@ def channel(laboratories: Laboratories, agent: int, name: str, member: int = 0) 
     return np.asarray(seen[channel_slices(laboratories.roles[agent].channels)[name]])
 
 
-# -- what each part says, worked out by hand ----------------------------------------------------------------------
-
-
 def test_the_instrument_reads() -> None:
     env = raw_env(FILE, render_mode="ansi")
     env.reset(seed=0)
@@ -152,9 +149,6 @@ def test_a_kernel_is_the_same_operation(tmp_path: Path) -> None:
         np.testing.assert_array_equal(plain.batch.shelf.rows, compiled.batch.shelf.rows)
 
 
-# -- other processes ----------------------------------------------------------------------------------------------
-
-
 def test_another_process_finds_the_files(tmp_path: Path) -> None:
     """One that has never seen the scenario, and runs elsewhere."""
     env = RoleEnv(FILE, bench="fil"), RoleEnv(FILE, bench="ext")
@@ -165,8 +159,6 @@ def test_another_process_finds_the_files(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == str([float(each.step(0)[1]) for each in env])
 
-
-# -- mistakes -----------------------------------------------------------------------------------------------------
 
 MISTAKES = """
 from dataclasses import replace as _replace

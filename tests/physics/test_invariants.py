@@ -31,9 +31,6 @@ RUNNING = 0
 TURNS = 20_000
 
 
-# -- random agents in laboratories --------------------------------------------------------------------------------
-
-
 def check_shelf(shelf: Shelf, swelling: float = 1e-6) -> None:
     """Amounts, temperatures, clocks, pressures and dissolved amounts of every vessel of every laboratory."""
     for array in (shelf.vessels, shelf.stock, shelf.waste):
@@ -150,9 +147,6 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
     assert laboratories.state.ticks.max() > 0
 
 
-# -- extremes ------------------------------------------------------------------------------------------------------
-
-
 def extreme(name: str) -> Scenario:
     """A shipped scenario with apparatus as extreme as files may have it, in thin air, and instruments all of noise."""
     values, benches = mapping(name), {}
@@ -246,8 +240,6 @@ def test_pictures_are_of_the_vessels_as_they_are(bench: str) -> None:
             assert (layers[: len(names) + 1] == glass.layers[: len(names) + 1]).all()
             np.testing.assert_allclose(shares[: len(names)], fresh, rtol=0.0, atol=1e-9)
 
-
-# -- two vessels in any order of operations -----------------------------------------------------------------------
 
 ADDED = ["water", "diethyl_ether", "hexane", "ethyl_acetate", "dodecane", "1-chlorohexane", "Na", "NaCl", "NaOH"]
 

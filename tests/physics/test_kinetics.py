@@ -92,9 +92,6 @@ def scipy_amounts(
     return np.asarray(solution.y[:, -1] * volume_l)
 
 
-# -- closed forms -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("tolerance", "allowed"), [(DEFAULT, 5e-3), ((1e-7, 1e-10), 1e-6)])
 def test_very_long_tick_ends_at_equilibrium(tolerance: tuple[float, float], allowed: float) -> None:
     """2 A + 2 B <-> C at k = 1e4 for a time of 1: a step that long overflows, yet rest is where rates balance."""
@@ -104,9 +101,6 @@ def test_very_long_tick_ends_at_equilibrium(tolerance: tuple[float, float], allo
     assert run(scheme, [1.0, 1.0, 0.0], 0.2, 1.0, tolerance) == pytest.approx([a, a, (1.0 - a) / 2.0], abs=allowed)
 
 
-# -- Arrhenius ----------------------------------------------------------------------------------------------------
-
-
 def test_nothing_reacts_without_liquid_time_or_reactant() -> None:
     """No volume, no time, or a missing reactant: the amounts stay as they were, bit for bit."""
     scheme = Scheme.of([({0: 1, 1: 1}, {2: 1}, 5.0, 0.0)], 3)
@@ -114,9 +108,6 @@ def test_nothing_reacts_without_liquid_time_or_reactant() -> None:
     assert (run(scheme, start, 0.0, 1.0) == start).all()
     assert (run(scheme, start, 0.5, 0.0) == start).all()
     assert (run(scheme, [0.3, 0.0, 0.1], 0.5, 1.0) == [0.3, 0.0, 0.1]).all()
-
-
-# -- random networks ----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -177,8 +168,6 @@ def test_robertson_like_network_agrees_with_an_implicit_solver() -> None:
     assert run(scheme, [1.0, 0.0, 0.0], 1.0, 5.0, (1e-7, 1e-10)) == pytest.approx(reference, abs=1e-6)
 
 
-# -- the Wurtz facts ----------------------------------------------------------------------------------------------
-
 CHLORIDES = ("1-chlorohexane", "2-chlorohexane", "3-chlorohexane")
 
 
@@ -210,9 +199,6 @@ def test_the_facts_that_pin_the_wurtz_constants() -> None:
     assert (3 * symmetric + 3 * mixed + salt) / 7 == pytest.approx(0.605, abs=1e-3)
     # Two moles of salt for each mole of product: the six products together are half the salt.
     assert (salt / 2 + salt) / 7 == pytest.approx(0.445, abs=1e-3)
-
-
-# -- reactants that are used up ----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("power", [3, 6, 9, 12, 13, 14, 16, 20])

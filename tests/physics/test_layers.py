@@ -183,9 +183,6 @@ def test_layers_part_with_the_designs_slope(contents: dict[str, float], since_mi
     assert compared > 10 * len(fluids)
 
 
-# -- the camera ---------------------------------------------------------------------------------------------------
-
-
 def pictures(glass: Glassware, seed: int, number: int) -> FloatArray:
     """[number, pixels] of the vessel, one after the other from one stream."""
     glass.profile(0)

@@ -34,9 +34,6 @@ def where(glass: Glassware, position: int, solute: str, solvents: tuple[str, ...
     return [glass.in_solvent(position, solute, name) for name in solvents]
 
 
-# -- closed forms -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("solute", ["Na+", "dodecane"])
 def test_four_solvents_at_rest_follow_the_formula(solute: str) -> None:
     """Settled and mixed, four solvents hold what S*_L says."""
@@ -91,8 +88,6 @@ def test_vessel_as_filled_holds_the_settled_distribution() -> None:
     expected = [0.2 * rest["water"], 0.2 * rest["diethyl_ether"]]
     assert where(FOUR, 0, "dodecane", SOLVENTS[:2]) == pytest.approx(expected, rel=1e-9)
 
-
-# -- the three-case update ----------------------------------------------------------------------------------------
 
 PAIR = {"water": 6.0, "hexane": 3.0}
 
@@ -150,9 +145,6 @@ def test_what_would_be_negative_is_clipped_and_the_rest_scaled() -> None:
     FOUR.turn(0, 0.5)
     assert star(FOUR, PAIR, "dodecane", T_MIX + 0.51)["water"] < star(FOUR, PAIR, "dodecane", before)["water"]
     assert where(FOUR, 0, "dodecane", ("water", "hexane")) == [0.0, pytest.approx(0.2, rel=1e-15)]
-
-
-# -- conservation -------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("trace", [5e-324, 1e-311, 1e-200])

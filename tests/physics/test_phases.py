@@ -53,9 +53,6 @@ def settled(contents: dict[str, float], capacity: float = 5.0) -> dict[str, floa
     return {name: GLASS.amount(0, name) for name in IONIC}
 
 
-# -- the equilibrium ----------------------------------------------------------------------------------------------
-
-
 small = st.floats(0.01, 3.0)
 
 
@@ -113,9 +110,6 @@ def test_nothing_happens_to_an_empty_vessel_or_to_oil() -> None:
     assert (GLASS.events == 0.0).all()
 
 
-# -- metal in water -----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("metal", "water", "reacted"), [(0.4, 5.0, 0.4), (1.0 / 3.0, 7.0, 1.0 / 3.0), (2.0, 0.5, 0.5), (1.0, 1.0, 1.0)]
 )
@@ -137,8 +131,6 @@ def test_metal_in_water_reacts_until_one_is_gone(metal: float, water: float, rea
     np.testing.assert_allclose(glass.atoms(), before, rtol=1e-12, atol=1e-12)
     assert glass.waste.sum() == glass.waste[glass.index("H2")]
 
-
-# -- other violent reactions, and gases ----------------------------------------------------------------------------
 
 NEUTRAL = """
 name = "neutral"

@@ -94,8 +94,6 @@ class Glass:
         return float(made[0]), float(made[1])
 
 
-# -- distillation -----------------------------------------------------------------------------------------------------
-
 CHARGES = {
     "ether, dodecane": ({"diethyl_ether": 4.0, "dodecane": 0.45}, "dodecane"),
     "ether, 1-chlorohexane, dodecane": ({"diethyl_ether": 4.0, "1-chlorohexane": 0.5, "dodecane": 0.25}, "dodecane"),
@@ -134,9 +132,6 @@ def test_a_column_at_high_reflux_separates_as_fenske_says(stages: int) -> None:
     materials, kelvin = glass.scenario.materials, glass.rows[0, TEMPERATURE]
     alpha = pascal(materials, "3-chlorohexane", kelvin) / pascal(materials, "1-chlorohexane", kelvin)
     assert np.log(over) == pytest.approx(stages * np.log(alpha), rel=0.05)
-
-
-# -- azeotropes, vapours with dimers ----------------------------------------------------------------------------------
 
 
 def over(glass: Glass, contents: dict[str, float]) -> tuple[float, float]:
@@ -221,9 +216,6 @@ def test_a_column_knows_dimers_too() -> None:
     assert found == pytest.approx(second, abs=0.01)
 
 
-# -- next to nothing ---------------------------------------------------------------------------------------------------
-
-
 def test_traces_that_flash_do_not_cool_a_vessel_beyond_reason() -> None:
     """What a vessel is emptied to has no heat to evaporate with: it was at -11,819 K. Flashing ends at the boiling
     point, at 160 K at least; and standing in a room, such a vessel is as warm as that."""
@@ -290,9 +282,6 @@ def test_a_column_holds_back_what_never_evaporates() -> None:
     assert glass.mol(1, "acetylsalicylic_acid") < 1e-9
 
 
-# -- liquids and solids ----------------------------------------------------------------------------------------------
-
-
 def test_what_water_dissolves() -> None:
     glass = Glass("water", "diethyl_ether", "NaCl", "1-chlorohexane", "dodecane")
     glass.fill(0, {"water": 1000.0 / 18.01528, "NaCl": 20.0})
@@ -340,9 +329,6 @@ def test_molecules_have_one_activity_in_both_phases() -> None:
         x /= x.sum()
         activities.append(np.log(x) + log_activity_coefficients(x, table.tau(kelvin), table.alpha))
     np.testing.assert_allclose(activities[0], activities[1], atol=1e-5)
-
-
-# -- everything at once ----------------------------------------------------------------------------------------------
 
 
 def test_random_operations_keep_atoms_and_energy() -> None:

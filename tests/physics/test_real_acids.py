@@ -129,8 +129,6 @@ def read(row: FloatArray, chem: Any) -> float:
     return ph(row, chem)
 
 
-# -- the pH scale ----------------------------------------------------------------------------------------------------
-
 # mol/kg of each species of the acid, from the most acidic one on, and the pH at 25 and 37 °C: Buck et al., Pure Appl.
 # Chem. 74 (2002) 2169.
 BUFFERS: dict[str, tuple[str, int, Sequence[float], float, float | None]] = {
@@ -168,9 +166,6 @@ def test_strong_acid_strong_base_and_water() -> None:
         expected = 0.5 * (WATER_PK - WATER_HEAT / (math.log(10.0) * GAS_CONSTANT) * (1.0 / ROOM - 1.0 / temperature))
         assert Solutions().ph({}, temperature) == pytest.approx(expected, abs=1e-3)
     assert Solutions(debye=0.0).ph({}) == pytest.approx(0.5 * WATER_PK, abs=1e-6)
-
-
-# -- closed forms, all activity coefficients 1 -----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("pk", [-3.0, 2.0, 4.756, 9.0])
@@ -215,9 +210,6 @@ def test_activities_obey_the_law_of_mass_action() -> None:
         assert -read(row, solutions.table.handle) == pytest.approx(math.log10(mol[PROTON]) + log_gamma, abs=1e-3)
         expected = 10.0 ** (-4.756 - 2.0 * log_gamma)
         assert mol[PROTON] * mol[4] / mol[3] == pytest.approx(expected, rel=2e-3)
-
-
-# -- what is conserved, refused, left alone --------------------------------------------------------------------------
 
 
 @given(st.integers(0, 2**32 - 1))

@@ -74,9 +74,6 @@ def litres(name: str, mol: float) -> float:
     return mol * MATERIALS[name].molar_mass_g_mol / (1000.0 * MATERIALS[name].density_kg_l)
 
 
-# -- saturation -------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("solute", "solvent", "kelvin"),
     [
@@ -173,9 +170,6 @@ def test_crystals_grow_at_the_scenarios_rate() -> None:
     assert left == pytest.approx(expected, rel=0.02)
 
 
-# -- filter and wash --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("share", [1.0, 0.4])
 def test_a_filter_keeps_solids_and_some_liquor(share: float) -> None:
     glass = insulated(*CRUDE)
@@ -219,9 +213,6 @@ def test_a_wash_thins_the_liquor_in_the_cake() -> None:
         expected *= 0.4 * litres("silica", 5.0) / wet
         assert glass.mol(0, "Na+") == pytest.approx(expected, rel=1e-9)
     assert expected < 0.02 * 0.1
-
-
-# -- drying -----------------------------------------------------------------------------------------------------------
 
 
 def test_a_mixture_dries_as_integrated_by_scipy() -> None:
@@ -312,9 +303,6 @@ def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
     laws.dry(row, 1e6, chem, waste)
     assert row[AMOUNTS + names.index("diethyl_ether")] < 1e-9
     assert row[AMOUNTS + names.index("Na")] == 0.5
-
-
-# -- balances ---------------------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -55,9 +55,6 @@ def litre(species: int, amounts: Sequence[float]) -> dict[str, FloatArray]:
     return {"molar_volume": np.full(species, 1.0 / sum(amounts))}
 
 
-# -- closed forms ----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("tolerance", "allowed"), [(USUAL, 2e-3), (TIGHT, 1e-7)])
 def test_first_order_decay_is_exponential(tolerance: tuple[float, float], allowed: float) -> None:
     table = network([{"reactants": {0: 1}, "products": {1: 1}, "k": 2.0}], 2)
@@ -153,9 +150,6 @@ def test_a_surface_is_used_up_in_time(order: float, time: float) -> None:
     assert found.sum() == pytest.approx(1.0, rel=1e-12)
 
 
-# -- heat ------------------------------------------------------------------------------------------------------------
-
-
 def test_the_adiabatic_rise_is_the_heat_over_the_heat_capacity_of_the_products() -> None:
     """A + B -> C, 80 kJ/mol: 0.4 mol of it in 5.6 mol of something else."""
     k = 1e3 * np.exp(20e3 / (GAS_CONSTANT * ROOM))
@@ -200,9 +194,6 @@ def test_enthalpy_and_temperature_are_each_others_inverse() -> None:
     assert enthalpy_of(row, table.handle) == pytest.approx(expected, rel=1e-14)
     give_enthalpy(row, expected + 3360.0, table.handle)
     assert row[TEMPERATURE] == pytest.approx(330.0, rel=1e-13)
-
-
-# -- Cantera ---------------------------------------------------------------------------------------------------------
 
 
 class Problem(NamedTuple):
@@ -333,9 +324,6 @@ def test_the_robertson_problem_agrees_with_an_implicit_solver() -> None:
         np.testing.assert_allclose(done.amounts, expected, rtol=5e-3, atol=1e-6)
         done = run(network(steps, 3), [1.0, 0.0, 0.0], t, tolerance=(1e-7, 1e-13))
         np.testing.assert_allclose(done.amounts, expected, rtol=2e-6)
-
-
-# -- what is conserved, refused, left alone --------------------------------------------------------------------------
 
 
 @given(st.integers(0, 2**32 - 1), st.sampled_from([USUAL, (1e-1, 1e-2), (1e-5, 1e-8)]))

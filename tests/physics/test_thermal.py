@@ -28,9 +28,6 @@ def open_air(glass: Glassware, position: int) -> float:
     return ATMOSPHERE * headspace / (R * row[TEMPERATURE]) * glass.scenario.materials["air"].heat_capacity_j_mol_k
 
 
-# -- boiling by hand ----------------------------------------------------------------------------------------------
-
-
 def still(contents: dict[str, float], capacity: float = 1.2, temperature: float = ROOM) -> Glassware:
     """A distillation vessel and an empty receiver."""
     glass = Glassware("wurtz_dodecane", 2)
@@ -101,8 +98,6 @@ def test_receiver_that_is_full_spills() -> None:
     assert glass.shelf.total()[0, glass.index("diethyl_ether")] == pytest.approx(4.0, rel=1e-14)
 
 
-# -- energy balance -----------------------------------------------------------------------------------------------
-
 LIQUIDS = ["water", "diethyl_ether", "1-chlorohexane", "dodecane", "4,5-diethyloctane"]
 contents = st.dictionaries(st.sampled_from([*LIQUIDS, "NaCl", "Na", "Na+"]), st.floats(1e-4, 3.0), max_size=6)
 
@@ -138,9 +133,6 @@ def test_energy_balance_closes(
         assert min(0.0, joules) - 1e-9 * scale <= taken <= max(0.0, joules) + 1e-9 * scale
     np.testing.assert_allclose(glass.shelf.total()[0], total, rtol=1e-12, atol=1e-15)
     assert min(glass.amounts(0).min(), glass.amounts(1).min(), glass.rows[:, TEMPERATURE].min()) >= 0.0
-
-
-# -- limits and events --------------------------------------------------------------------------------------------
 
 
 def test_cooling_stops_at_the_coolant() -> None:
@@ -209,9 +201,6 @@ def test_nothing_gets_hotter_than_the_mantle() -> None:
     assert hot.rows[0, TEMPERATURE] == 470.0  # a mantle that is colder takes nothing away
 
 
-# -- pressure -----------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", LIQUIDS)
 def test_vapor_pressure_of_a_pure_liquid(name: str) -> None:
     """101.325 kPa at the normal boiling point, and ln(p2 / p1) = -dHvap/R (1/T2 - 1/T1)."""
@@ -263,9 +252,6 @@ def test_pressure_is_air_plus_vapor() -> None:
     brim = glass.fill(0, {"water": 1.0 / molar_volume(glass.scenario, "water")}, 1.0)
     brim[AIR] = 0.01
     assert np.isfinite(pressure(brim, glass.chem))
-
-
-# -- the relief valve ---------------------------------------------------------------------------------------------
 
 
 def sealed(contents: dict[str, float], temperature: float, capacity: float) -> Glassware:

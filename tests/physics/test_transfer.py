@@ -29,9 +29,6 @@ def glass_with(first: dict[str, float], second: dict[str, float], capacity: floa
     return glass
 
 
-# -- volumes ------------------------------------------------------------------------------------------------------
-
-
 def test_volumes_are_mass_over_density() -> None:
     """Everything, the solids, and the rest: litres from the data files' densities; gases count not."""
     glass = Glassware("wurtz_dodecane", 1)
@@ -42,9 +39,6 @@ def test_volumes_are_mass_over_density() -> None:
     assert solid_volume(row, glass.chem) == pytest.approx(solids, rel=1e-14)
     assert liquid_volume(row, glass.chem) == pytest.approx(liquids, rel=1e-12)
     assert volume(row, glass.chem) == pytest.approx(solids + liquids, rel=1e-14)
-
-
-# -- pouring ------------------------------------------------------------------------------------------------------
 
 
 @given(contents, contents, st.floats(0.0, 1.0))
@@ -102,9 +96,6 @@ def test_moving_nothing_changes_nothing() -> None:
             assert (glass.events == 0.0).all()
 
 
-# -- spilling -----------------------------------------------------------------------------------------------------
-
-
 @given(contents, contents, st.floats(0.05, 0.95))
 def test_what_does_not_fit_spills_proportionally(
     first: dict[str, float], second: dict[str, float], share: float
@@ -121,9 +112,6 @@ def test_what_does_not_fit_spills_proportionally(
     np.testing.assert_allclose(glass.waste, (1.0 - kept) * together[:m], rtol=1e-10, atol=1e-14)
     assert glass.events[SPILL] == pytest.approx(litres - capacity, rel=1e-9, abs=1e-12)
     assert (glass.rows[0, AMOUNTS:] == 0.0).all()
-
-
-# -- adding -------------------------------------------------------------------------------------------------------
 
 
 def test_adding_mixes_stirs_and_spills() -> None:
@@ -144,9 +132,6 @@ def test_adding_mixes_stirs_and_spills() -> None:
     assert total[glass.index("water")] == pytest.approx(33.0, rel=1e-14)
     assert total[glass.index("hexane")] == pytest.approx(2.0, rel=1e-14)
     assert glass.events[SPILL] == pytest.approx(float(glass.waste @ glass.known.molar_volume), rel=1e-9)
-
-
-# -- draining -----------------------------------------------------------------------------------------------------
 
 
 @given(contents, st.floats(T_MIX, CLOCK_SETTLED), st.floats(0.0, 100.0))
@@ -184,9 +169,6 @@ def test_draining_takes_what_the_profile_says(first: dict[str, float], clock: fl
         )
     if glass.heat_capacity(1) > 1e-6 * capacity:
         assert glass.rows[1, TEMPERATURE] == pytest.approx(320.0, rel=1e-9)
-
-
-# -- vessels ------------------------------------------------------------------------------------------------------
 
 
 def test_a_clean_vessel_is_empty_and_mixed() -> None:

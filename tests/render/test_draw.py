@@ -45,9 +45,6 @@ def vessels_of(scene: Scene) -> dict[tuple[str, str], VesselPicture]:
     return found | {(bench.agent, vessel.position): vessel for bench in scene.benches for vessel in bench.vessels}
 
 
-# -- proportions --------------------------------------------------------------------------------------------------
-
-
 def check_proportions(scene: Scene, width: int = 960, height: int = 540) -> int:
     """Rows of every layer against its volume, within the pixel by which a boundary is rounded; layers checked."""
     painting = paint(scene, width, height)
@@ -94,9 +91,6 @@ def test_a_stirred_vessel_has_the_mean_colour_up_to_its_fill_level() -> None:
     mean = tuple(np.rint(volumes @ colors / volumes.sum()).astype(int).tolist())
     rows = Counter(rows_of(np.asarray(painting.image), glass))
     assert rows[mean] == pytest.approx(vessel.volume_l * glass.pixels_per_l, abs=3.0)
-
-
-# -- text ---------------------------------------------------------------------------------------------------------
 
 
 def check_text(texts: Sequence[TextBox], width: int, height: int) -> None:
@@ -166,9 +160,6 @@ def test_the_check_of_texts_would_see_an_overlap() -> None:
     moved = texts[0]._replace(box=texts[1].box)
     with pytest.raises(AssertionError, match="overlaps"):
         check_text([texts[1], moved], 960, 540)
-
-
-# -- frames -------------------------------------------------------------------------------------------------------
 
 
 def test_a_scene_is_drawn_the_same_every_time() -> None:

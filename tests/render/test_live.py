@@ -75,9 +75,6 @@ def served(
         assert not found.thread.is_alive()
 
 
-# -- in the browser ---------------------------------------------------------------------------------------------------
-
-
 def test_an_episode_is_watched_to_its_end(tmp_path: Path, visitor: Any) -> None:
     """Two visitors see the same; one pauses, and it stands still for both; then the record is right."""
     with served(tmp_path, paused=True, speed=2) as lab:
@@ -249,9 +246,6 @@ def test_a_double_click_is_one_turn(tmp_path: Path, visitor: Any) -> None:
         until(lambda: lab.lives[0].film.turns > turns)
         time.sleep(0.5)
         assert lab.lives[0].film.turns == turns + 1
-
-
-# -- without one ------------------------------------------------------------------------------------------------------
 
 
 def test_a_seat_is_sent_what_its_agent_observes(tmp_path: Path) -> None:

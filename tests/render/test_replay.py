@@ -54,9 +54,6 @@ def unpack(data: dict[str, Any], value: Any) -> Any:
     return {key: unpack(data, item) for key, item in zip(data["shapes"][value[0]], value[1:], strict=True)}
 
 
-# -- the data -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("slots", [8, 40])
 def test_frames_are_the_laboratory_after_each_turn(slots: int, episode: Path, tmp_path: Path) -> None:
     """Whatever is asked for: contents, steps and costs are those of the simulator at that turn."""
@@ -251,9 +248,6 @@ def test_calls_stand_beside_the_turns(called: Path) -> None:
             os.truncate(transcript, LIMITS.file_bytes + 1)
         refused("transcript", said, replay_page, read_record(called))
     transcript.write_text(text)
-
-
-# -- in the browser -------------------------------------------------------------------------------------------
 
 
 def turn_of(path: Path, agent: str, number: int = 8) -> int:

@@ -36,9 +36,6 @@ def litres(name: str, mol: float) -> float:
     return mol * molar_volume(WURTZ, name)
 
 
-# -- proportions --------------------------------------------------------------------------------------------------
-
-
 def test_layers_have_the_volumes_of_what_they_consist_of_densest_first() -> None:
     vessel = slot_0(filled({"diethyl_ether": 3.0, "water": 10.0, "Na": 0.5, "NaCl": 1.0}))
     assert [(layer.material, layer.phase) for layer in vessel.layers] == [
@@ -92,9 +89,6 @@ def test_layers_add_up_to_the_contents_throughout_an_episode(name: str) -> None:
                 assert total == pytest.approx(vessel.volume_l, abs=1e-6)
                 assert vessel.capacity_l <= scene.largest_capacity_l
     assert seen > 10
-
-
-# -- what stands where --------------------------------------------------------------------------------------------
 
 
 def test_a_bench_holds_what_was_brought_to_it_and_the_shelf_keeps_places_for_it() -> None:
@@ -164,9 +158,6 @@ def test_costs_stock_and_waste_are_the_laboratorys() -> None:
     assert scene.result == pytest.approx(-sum(costs.values()))
     bottle = next(bottle for bottle in scene.stock if bottle.material == "Na")
     assert (bottle.mol, bottle.full_mol) == (1.0, 3.0)
-
-
-# -- nothing changes, everything can be told ----------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", FEATURED)
