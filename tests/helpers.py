@@ -3,8 +3,6 @@
 Numbers that tests compare with come from ``scenario.materials`` (the data files), not from the arrays kernels read.
 """
 
-from __future__ import annotations
-
 import functools
 import hashlib
 import importlib.util

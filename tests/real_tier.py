@@ -1,7 +1,5 @@
 """Chemistries of the tier ``real`` for tests of its laws one by one: made by hand, or from a family in TOML."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

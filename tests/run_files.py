@@ -1,7 +1,5 @@
 """A training run's files, as training writes them, for tests of what is made from them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

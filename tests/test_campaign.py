@@ -1,7 +1,5 @@
 """Campaigns: recipes run in the laboratory come to what the published equations give, and cost what they say."""
 
-from __future__ import annotations
-
 import json
 import math
 import sys

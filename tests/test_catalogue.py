@@ -1,7 +1,5 @@
 """Everyday chemicals in a flask: found by any name, boiling where handbooks say, dissolving as measured."""
 
-from __future__ import annotations
-
 import csv
 import importlib.util
 import itertools

@@ -1,7 +1,5 @@
 """The chemlab command, as people and programs meet it."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import io

@@ -1,7 +1,5 @@
 """The comparison of two commits: what makes it fail. Checkouts say rates that their files hold; nothing is timed."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

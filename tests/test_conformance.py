@@ -1,7 +1,5 @@
 """Conformance checks: they pass on every bundled scenario, and find faults that a user's parts can have."""
 
-from __future__ import annotations
-
 import json
 import re
 import types

@@ -1,7 +1,5 @@
 """The documentation tells the truth: its code runs, its data files load, its pages build, its tables are complete."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import importlib.util

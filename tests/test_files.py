@@ -1,7 +1,5 @@
 """Files are there whole or not at all, whatever happens to the process or the disk."""
 
-from __future__ import annotations
-
 import errno
 import os
 import signal

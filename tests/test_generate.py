@@ -1,7 +1,5 @@
 """Random chemistries: balanced, sensible, solvable, the same everywhere; and how hard they are."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """The map of the source: every path and every name on it exists, and the walks are short."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

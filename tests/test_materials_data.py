@@ -4,8 +4,6 @@ Expected values come from the packages when the test runs: each value must be th
 ``test_openchem.py`` compares it with the other compilations.
 """
 
-from __future__ import annotations
-
 import functools
 import inspect
 import itertools

@@ -1,7 +1,5 @@
 """Open chemistry: materials, pairs and reactions that commands write, against the shipped ones and closed forms."""
 
-from __future__ import annotations
-
 import json
 import math
 import shlex

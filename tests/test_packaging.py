@@ -1,7 +1,5 @@
 """What is shipped is complete: a wheel with the packages and their data, sources with everything that tests them."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import importlib.util
 import shutil

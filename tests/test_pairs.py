@@ -1,8 +1,6 @@
 """Activity coefficients: the NRTL equation, pair files and what they refuse, and the shipped pairs against UNIFAC and
 measured azeotropes."""
 
-from __future__ import annotations
-
 import itertools
 import math
 import subprocess

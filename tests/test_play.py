@@ -1,7 +1,5 @@
 """chemlab play and chemlab export demos, as people meet them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from unittest.mock import Mock
 

@@ -1,7 +1,5 @@
 """chemlab plot: books that balance, and pictures that say what was recorded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

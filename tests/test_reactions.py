@@ -1,7 +1,5 @@
 """Reaction files: what the loader refuses, what its messages say, and that shipped families balance."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """README tells the truth: its Python runs when pasted, and what it names exists."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """Data of the tier ``real``: against compilations, equations of state and each other, and unknown to ``paper``."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

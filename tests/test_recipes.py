@@ -1,7 +1,5 @@
 """Recipes run, and their page has the numbers that are kept of them."""
 
-from __future__ import annotations
-
 import json
 import math
 import runpy

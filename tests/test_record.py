@@ -1,7 +1,5 @@
 """Records of episodes: what is honest is found right, what is not is found and named, what is torn can be read."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

@@ -1,8 +1,6 @@
 """Registries of environments are filled whichever comes first, chemlab or their library; nothing comes unasked; and a
 checkout works as it is."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A flask by hand: the kernels' own numbers, balances, closed forms, and errors that change nothing."""
 
-from __future__ import annotations
-
 import copy
 import doctest
 import itertools

@@ -1,7 +1,5 @@
 """Scenarios: what the loader refuses, a lint of every shipped file, and a user's own files from end to end."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

@@ -1,7 +1,5 @@
 """The shipped syntheses: what their files say, what scripted agents make of them, what was published about them."""
 
-from __future__ import annotations
-
 import csv
 import functools
 import math

@@ -1,7 +1,5 @@
 """Tables: declared once, and everything else follows."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from typing import Annotated, Any, NamedTuple

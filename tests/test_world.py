@@ -1,7 +1,5 @@
 """What worlds are drawn from: declarations and their errors, distributions, splits."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

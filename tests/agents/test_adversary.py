@@ -1,7 +1,5 @@
 """Adversaries of an audit: controllers that choose among plans by what agents have observed, and learners."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Learning with advice: scripted managers that take back what is not played, and learners that see what they would."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The audit: its scale, its measures on scenarios of which the answers are known, going on where it was."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The benchmark's protocol: its scale and statistics, going on where it was, and what it writes."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Managers with benches they have not learned with: who plays, what each cell is, what unseen cost."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Easier beginnings: workflows that begin half way, and learners that begin as another policy's clone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

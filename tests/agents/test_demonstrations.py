@@ -1,7 +1,5 @@
 """Demonstrations: what datasets hold is what happens in the environments they are of."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Evaluating policies: what is played, from which seeds, and what is reported."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Executors: the same results wherever jobs are played, workers that are lost, and nothing left behind."""
 
-from __future__ import annotations
-
 import json
 import sys
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """The manager that foresees: recipes, beliefs about vessels and what they share, when it looks."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A person as a policy: what they are shown is what their agent sees, and what they type is what is played."""
 
-from __future__ import annotations
-
 import io
 import itertools
 from collections.abc import Iterable

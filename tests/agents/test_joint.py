@@ -1,7 +1,5 @@
 """Joint training: regimes, clones, beginnings from other runs, and a run that stops goes on as if it had not."""
 
-from __future__ import annotations
-
 import pickle
 import warnings
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Blind baselines: what a search for constant plans finds, how plans are played, and what replaying brings."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """Policies in general: making them, by former names, too; and the random one, which is uniform over legal actions."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """PPO of teams: advantages against a direct sum, help that ends, resuming, export, and that it learns from nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from threading import get_ident

@@ -1,7 +1,5 @@
 """Policies that need numpy alone: equal to what they were exported from, and refused where they do not fit."""
 
-from __future__ import annotations
-
 import json
 import shlex
 import warnings

@@ -1,7 +1,5 @@
 """Training runs as evaluation reads them: runs together, curves, the page and its command."""
 
-from __future__ import annotations
-
 import math
 import re
 import shutil

@@ -3,8 +3,6 @@
 A cost is the weighted sum of safety events; weights and price are read from the scenario file, not from the code.
 """
 
-from __future__ import annotations
-
 import functools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The adapter to Stable-Baselines3: what it returns, compared with single environments, and learners that run on it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

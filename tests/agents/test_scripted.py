@@ -1,7 +1,5 @@
 """The scripted policies: what they reach, how safely, and that they see nothing but what an agent may see."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import gc

@@ -1,7 +1,5 @@
 """Seats for language agents: typed verbs, refused calls, repeated calls, several seats in one room, secrecy."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import json

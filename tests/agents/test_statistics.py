@@ -1,7 +1,5 @@
 """Statistics of returns, against closed forms and scipy."""
 
-from __future__ import annotations
-
 import itertools
 import warnings
 

@@ -1,7 +1,5 @@
 """Sweeps: what is planned, that nothing finished is run again, and that failures are shown and do not stop the rest."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

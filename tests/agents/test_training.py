@@ -1,7 +1,5 @@
 """Training: what a run writes, that a killed one comes to the same end, and what it refuses."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import inspect

@@ -1,8 +1,6 @@
 """Files from strangers run no code: run folders, checkpoints, what their ``config.json`` names, scenarios, the folder
 that one works in. Every attack is shown to work where it is trusted, so that a refusal means something."""
 
-from __future__ import annotations
-
 import base64
 import json
 import os

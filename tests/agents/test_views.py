@@ -1,7 +1,5 @@
 """Making views of the laboratory by name: ids, background policies by name, agent or kind, and what is refused."""
 
-from __future__ import annotations
-
 from typing import Any
 from unittest.mock import Mock
 

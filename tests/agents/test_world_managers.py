@@ -1,7 +1,5 @@
 """Scripted managers of scenarios with a world: what they believe, when they look, what they carry on."""
 
-from __future__ import annotations
-
 import functools
 import math
 from typing import Any

@@ -1,7 +1,5 @@
 """The crystallization bench: what its operations and gauges do, its score, its script; batches."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

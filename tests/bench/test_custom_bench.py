@@ -1,7 +1,5 @@
 """A bench of a user's own in a laboratory: one entry in a scenario file, and everything else knows it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Continuous benches as a choice among representative actions: the same bench, wherever it is seen from."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """A user's own physics: agrees where it is the same, changes the result where it differs, is refused where wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What an experiment is worth: the paper's worked example, ions and salts, penalties; and what policies earn."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

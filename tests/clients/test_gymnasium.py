@@ -1,7 +1,5 @@
 """Checkers of Gymnasium and Stable-Baselines3 on benches and views; Gymnasium's wrappers."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 from typing import Any

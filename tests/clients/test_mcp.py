@@ -1,7 +1,5 @@
 """The real MCP client at the seats of one room, over standard input and output and over HTTP."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

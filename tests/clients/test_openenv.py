@@ -1,7 +1,5 @@
 """OpenEnv's client plays a seat of a room over a WebSocket, and its validator accepts the environment's folder."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -4,8 +4,6 @@
 ``state_test`` stands with the AEC environment's own tests.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

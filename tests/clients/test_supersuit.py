@@ -12,8 +12,6 @@ What they cannot do here, and why:
   the action of one agent for the next in AEC. A manager's action repeated is an illegal one anyway.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

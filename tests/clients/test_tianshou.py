@@ -4,8 +4,6 @@ Tianshou looks for masks in the observation, so :class:`MaskInObservation` puts 
 one observation space and one action space for all agents, which the laboratory's roles do not have.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

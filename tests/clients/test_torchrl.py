@@ -1,7 +1,5 @@
 """TorchRL's ``PettingZooWrapper`` around the laboratory, AEC and parallel: specs, masks, rollouts, a training step."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

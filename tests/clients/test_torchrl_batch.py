@@ -1,7 +1,5 @@
 """TorchRL's environment over the batched laboratory: specs, the same episodes as elsewhere, and BenchMARL's critics."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

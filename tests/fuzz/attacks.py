@@ -8,8 +8,6 @@ A run takes the place of what was kept of this kind and seed before; ``--forget`
 ``--look`` keeps nothing but the files that fail, one folder each, and says where they are.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import subprocess

@@ -3,8 +3,6 @@
 ``python tests/fuzz/attacks.py forgeries --tries 20`` forges that many episodes of several scenarios.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Iterator

@@ -7,8 +7,6 @@ Each try takes a file that is read, changes it as ``fuzz_files.py`` does, in its
 to everything that reads such files: a policy that loads plays, a run is put into tables, its task looked for.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import sys

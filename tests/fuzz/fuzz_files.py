@@ -9,8 +9,6 @@ for the same part of another), loads it, builds its laboratory and, with ``--tur
 which some are not legal. What has been played is recorded, and the record must be right.
 """
 
-from __future__ import annotations
-
 import copy
 import importlib.util
 import json

@@ -3,8 +3,6 @@
 Expected values come from the design (agents, turns, spaces, rewards), not from what the environment prints.
 """
 
-from __future__ import annotations
-
 import re
 from collections import Counter
 from typing import Any

@@ -1,8 +1,6 @@
 """Batched laboratories and the parallel environment: they are the single laboratory, whatever the batch, round by round
 (an action of the manager, or a tick); what is refused; what is ignored."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -4,8 +4,6 @@ Batches are compared with single environments, copies with originals, and spaces
 recomputed from the bench's own measure of the vessels.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import re

@@ -3,8 +3,6 @@
 Of the parallel environment, ``chemlab check`` looks at copies in every scenario.
 """
 
-from __future__ import annotations
-
 import copy
 import pickle
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 What is in a vessel is put there by hand, so that what a submission is worth, and what decays, has a closed form.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from typing import Any

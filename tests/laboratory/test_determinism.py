@@ -3,8 +3,6 @@
 Run as a script, this file prints the digests of its episodes, which is how the test asks another process for them.
 """
 
-from __future__ import annotations
-
 import copy
 import itertools
 import json

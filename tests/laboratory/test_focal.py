@@ -4,8 +4,6 @@ The AEC environment is the reference: what the focal view pays, shows and counts
 between its own turns.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a manager asks of an experiment besides its goal, what a bench is told of the world, and what it reports."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

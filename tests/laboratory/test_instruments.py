@@ -1,7 +1,5 @@
 """Readings against closed forms from the data files; calibration, detection limit and noise; what a tier refuses."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@
 does is the reference.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What scenarios with hidden parameters give away for nothing: every hole that an attack found, as a test."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

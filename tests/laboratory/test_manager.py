@@ -3,8 +3,6 @@
 Contents are put into vessels by hand, so that readings, purities and costs have closed forms.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest

@@ -4,8 +4,6 @@ Laboratories that look alike from outside (volume, temperature, capacity, histor
 compared bit for bit.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 Contents are put into vessels by hand, so that what a submission is worth has a closed form.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,8 +1,6 @@
 """What every interface refuses: actions outside their space, seeds and options that are none. Nothing has changed then,
 and the laboratory goes on as if nobody had asked."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any

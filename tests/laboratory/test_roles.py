@@ -1,7 +1,5 @@
 """Roles: everything about an agent is asked of its role, and its index has no meaning."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

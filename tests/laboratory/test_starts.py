@@ -1,7 +1,5 @@
 """Recorded starting vessels: what the files may hold, and that each vessel is in them once."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The text of an observation: complete, and the same for people and for models."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,8 +1,6 @@
 """Benches that wear and break, instruments that drift: against closed forms and the laws of random walks; part of state
 and records; nothing changes where nothing is declared."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, cast
 

@@ -1,7 +1,5 @@
 """Worlds in laboratories: the same in every view, part of the state, unseen until something physical differs."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The paper's results: which runs belong to it, what is drawn, what is said of its statements."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import math

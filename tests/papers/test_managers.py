@@ -1,7 +1,5 @@
 """Managers' results: which runs belong together, what is played, and what the page says of it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Shipped bench policies on their benches and in the laboratory: what is stored and what the table says."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Tables of runs: what is read is what was written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 ``my_laboratory.toml`` has one of every kind, from ``my_parts.py`` beside it and from the filtration bench's file.
 """
 
-from __future__ import annotations
-
 import pickle
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A tier of physics from outside: kernels that are given its chemistry follow its laws, and nobody else does."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

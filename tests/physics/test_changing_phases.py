@@ -1,7 +1,5 @@
 """Melting, boiling and dissolving in one flask: at equilibrium, with the energy balance, however calls are divided."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 Random agents play every shipped scenario for tens of thousands of turns; a state machine works on two vessels.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest

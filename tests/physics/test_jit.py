@@ -1,7 +1,5 @@
 """Compiled kernels and their cache on disk."""
 
-from __future__ import annotations
-
 import gc
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Layers: the profile conserves volume for every vessel, has the design's limits and slopes; the camera samples it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Partition: the settled limit in closed form, the three-case update by hand, conservation through any sequence."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Phases: the closed-form salt equilibrium against SciPy's stiff solvers; what reacts at once, by stoichiometry."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The laws of the tier ``real`` together: against independent integrations, closed forms and conservation."""
 
-from __future__ import annotations
-
 import csv
 from pathlib import Path
 from typing import Any

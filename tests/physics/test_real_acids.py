@@ -1,7 +1,5 @@
 """Acids and bases of the tier ``real``: standard buffers, closed forms of titrations, atoms, charge and heat."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

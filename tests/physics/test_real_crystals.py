@@ -1,7 +1,5 @@
 """Crystals, filters and drying of the tier ``real``: closed forms, an independent integration, balances."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Kinetics of the tier ``real``: closed forms, Cantera on random stiff networks, energy and atoms, what is refused."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Spectra: linear in concentration, clipped to [0, 1], and a linear fit finds every material again."""
 
-from __future__ import annotations
-
 import numpy as np
 import numpy.typing as npt
 import pytest

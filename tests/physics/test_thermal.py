@@ -1,7 +1,5 @@
 """Heat: boiling by hand, energy balance, limits and events; vapour pressure, sealed air, the relief valve."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

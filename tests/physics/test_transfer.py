@@ -1,7 +1,5 @@
 """Pouring, draining, adding, spilling: equal shares, exact amounts, temperatures by heat capacity, clocks by volume."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers import PIXELS, Glassware, four_solvents, molar_volume

@@ -1,7 +1,5 @@
 """Scenes that tests look at: scripted episodes, laboratories of awkward sizes, single benches."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from typing import Any

@@ -1,7 +1,5 @@
 """Pictures are true to their scenes, readable, the same every time, and drawn without a screen."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import itertools

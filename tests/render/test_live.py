@@ -1,7 +1,5 @@
 """The live pages: watched to the end, played by clicks and by keys, by several visitors, and attacked."""
 
-from __future__ import annotations
-
 import asyncio
 import http.client
 import json

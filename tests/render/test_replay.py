@@ -1,7 +1,5 @@
 """The replay page: complete, small, and in a browser what it says it is."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json

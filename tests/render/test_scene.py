@@ -1,7 +1,5 @@
 """Scenes say what is in the arrays, in true proportions, and leave the arrays as they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers import FEATURED, laboratory, manager, mapping, molar_volume
