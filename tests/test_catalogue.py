@@ -223,8 +223,7 @@ def test_a_strong_acid_is_neutralized_at_once() -> None:
 def test_the_heat_of_a_neutralization_boils_an_open_flask(mol: float) -> None:
     """4 mol warm the salt water past its boiling point; 8 mol in little water leave hot salt, at 1,140 K."""
     flask = Flask({"water": 20.0 if mol < 8.0 else 1.0, "KOH": mol})
-    acid = flask.another({"water": 10.0 if mol < 8.0 else 1.0, "HNO3": mol})
-    acid.pour(flask, 1.0)
+    flask.another({"water": 10.0 if mol < 8.0 else 1.0, "HNO3": mol}).pour(flask, 1.0)
     flask.mix()
     assert flask.vapor_pressure_kpa <= 1.001 * flask.pressure_kpa or flask.amounts["water"] < 1e-4
     assert bool(flask.events) is (mol > 1.0)
@@ -327,8 +326,7 @@ def test_a_flask_remembers(tmp_path: Path) -> None:
 @pytest.mark.skipif(importlib.util.find_spec("rdkit") is None, reason="needs the extra chem")
 def test_other_compounds_are_looked_up_once(tmp_path: Path) -> None:
     pytest.importorskip("ugropy")
-    anisole = Flask.material("anisole")
-    assert anisole.boiling_point_k == pytest.approx(426.8, abs=1.0)
+    assert Flask.material("anisole").boiling_point_k == pytest.approx(426.8, abs=1.0)
     assert (tmp_path / "kept" / "anisole.toml").is_file()
     flask = Flask({"anisole": 1.0, "water": 5.0, "acetone": 1.0})
     assert flask.amounts["100-66-3"] == 1.0

@@ -348,8 +348,7 @@ def test_descriptions_are_for_people(name: str) -> None:
     assert all(part in shown for part in parts)
     for number, agent in enumerate(labs.agents):
         done = runner.invoke(app, ["describe", name, "--agent", agent])
-        lines = done.stdout.splitlines()
-        assert max(map(len, lines)) <= 80
+        assert max(map(len, done.stdout.splitlines())) <= 80
         joined = " ".join(done.stdout.split())
         for action, meaning in enumerate(labs.roles[number].action_meanings):
             assert f" {action} {meaning}" in joined
@@ -512,8 +511,7 @@ def test_what_is_read_is_not_replaced(tmp_path: Path, monkeypatch: pytest.Monkey
     Path("based.toml").write_text('base = "lab.toml"\n')
     Path("mine.json").write_text("{}")
     Path("plan.json").write_text("{}")
-    run = Path("run", "checkpoints", "best-1")
-    run.mkdir(parents=True)
+    Path("run", "checkpoints", "best-1").mkdir(parents=True)
     Path("run", "config.json").write_text("{}")
     monkeypatch.setattr(Laboratories, "reset", PLAYED)
     monkeypatch.setattr(ExperimentBatch, "reset", PLAYED)

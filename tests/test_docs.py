@@ -408,8 +408,7 @@ def test_commands_in_sentences_comments_and_errors_exist() -> None:
 @pytest.mark.skipif(not (ROOT / ".ci").is_dir(), reason="needs a checkout")
 def test_files_that_are_named_exist() -> None:
     """In what decides whether a change lands, and in every page; the changelog also tells of files that were moved."""
-    places = [ROOT / ".ci" / "run", *(page for page in PROSE if page.name != "CHANGELOG.md")]
-    for place in places:
+    for place in [ROOT / ".ci" / "run", *(page for page in PROSE if page.name != "CHANGELOG.md")]:
         named = set(re.findall(r"\b(?:tests|studies|recipes)/[\w/]+\.\w+", place.read_text(encoding="utf-8")))
         missing = sorted(name for name in named if not (ROOT / name).exists())
         assert not missing, f"{place.relative_to(ROOT)} names files that do not exist: {missing}"

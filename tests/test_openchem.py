@@ -640,8 +640,7 @@ def test_the_solvent_takes_no_part_and_boils_far_from_the_goal() -> None:
     free = ReactionFamily(name="none")
     chosen = {goal: solvent_for(goal, free, materials) for goal in ("ethyl_acetate", "toluene", "diethyl_ether")}
     for goal, solvent in chosen.items():
-        apart = materials[solvent].boiling_point_k - materials[goal].boiling_point_k
-        assert abs(apart) > 35.0
+        assert abs(materials[solvent].boiling_point_k - materials[goal].boiling_point_k) > 35.0
     assert materials[chosen["toluene"]].boiling_point_k < materials["toluene"].boiling_point_k
 
 

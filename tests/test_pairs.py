@@ -122,8 +122,7 @@ def test_a_wrong_pair_is_refused(file: Path, old: str, new: str, parts: list[str
 
 
 def test_every_two_shipped_molecules_are_a_pair() -> None:
-    expected = {frozenset(two) for two in itertools.combinations(MOLECULES, 2)}
-    assert set(shipped_pairs()) == expected
+    assert set(shipped_pairs()) == {frozenset(two) for two in itertools.combinations(MOLECULES, 2)}
     assert np.isfinite(pair_table(MOLECULES, shipped_pairs()).tau(298.15)).all()
 
 

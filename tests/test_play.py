@@ -27,8 +27,7 @@ def test_a_whole_episode_is_a_record_like_any_other(tmp_path: Path) -> None:
     assert "The episode is over: submitted" in shown
     assert "(meanwhile: rxn_0 20x)" in shown
     assert "experiment over" not in shown  # the score of somebody else's experiment is not the manager's to know
-    result = verify_record(path)
-    assert result.status == "ok"
+    assert verify_record(path).status == "ok"
     record = read_record(path)
     assert record.header["policies"] == dict.fromkeys(record.header["agents"], "scripted") | {"manager_0": "human"}
     decided = [turn["play"]["manager_0"][1] for turn in record.turns if "manager_0" in turn["play"]]

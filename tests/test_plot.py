@@ -102,8 +102,7 @@ def overlaps(figure: Any, inside: float = 1.0) -> list[tuple[str, str]]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.text import Text
 
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
+    FigureCanvasAgg(figure).draw()
     texts = [t for t in figure.findobj(Text) if t.get_text().strip() and t.get_visible() and t.get_rotation() == 0.0]
     boxes = [(t.get_text(), t.get_window_extent()) for t in texts]
     found = []

@@ -294,8 +294,7 @@ water = [[280.0, 6.0], [300.0, 7.0]]
 
 
 def test_solubilities_are_straight_lines_between_points(tmp_path: Path) -> None:
-    file = written(tmp_path, SALT)
-    (salt,) = load_reactions(str(file), MATERIALS).salt
+    (salt,) = load_reactions(str(written(tmp_path, SALT)), MATERIALS).salt
     assert salt.solubility is not None
     np.testing.assert_allclose(salt.solubility.mol_per_kg("water", np.array([250.0, 285.0, 310.0])), [6.0, 6.25, 7.0])
     np.testing.assert_array_equal(salt.solubility.mol_per_kg("hexane", np.array([250.0, 285.0])), [0.0, 0.0])

@@ -134,8 +134,7 @@ def test_a_multiplier_takes_cost_off_rewards_and_ascends(monkeypatch: pytest.Mon
 
 
 def test_a_mixture_pays_at_the_end_where_all_of_it_is_near(monkeypatch: pytest.MonkeyPatch) -> None:
-    goals = recipe("goals", monkeypatch)
-    env = goals.Mixtures(np.array([[0.0] * 5 + [1.0]]))
+    env = recipe("goals", monkeypatch).Mixtures(np.array([[0.0] * 5 + [1.0]]))
     env.reset(seed=0)
     rewards, over = [], False
     while not over:

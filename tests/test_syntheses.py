@@ -58,8 +58,7 @@ def test_scripted_agents_make_it_safely(name: str) -> None:
     assert result.score > WORTH[name]
     assert result.score > played(name, "random").score + 0.3
     assert result.costs["illegal_actions"] == 0.0
-    accidents = {event: amount for event, amount in result.safety_events.items() if amount > 0.0}
-    assert not accidents
+    assert not {event: amount for event, amount in result.safety_events.items() if amount > 0.0}
 
 
 def test_the_table_of_results_is_of_these_scenarios() -> None:

@@ -42,8 +42,7 @@ def _stir(pots: Handle, by: float) -> float:
 
 @pytest.fixture
 def pots() -> Table[Pots]:
-    made = Table.empty(Pots, N=3, K=2, B=4)
-    return Table(made.arrays._replace(scale=2.0))
+    return Table(Table.empty(Pots, N=3, K=2, B=4).arrays._replace(scale=2.0))
 
 
 def test_kernels_write_to_the_tables_own_arrays_which_begin_as_declared(pots: Table[Pots]) -> None:

@@ -168,8 +168,7 @@ def test_a_world_is_its_number() -> None:
     values = table.arrays.values
     assert (values[0] == values[2]).all()
     assert (values[0] != values[1]).any()
-    named = named_values(spec, values[0], MATERIALS)
-    assert (given_values(spec, named, MATERIALS) == values[0]).all()
+    assert (given_values(spec, named_values(spec, values[0], MATERIALS), MATERIALS) == values[0]).all()
 
 
 @pytest.mark.parametrize(

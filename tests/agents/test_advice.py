@@ -99,8 +99,7 @@ def test_who_only_watches_knows_what_is_to_be_done(scenario: str) -> None:
     watched = Watched(policies["manager_0"], make_policies("scripted", labs, 0)["manager_0"])
     play_laboratory(labs, {**policies, "manager_0": watched}, None, 7)
     # Some draw what they think of, and whoever hears of an order taken guesses which.
-    least = {"failing": 0.8, "rush": 0.9, "relay": 0.9}.get(scenario, 1.0)
-    assert np.mean(watched.agreed) >= least
+    assert np.mean(watched.agreed) >= {"failing": 0.8, "rush": 0.9, "relay": 0.9}.get(scenario, 1.0)
 
 
 def test_a_teacher_with_an_advisor_passes_on_what_was_played() -> None:
@@ -237,8 +236,7 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
     assert announced == ["scripted"]
     assert result.mean == pytest.approx(result.scripted_mean, abs=0.1)
     best = Run(tmp_path / "run").checkpoint("best")
-    card = load_pretrained(best / "manager").card
-    assert card.advice == "scripted"
+    assert load_pretrained(best / "manager").card.advice == "scripted"
     labs = Laboratories("rush", 2, split="validation")
     found = [
         play_laboratory(labs, make_policies(name, labs, 0), None, 1).returns

@@ -107,8 +107,7 @@ def test_the_oracle_is_never_below_a_policy(one_goal: Audited) -> None:
     scored = {path.stem: json.loads(path.read_text())["result"]["scores"] for path in keep.glob("*.json")}
     planner = foreseen({name: {"scores": own} for name, own in scored.items() if name.startswith("foresee")})
     rows = [np.array(scored[name]) for name in ("random", "test", "idle", "plan", "everybody", "replay")]
-    oracle = np.maximum.reduce([planner, *rows])
-    assert oracle.mean() <= found["oracle"]["score"] + 1e-12
+    assert np.maximum.reduce([planner, *rows]).mean() <= found["oracle"]["score"] + 1e-12
     assert found["strongest"]["value"] <= 1.0
     assert max(found["open_loop"]["ways"].values()) <= found["strongest"]["value"]
 
@@ -240,8 +239,7 @@ def test_whoever_knows_the_world_is_never_below_who_looks() -> None:
 
 
 def test_stored_audits_are_of_the_scenarios_as_they_are() -> None:
-    folder = Path(__file__).parents[2] / "docs" / "results" / "audits"
-    for path in sorted(folder.glob("*.json")):
+    for path in sorted((Path(__file__).parents[2] / "docs" / "results" / "audits").glob("*.json")):
         found = json.loads(path.read_text(encoding="utf-8"))
         assert found["scenario"] == path.stem
         again = f"make it again: chemlab audit {path.stem} --out {path}"

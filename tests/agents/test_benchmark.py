@@ -394,8 +394,7 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
 
     refuse("seeds 4000000 to 4000004, split test.*its seed is 7", game("seed", 7))
     refuse("its split train", game("split", AUDIT_SEED, split="train"))
-    goal = load_scenario("unlabelled").lab_goals[0]
-    refuse("its options goal", game("goal", AUDIT_SEED, goal=goal))
+    refuse("its options goal", game("goal", AUDIT_SEED, goal=load_scenario("unlabelled").lab_goals[0]))
     refuse("is of seed 4000000, and so is", game("twice", AUDIT_SEED), game("twice", AUDIT_SEED))
     torn = game("torn", AUDIT_SEED)
     torn.write_text("".join(torn.read_text().splitlines(keepends=True)[:-1]))

@@ -129,8 +129,7 @@ def test_either_kind_of_start_is_drawn_as_often() -> None:
     env = RoleVectorEnv(600, "wurtz_dodecane", bench="dit", starts="both")
     env.reset(seed=0, options={"goal": "dodecane"})
     product = np.array([env.batch.shelf.vessel(i, 0).amounts().get("dodecane", 0.0) for i in range(600)])
-    paper = np.isclose(product, 1.0, atol=1e-9)
-    assert 0.42 < paper.mean() < 0.58
+    assert 0.42 < np.isclose(product, 1.0, atol=1e-9).mean() < 0.58
 
 
 def test_backward_adds_a_bench_at_a_time() -> None:
@@ -251,8 +250,7 @@ def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path:
     assert not hasattr(policies["manager_0"], "_careful"), "it is the learner, not the scripted manager"
     expected = make_policies("scripted:unsafe", labs)
     assert vars(policies["dit_0"]).get("_careful") == vars(expected["dit_0"]).get("_careful")
-    best = Run(run).checkpoint("best")
-    learner = as_policy(load_learner(best, "maskable-ppo"))
+    learner = as_policy(load_learner(Run(run).checkpoint("best"), "maskable-ppo"))
     seen, mask = begun(labs).observe(0, labs.members), labs.mask(0, labs.members)
     zero = np.zeros(1, dtype=np.int64)
     assert policies["manager_0"].act(seen, mask, zero, zero) == learner.act(seen, mask, zero, zero)
@@ -282,8 +280,7 @@ def test_a_lapse_is_a_random_legal_action_now_and_then() -> None:
     steady = make_policies("scripted", labs, 0)["dit_0"].act(seen, mask, zero, members)
     policy = make_policies("scripted@0.3", labs, 0)["dit_0"]
     actions = policy.act(seen, mask, zero, members)
-    differing = (actions != steady).mean()
-    assert 0.15 < differing < 0.35  # one random action in six is what was meant anyway
+    assert 0.15 < (actions != steady).mean() < 0.35  # one random action in six is what was meant anyway
     assert set(actions[actions != steady]) <= set(range(3, 9))
     again = make_policies("scripted@0.3", Laboratories("wurtz_dodecane", 400), 0)["dit_0"]
     np.testing.assert_array_equal(again.act(seen, mask, zero, members), actions)

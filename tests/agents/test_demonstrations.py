@@ -215,8 +215,7 @@ def test_bench_datasets_have_the_spaces_of_the_bench(minari: Any, scripted: Path
         dataset = minari.load_dataset(f"tests/benches/{agent}-v0")
         env = RoleEnv("wurtz_dodecane", bench=key)
         assert (dataset.observation_space, dataset.action_space) == (env.observation_space, env.action_space)
-        recovered = dataset.recover_environment()
-        assert recovered.unwrapped.bench.key == key
+        assert dataset.recover_environment().unwrapped.bench.key == key
         told = demonstrations(read_record(scripted))[agent]
         for d, episode in zip(told, dataset.iterate_episodes(), strict=True):
             np.testing.assert_array_equal(np.array(d.observations), episode.observations)

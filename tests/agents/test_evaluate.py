@@ -73,8 +73,7 @@ def test_lost_turns_are_counted() -> None:
 
     env = Target(load_scenario("wurtz_dodecane"), "dit").environment(2)
     assert (play_bench(env, Stubborn(), "dodecane", 0).illegal == 50).all()
-    scripted = play_bench(env, bench_policy("scripted", env.bench), "dodecane", 0)
-    assert (scripted.illegal == 0).all()
+    assert (play_bench(env, bench_policy("scripted", env.bench), "dodecane", 0).illegal == 0).all()
 
 
 def test_cases_are_what_is_in_the_vessel() -> None:

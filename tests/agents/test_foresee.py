@@ -61,8 +61,7 @@ def test_what_is_foreseen_of_crude_product_is_what_its_contents_say() -> None:
     wash, cut = ("ext_0", "dodecane"), ("dit_0", "dodecane")
     assert (seen.costs[:, 0] == 0.0).all()
     assert (seen.costs[:, 1:] > 0.0).all()
-    analytes = Laboratories(scenario).instruments.analytes[0]
-    salty = seen.readings[:, 0, len(analytes)] > 0.15
+    salty = seen.readings[:, 0, len(Laboratories(scenario).instruments.analytes[0])] > 0.15
     assert salty.any()
     assert (seen.worth[salty, names[(cut,)]] == 0.0).all()
     assert (seen.worth[salty, names[(wash, cut)]] > 0.0).any()
@@ -108,8 +107,7 @@ def test_a_look_at_one_vessel_tells_of_the_others_what_concluding_anew_does() ->
     belief.stage[1] = 2
     known, bests = manager._posterior(belief.likelihood), manager._promises(belief, goal).max(axis=-1)
     found = manager._after_look(belief, goal, 0, known[0], bests)
-    worlds = manager._sampled(known[0])
-    readings = manager._foresight[goal].readings[worlds, 0] + manager._errors
+    readings = manager._foresight[goal].readings[manager._sampled(known[0]), 0] + manager._errors
     before = belief.likelihood.copy()
     for sample, likely in enumerate(manager._likely(readings, goal, 0)):
         belief.likelihood = before.copy()

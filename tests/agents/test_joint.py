@@ -68,8 +68,7 @@ def test_no_reward_is_lost_or_another_agents(rewards: str | None) -> None:
         if agent == "manager_0":  # credited at once, and for unfinished work: what its rewards add up to is in test_ppo
             paid[agent] = float(track.reward.sum())
         track.value[:] = 0.0
-        nothing = np.zeros(6, dtype=np.float32)
-        whole = track.finished(nothing, np.ones(6, dtype=np.bool_), 1.0, 0.0)
+        whole = track.finished(np.zeros(6, dtype=np.float32), np.ones(6, dtype=np.bool_), 1.0, 0.0)
         assert float(np.sum(whole["advantage"])) == pytest.approx(paid[agent], rel=1e-4, abs=1e-5), agent
         masks = whole["mask"]
         if masks is not None:
@@ -169,11 +168,9 @@ def test_a_checkpoint_has_what_self_imitation_remembers_and_no_empty_rows() -> N
 
 
 def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> None:
-    first = IPPO(**{**SMALL, "steps": 60}, roles=("rxn",))
-    train(first, tmp_path / "first")
+    train(IPPO(**{**SMALL, "steps": 60}, roles=("rxn",)), tmp_path / "first")
     second = IPPO(**{**SMALL, "steps": 40}, roles=("rxn", "dit"), begin_from=str(tmp_path / "first"))
-    result = train(second, tmp_path / "second")
-    assert result.steps >= 40
+    assert train(second, tmp_path / "second").steps >= 40
     assert {name.partition(" ")[0] for name in weights(tmp_path / "second")} == {"rxn", "dit"}
     nowhere = IPPO(**SMALL, begin_from=str(tmp_path))
     refused("neither", "neither a training run nor a checkpoint", train, nowhere, tmp_path / "third")
@@ -257,8 +254,7 @@ def test_a_checkpoint_before_the_first_evaluation_plays_as_asked(tmp_path: Path)
     given = {**SMALL, "scenario": "wurtz_dodecane_direct", "evaluations": 1, "checkpoints": 100}
     with pytest.raises(_Stop):
         train(IPPO(**given, roles=("manager",), play="sampled"), tmp_path, stopping)
-    last = Run(tmp_path).checkpoint("last")
-    assert load_pretrained(last / "manager").card.sampled
+    assert load_pretrained(Run(tmp_path).checkpoint("last") / "manager").card.sampled
 
 
 def test_what_a_team_has_learned_is_exported(tmp_path: Path) -> None:
@@ -339,8 +335,7 @@ def test_a_critic_sees_the_state_and_the_actor_does_not() -> None:
     for _ in range(4):
         team.collect(1.0)
     track = team._tracks["manager_0"]
-    seen = track.seen[track.acted]
-    assert seen[:, -state:].std(axis=0).max() > 0.1, "states of turns differ"
+    assert track.seen[track.acted][:, -state:].std(axis=0).max() > 0.1, "states of turns differ"
     exported = team.weights("manager")["0.weight"].shape[1]
     assert exported == team.labs.observation_sizes[0] + notes_size(team.labs.manager.workplace)
     assert arguments.folder() != IPPO(**SMALL, scenario="rush").folder()
@@ -373,8 +368,7 @@ def test_policies_of_single_benches_go_on_together(tmp_path: Path) -> None:
     for text in (begin, str(tmp_path)):
         team = team_of(IPPO(**SMALL, begin_from=text, net_arch=(64, 64)))
         for role in ("rxn", "dit", "ext"):
-            best = Run(tmp_path / role).checkpoint("best")
-            single = load_pretrained(best / role).weights
+            single = load_pretrained(Run(tmp_path / role).checkpoint("best") / role).weights
             for name, value in team.weights(role).items():
                 np.testing.assert_array_equal(value, single[name], err_msg=f"{role} {name}")
     for wrong, message in (

@@ -121,8 +121,7 @@ def test_a_plan_is_blind() -> None:
     assert all(actions == taped.actions[0] for actions in taped.actions)
     policies = make_policies("scripted@0.2", labs, seed=5)
     policies["manager_0"] = noisy = Watched(plan_for(labs), labs)
-    scores = play_laboratory(labs, policies, None, 0).returns
-    assert np.ptp(scores) > 0.0
+    assert np.ptp(play_laboratory(labs, policies, None, 0).returns) > 0.0
     pairs = zip(noisy.actions, noisy.legal, strict=True)
     kept = [[a for a, legal in zip(*pair, strict=True) if legal and a != wait] for pair in pairs]
     planned = [a for a in taped.actions[0] if a != wait]
@@ -141,8 +140,7 @@ def test_plans_may_know_the_goal() -> None:
         for context in all_contexts(scenario)
     }
     labs = Laboratories(scenario, 1)
-    policy = ConstantPlan(scenario, labs.channels, labs.actions, plans)
-    taped, goals = watched(scenario, policy, 30)
+    taped, goals = watched(scenario, ConstantPlan(scenario, labs.channels, labs.actions, plans), 30)
     assert len(set(goals.tolist())) == len(scenario.lab_goals)
     for goal, did in zip(goals, taped.actions, strict=True):
         assert tuple(a for a in did if actions.decode(a)[0] != "wait") == plans[(scenario.goals[goal],)]
@@ -165,8 +163,7 @@ def test_a_plan_waits_for_what_is_not_legal_yet_and_leaves_out_what_never_will_b
 
 def test_a_plan_remembers_where_it_stands() -> None:
     """With its memory put back it goes on as it did; a new episode begins the plan anew."""
-    scenario = load_scenario("wurtz_dodecane")
-    labs = Laboratories(scenario, 1)
+    labs = Laboratories(load_scenario("wurtz_dodecane"), 1)
     code = labs.actions.encode
     plan = (code("discard", 0), code("submit", 1))
     policy = Playback(labs.actions, [plan])

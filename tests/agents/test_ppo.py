@@ -387,8 +387,7 @@ def test_what_is_exported_takes_the_whole_observation() -> None:
 def test_a_run_is_played_sampled_and_greedy_by_name(tmp_path: Path) -> None:
     """Evaluations have both ways, the card the better one; names and exports choose; records of both are verified."""
     out = tmp_path / "run"
-    arguments = IPPO(scenario="wurtz_dodecane_direct", roles=("manager",), steps=300, **QUICK)
-    result = train(arguments, out)
+    result = train(IPPO(scenario="wurtz_dodecane_direct", roles=("manager",), steps=300, **QUICK), out)
     evaluations = Run(out).evaluations()
     assert all(one.other_mean is not None and one.other_mean <= one.mean for one in evaluations)
     assert load_pretrained(find_best(out) / "manager").card.sampled == result.sampled

@@ -331,8 +331,7 @@ def test_export_says_what_is_missing(tmp_path: Path) -> None:
 def test_what_it_puts_out_depends_on_what_it_sees_alone(name: str) -> None:
     """Not on the batch, nor on where that lies in memory: actions of nearly equal worth would be drawn by lot."""
     policy = load_pretrained(name)
-    size = policy.card.observation_size
-    seen = np.random.default_rng(0).random((200, size), dtype=np.float32)
+    seen = np.random.default_rng(0).random((200, policy.card.observation_size), dtype=np.float32)
     together = policy.values(seen)
     np.testing.assert_array_equal(together, np.concatenate([policy.values(row[None]) for row in seen]))
     for offset in range(4):

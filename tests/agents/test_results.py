@@ -92,14 +92,12 @@ def test_of_equally_many_runs_the_longer_ones_have_the_label(tmp_path: Path) -> 
 def test_learning_curves_against_closed_forms() -> None:
     """Two straight curves of other lengths: the mean on what they share; deviations of runs and of single returns."""
     first, second = np.array([[0, 0.0, 0.5], [1000, 1.0, 0.5]]), np.array([[100, 2.1, 0.5], [800, 2.8, 0.5]])
-    found = average_curves([first, second])
-    steps, mean, between, single = found
+    steps, mean, between, single = average_curves([first, second])
     assert (steps[0], steps[-1]) == (100.0, 800.0)
     np.testing.assert_allclose(mean, steps / 1000.0 + 1.0)
     np.testing.assert_allclose(between, math.sqrt(2.0))  # of the two values x and x + 2
     np.testing.assert_allclose(single, math.sqrt(0.5**2 + 1.0**2))
-    alone = average_curves([first])
-    assert np.isnan(alone[2]).all()
+    assert np.isnan(average_curves([first])[2]).all()
     assert average_curves([np.zeros((0, 3))]) is None
 
 

@@ -59,8 +59,7 @@ def test_the_hasty_have_accidents() -> None:
         assert totals[kind] > 0.0, kind
     # Haste does not pay where accidents are priced.
     hasty = np.mean([result.score for result, _ in episodes("scripted:unsafe")])
-    careful = np.mean([result.score for result, _ in episodes("scripted")])
-    assert careful > hasty + 0.3
+    assert np.mean([result.score for result, _ in episodes("scripted")]) > hasty + 0.3
 
 
 @pytest.mark.parametrize("policy", ["scripted", "scripted:unsafe"])

@@ -82,8 +82,7 @@ def test_seeds_are_used_once() -> None:
     first = [venv.reset() for _ in range(12)]
     assert len({one.tobytes() for one in first}) > 1, "goals are drawn anew"
     venv.seed(5)
-    again = [venv.reset() for _ in range(12)]
-    np.testing.assert_array_equal(first, again)
+    np.testing.assert_array_equal(first, [venv.reset() for _ in range(12)])
     venv.seed(6)
     for wrong in (1.5, True, [1], [1, -1]):
         refused(str(wrong), "seed.*given", venv.seed, wrong)

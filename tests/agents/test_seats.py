@@ -120,8 +120,7 @@ from chemlab.cli import main
 sys.argv = ["chemlab", "play", "fictitious"]
 main()
 """
-    root = Path(__file__).parents[2]
-    command = [sys.executable, "-c", core, str(root / "pyproject.toml")]
+    command = [sys.executable, "-c", core, str(Path(__file__).parents[2] / "pyproject.toml")]
     done = subprocess.run(command, input="q\n", capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "tick 0, " in done.stdout
@@ -172,8 +171,7 @@ def wrong_call(room: Room, rng: random.Random) -> tuple[Any, Any, Any]:
         return agent, rng.choice([*JUNK, "reset", "get_reward", "__init__", "begin"]), {}
     if way == 1:
         return rng.choice(JUNK), "look", {}
-    verbs = [verb for verb in room.verbs(agent) if verb.arguments or way == 2]
-    verb = rng.choice(verbs)
+    verb = rng.choice([verb for verb in room.verbs(agent) if verb.arguments or way == 2])
     given: Any = {one.name: one.options[0] if one.options else one.high for one in verb.arguments}
     if way == 2:
         return agent, verb.name, {**given, rng.choice(["Slot", "x" * 300, "self", "\n"]): 1}
@@ -370,8 +368,7 @@ def test_the_ledger_has_every_episode_and_shows_changes(tmp_path: Path) -> None:
 def test_opaque_names_hide_materials_everywhere(tmp_path: Path) -> None:
     room = Room("salt_from_oil", ("manager_0", "ext_0", "dit_0"), names="opaque", folder=tmp_path, salt=SALT, seed=1)
     shown = "".join(json.dumps([input_schema(v) for v in room.verbs(seat)]) + room.brief(seat) for seat in room.seats)
-    calls = play_scripted(room)
-    assert len({agent for agent, *_ in calls}) > 1
+    assert len({agent for agent, *_ in play_scripted(room)}) > 1
     shown += (tmp_path / "episode-0000.transcript.jsonl").read_text()
     materials = [name for name in load_scenario("salt_from_oil").materials if name not in ("air", "H", "Na")]
     assert [name for name in materials if re.search(rf"(?<![\w-]){re.escape(name)}(?![\w-])", shown)] == []

@@ -205,8 +205,7 @@ def test_waiting_for_runs_of_another_process_takes_no_processor(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("stable_baselines3")
-    file = sweep_file(tmp_path, PPO)
-    (one,) = plan(file, tmp_path / "out")
+    (one,) = plan(sweep_file(tmp_path, PPO), tmp_path / "out")
     monkeypatch.setattr(one.run, "busy", lambda: True)
     looked: list[float] = []
 
@@ -225,8 +224,7 @@ def test_a_run_that_another_process_took_first_is_waited_for(tmp_path: Path, mon
     pytest.importorskip("stable_baselines3")
     from chemlab.agents.train.learn import train
 
-    file = sweep_file(tmp_path, PPO)
-    (one,) = plan(file, tmp_path / "out")
+    (one,) = plan(sweep_file(tmp_path, PPO), tmp_path / "out")
     # It was free when the sweep looked, and taken when its process came.
     busy = one.run.busy
     monkeypatch.setattr(one.run, "busy", lambda: one.log.exists() and busy())

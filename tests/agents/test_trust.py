@@ -210,8 +210,7 @@ def test_what_never_ends_is_not_read(kind: str, strangers: Path, tmp_path: Path,
 
 def test_training_does_not_go_on_from_a_strangers_checkpoint(bait: Path) -> None:
     single = ["train", SCENARIO, *MANAGER.flags(), "--out", no_end(bait / "manager")]
-    together = ["train", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]
-    for words in (single, together):
+    for words in (single, ["train", SCENARIO, *JOINT.flags(), "--out", no_end(bait / "joint")]):
         assert "--trust" in command(*words, code=2)
         assert not (bait / "ran").exists()
         chemlab_trusting(words)
@@ -333,7 +332,6 @@ def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, mon
 def test_own_runs_need_no_flag(tmp_path: Path) -> None:
     train(MANAGER, tmp_path / "manager")
     without_weights(tmp_path / "manager")
-    saved = find_saved(str(tmp_path / "manager"))
-    assert list(saved.load) == ["manager"]
+    assert list(find_saved(str(tmp_path / "manager")).load) == ["manager"]
     command("run", SCENARIO, "--policy", tmp_path / "manager", "--json")
     assert Run(tmp_path / "manager").result() is not None

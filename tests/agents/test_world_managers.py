@@ -76,8 +76,7 @@ def test_nobody_looks_where_it_costs_more_than_it_is_worth() -> None:
     for instrument in values["instruments"].values():
         instrument["price"] = 0.39
     labs, watched = played("unlabelled", "scripted", 5, values)
-    first = [labs.actions.decode(actions[0])[0] for actions in watched.actions]
-    assert first == ["start"] * 5
+    assert [labs.actions.decode(actions[0])[0] for actions in watched.actions] == ["start"] * 5
 
 
 def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
@@ -89,8 +88,7 @@ def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
     seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
     manager.act(seen, mask, np.zeros(1, dtype=np.int64), labs.members)
     belief = manager._kept[0]
-    prior = manager._posterior(belief).sum(axis=2)
-    assert prior == pytest.approx(np.full((8, 4), 0.25))
+    assert manager._posterior(belief).sum(axis=2) == pytest.approx(np.full((8, 4), 0.25))
     belief.likelihood[0] = 1e-12
     belief.likelihood[0, 0] = 1.0
     after = manager._posterior(belief).sum(axis=2)
@@ -276,8 +274,7 @@ def test_an_order_that_cannot_be_met_in_time_is_let_go() -> None:
 
 
 def test_a_near_deadline_gets_the_quick_grade() -> None:
-    values = known_shop("relay", 1, within=[25.0])
-    labs, watched = played("relay", "scripted", 2, values)
+    labs, watched = played("relay", "scripted", 2, known_shop("relay", 1, within=[25.0]))
     for actions in watched.actions:
         starts = [labs.actions.decode(a) for a in actions if labs.actions.decode(a)[0] == "start"]
         slot = starts[0][2]

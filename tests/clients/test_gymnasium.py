@@ -67,8 +67,7 @@ def test_wrappers() -> None:
 
 
 def test_vector_wrappers() -> None:
-    envs = role_vector_env(4)
-    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(envs)
+    wrapped = gymnasium.wrappers.vector.RecordEpisodeStatistics(role_vector_env(4))
     wrapped = gymnasium.wrappers.vector.NormalizeObservation(wrapped)
     wrapped = gymnasium.wrappers.vector.ClipReward(wrapped, -1.0, 1.0)
     _, infos = wrapped.reset(seed=0)

@@ -29,8 +29,7 @@ def test_an_episode(tmp_path: Path) -> None:
     calls, record = played(("manager_0",), tmp_path / "here")
     app = seat_app(scenario="unlabelled", folder=tmp_path / "there", salt=SALT, seed=SEED)
     with served(app) as url, GenericEnvClient(base_url=url, message_timeout_s=300).sync() as client:
-        first = client.reset(seed=1)
-        assert "manager_0 in a simulated" in first.observation["result"]
+        assert "manager_0 in a simulated" in client.reset(seed=1).observation["result"]
         tools = client.step({"type": "list_tools"}).observation["tools"]
         assert {"start", "measure", "submit", "look", "wait"} <= {tool["name"] for tool in tools}
         wrong = client.step({"type": "call_tool", "tool_name": "measure", "arguments": {"slot": 77}})

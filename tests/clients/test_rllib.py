@@ -145,8 +145,7 @@ def test_seeds_begin_the_same_episodes() -> None:
     class Context(dict[str, Any]):
         worker_index = 2
 
-    elsewhere = LaboratoryMultiAgentEnv(Context(settings))
-    assert episode(3, elsewhere) == episode(2003, env)
+    assert episode(3, LaboratoryMultiAgentEnv(Context(settings))) == episode(2003, env)
 
 
 def test_wrong_settings_and_steps_are_named() -> None:

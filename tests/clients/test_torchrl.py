@@ -54,8 +54,7 @@ def test_specs(name: str, api: str) -> None:
     for agent, group in groups.items():
         # AEC: a group an agent; parallel: a group a role, whose agents share their spaces.
         assert group == (agent if api == "aec" else agent.rpartition("_")[0])
-        discrete = hasattr(env.action_space(agent), "n")
-        assert env.has_action_mask[group] == discrete
+        assert env.has_action_mask[group] == hasattr(env.action_space(agent), "n")
         assert env.observation_spec[group, "observation"].shape[1:] == env.observation_space(agent).shape
 
 

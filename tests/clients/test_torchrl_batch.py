@@ -64,8 +64,7 @@ def test_its_episodes_are_those_of_single_laboratories() -> None:
     """Actions of a random rollout, played again in the parallel environment: the same to the last digit, and random
     ones are all legal. Where an episode ends the last observation is its own, and the next row is of a new one."""
     torch.manual_seed(0)
-    env = TorchLaboratory(3, "wurtz_dodecane", seed=5)
-    rollout = env.rollout(60, break_when_any_done=False)
+    rollout = TorchLaboratory(3, "wurtz_dodecane", seed=5).rollout(60, break_when_any_done=False)
     assert rollout["next", "done"].any()
     for member in range(3):
         single = parallel_env("wurtz_dodecane")

@@ -70,8 +70,7 @@ def forged(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
 def honest(tries: int, seed: int) -> tuple[Outcomes, list[str]]:
     """Honest records of every scenario: how they verify."""
     command = [sys.executable, ROOT / "studies" / "speed" / "verify.py", "--episodes", str(tries), "--json"]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False)
-    report = json.loads(done.stdout)
+    report = json.loads(subprocess.run(command, stdout=subprocess.PIPE, text=True, check=False).stdout)
     return {"honest records": report["status"]}, [str(alarm) for alarm in report["alarms"]]
 
 

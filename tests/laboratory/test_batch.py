@@ -97,8 +97,7 @@ def test_seeds_of_members_and_resets_of_some() -> None:
     batch.step({"manager_0": np.full(4, batch.laboratories.actions.encode("wait"))})
     np.testing.assert_equal(batch.reset(seed=[7, 3, 7, 5])[0], seen, "a seed gives the same observations of all agents")
     batch.reset(seed=1, options={"goal": "NaCl"})
-    goals = batch.laboratories.state.goal[:, 0]
-    assert {batch.scenario.goals[goal] for goal in goals} == {"NaCl"}
+    assert {batch.scenario.goals[goal] for goal in batch.laboratories.state.goal[:, 0]} == {"NaCl"}
     # A batch that was never seeded draws seeds, and not the same for all.
     other = BatchedLaboratory(6, "wurtz_any")
     other.reset()

@@ -156,8 +156,7 @@ def test_members_are_single_environments(name: str) -> None:
 
 def test_a_lost_last_turn_is_reported_when_reset_at_once() -> None:
     """The step that ends may itself be illegal: at the step limit."""
-    name = "chemlab/WurtzExtraction-v0"
-    env = batch(name, 1, autoreset_mode="SameStep")
+    env = batch("chemlab/WurtzExtraction-v0", 1, autoreset_mode="SameStep")
     _, infos = env.reset(seed=0)
     illegal = int(np.flatnonzero(infos["action_mask"][0] == 0)[0])
     for step in range(1, env.bench.spec.step_limit + 1):

@@ -304,8 +304,7 @@ def test_an_agent_that_never_has_a_turn_is_named() -> None:
     def idle(observation: Any, mask: Any) -> Any:
         return np.array([row.nonzero()[0][-1] for row in mask])  # submits, recalls or waits: never starts
 
-    policies = {"manager_0": idle, "ext_0": anything, "dit_0": anything}
-    env = RoleEnv(WURTZ, "rxn_0", policies)
+    env = RoleEnv(WURTZ, "rxn_0", {"manager_0": idle, "ext_0": anything, "dit_0": anything})
     with pytest.raises(RuntimeError, match="rxn_0: had no turn"):
         env.reset(seed=0)
     with pytest.raises(ResetNeeded):

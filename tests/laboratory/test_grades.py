@@ -63,8 +63,7 @@ def test_the_bench_sees_what_is_asked_and_told_and_nobody_else_is_told() -> None
     manager(other, "start", "rxn_0", 0, "2-chlorohexane", "asked")
     manager(other, "wait")
     assert (other.observe("manager_0") == env.observe("manager_0")).all()
-    changed = np.flatnonzero(other.observe("rxn_0") != seen)
-    assert changed.tolist() == [slices["told"].start]
+    assert np.flatnonzero(other.observe("rxn_0") != seen).tolist() == [slices["told"].start]
 
 
 @pytest.mark.parametrize(("purity", "met"), [(0.1, True), (0.99, False)])

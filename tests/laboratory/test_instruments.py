@@ -97,8 +97,7 @@ def test_impurities_lower_the_melting_point() -> None:
 @pytest.mark.parametrize("physics", TIERS)
 def test_hplc_sees_what_dissolves(physics: str) -> None:
     """Molecules one by one, whether they fly or not, and ions as half a salt each; no metal."""
-    contents = {"water": 10.0, "dodecane": 0.5, "NaOH": 0.25}
-    flask = Flask(contents, physics=physics)
+    flask = Flask({"water": 10.0, "dodecane": 0.5, "NaOH": 0.25}, physics=physics)
     reading, dissolved = flask.measure("hplc"), flask.amounts["OH-"]  # the rest is not seen
     found = dict(zip(reading.labels, reading.values.tolist(), strict=True))
     assert dissolved > 0.1

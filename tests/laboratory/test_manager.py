@@ -208,8 +208,7 @@ def test_what_the_instruments_read() -> None:
     nearest = np.abs(picture[:, None] - np.array(shades)).argmin(axis=1)
     assert np.abs(picture - np.array(shades)[nearest]).max() < 1e-6
     assert (np.diff(nearest) >= 0).all()
-    volume = litres(scenario, contents)
-    assert (nearest < 2).sum() == pytest.approx(100.0 * volume / 1.2, abs=1.0)
+    assert (nearest < 2).sum() == pytest.approx(100.0 * litres(scenario, contents) / 1.2, abs=1.0)
     # UV-Vis: the spectrum of what is in there (its closed form: tests/physics/test_spectra.py).
     light = np.zeros(200)
     spectrum(labs.shelf.rows[0], labs.shelf.chem(), light)

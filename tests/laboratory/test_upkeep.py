@@ -56,8 +56,7 @@ def first_isomer(labs: Laboratories, slot: int = 0) -> float:
 
 def test_a_weak_stirrer_makes_a_tick_shorter() -> None:
     """A -> P at 345 K: exp(-k t), with t a tick times the gain."""
-    spec = scenario({"gain": 0.3})
-    labs = begun(spec)
+    labs = begun(scenario({"gain": 0.3}))
     assert run(labs, "rxn_0") == 20
     k = 4.86e12 * math.exp(-85000.0 / (8.314462618 * 345.0))
     assert first_isomer(labs) == pytest.approx(4.0 * math.exp(-k * 20 * 0.016 * 0.3), rel=1e-3)
@@ -129,8 +128,7 @@ def test_a_bench_that_breaks_ends_its_experiment_and_waits_for_a_fitter() -> Non
     assert allowed(env, "start", "rxn_1", 0, "2-chlorohexane")
     manager(env, "repair", "rxn_0")
     assert labs.costs()["time"] == pytest.approx(0.03 + 5 * spec.costs.tick)
-    limit = spec.limits.ticks
-    assert env.observe("manager_0")[-4:] == pytest.approx([0.0, 7 / limit, 0.0, 0.0])
+    assert env.observe("manager_0")[-4:] == pytest.approx([0.0, 7 / spec.limits.ticks, 0.0, 0.0])
     for action in (("start", "rxn_0", 0, "2-chlorohexane"), ("repair", "rxn_0")):
         assert not allowed(env, *action)
     manager(env, "wait")  # for the fitter, as nobody works
@@ -202,12 +200,10 @@ def test_biases_walk_with_time_and_go_with_a_calibration() -> None:
     assert 0.15 < exact[middle] < 0.85
     off = readings(labs)[:, middle] - exact[middle]
     assert off.std() == pytest.approx(math.sqrt(0.01**2 + 20 * 0.004**2), rel=0.08)
-    again = readings(labs)[:, middle] - exact[middle]
-    assert (again == off).all()  # no time has passed
+    assert ((readings(labs)[:, middle] - exact[middle]) == off).all()  # no time has passed
     labs.act(0, labs.members, np.full(1500, labs.actions.encode("calibrate", GC)))
     assert labs.charges(labs.members)[:, 0] == pytest.approx(2 * spec.instruments[GC].price + 0.02)
-    after = readings(labs)[:, middle] - exact[middle]
-    assert after.std() == pytest.approx(0.002, rel=0.08)
+    assert (readings(labs)[:, middle] - exact[middle]).std() == pytest.approx(0.002, rel=0.08)
 
 
 def test_a_trend_goes_on_from_the_last_calibration() -> None:
@@ -227,8 +223,7 @@ def test_a_trend_goes_on_from_the_last_calibration() -> None:
     assert not allowed(dear, "calibrate", GC)
     at = [channel.name for channel in labs.channels].index(f"{GC}_calibrated")
     sizes = [channel.size for channel in labs.channels]
-    seen = labs.observe(0, labs.members)[0, sum(sizes[:at])]
-    assert seen == pytest.approx(20 / spec.limits.ticks)
+    assert labs.observe(0, labs.members)[0, sum(sizes[:at])] == pytest.approx(20 / spec.limits.ticks)
 
 
 DRAWS: dict[str, dict[str, Any]] = {

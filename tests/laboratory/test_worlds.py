@@ -205,8 +205,7 @@ def test_a_world_can_be_asked_for() -> None:
 def test_two_worlds_look_equal_until_something_physical_differs() -> None:
     """All agents' observations and masks are the same in every world until somebody looks inside a vessel, or something
     happens in one."""
-    spec = scenario()
-    labs = Laboratories(spec, 40)
+    labs = Laboratories(scenario(), 40)
     labs.begin(0, "dodecane")
 
     def seen() -> list[bytes]:

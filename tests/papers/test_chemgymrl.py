@@ -173,8 +173,7 @@ def test_curves_have_the_papers_bands_and_the_heuristic(tmp_path: Path) -> None:
         assert len(axes.collections) == 1  # the band of PPO; one run of A2C has none
         extent = axes.collections[0].get_paths()[0].get_extents()
         assert (extent.y0, extent.y1) == pytest.approx((2.0 - half, 2.0 + half))
-    words = " ".join(text.get_text() for text in found.figure.texts)
-    assert "One run has no spread: A2C" in words
+    assert "One run has no spread: A2C" in " ".join(text.get_text() for text in found.figure.texts)
     assert "DQN" in found.missing[0]
 
 
@@ -415,8 +414,7 @@ def test_every_published_page_is_made_from_the_tables(tmp_path: Path, monkeypatc
         (tmp_path / page.name).write_text(text)
     out = tmp_path / "results"
     shutil.copytree(ROOT / "docs" / "results", out, ignore=shutil.ignore_patterns("*.md"))
-    said = published.make(out, pages)
-    assert not [line for line in said if not line.startswith("wrote ")]
+    assert not [line for line in published.make(out, pages) if not line.startswith("wrote ")]
     for made, stands in ((tmp_path, ROOT), (tmp_path, ROOT / "docs"), (out, ROOT / "docs" / "results")):
         for page in made.glob("*.md"):
             if (stands / page.name).exists():

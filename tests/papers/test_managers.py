@@ -40,8 +40,7 @@ def row(policy: str, score: float, run: str = "", background: str = "scripted", 
 
 def store(folder: Path, played: Mapping[str, float], *more: dict[str, Any]) -> None:
     """Make a folder of runs one of tables, in which the runs by name and the baselines have been played."""
-    runs = read_runs(folder)
-    write_runs(folder, runs)
+    write_runs(folder, read_runs(folder))
     values = {"scripted": SCRIPTED, "scripted:no-extraction": 0.3, "plan": 0.25, "random": -0.1}
     rows = [row(name, value) for name, value in values.items()]
     rows += [row("learned", score, name, purity=0.987, ticks=41.6) for name, score in played.items()]
@@ -161,8 +160,7 @@ def test_runs_without_checkpoints_keep_what_was_known(tmp_path: Path) -> None:
     for seed in (0, 1):
         write_run(runs / "manager" / f"seed-{seed}", seed)
     write_runs(tables, read_runs(runs))
-    empty = write_run(runs / "other" / "seed-0")
-    (empty / "checkpoints" / "best-100").mkdir(parents=True)
+    (write_run(runs / "other" / "seed-0") / "checkpoints" / "best-100").mkdir(parents=True)
     store(tables, {"manager/seed-0": 0.7})
     before = stored(tables)
     told: list[str] = []

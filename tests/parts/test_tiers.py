@@ -92,8 +92,7 @@ def test_the_scenario_says_which(brisk: Scenario) -> None:
     paper = build_chemistry(load_scenario("wurtz_dodecane"))
     assert paper.tier == "paper"
     assert len(paper.structure["laws"]) <= len(LAWS)  # functions of the backend real are not compiled for another
-    restored = restore_scenario(dump_scenario(brisk), "a copy")
-    assert restored.physics == "brisk"
+    assert restore_scenario(dump_scenario(brisk), "a copy").physics == "brisk"
     # Defaults are left out.
     assert "physics" not in dump_scenario(load_scenario("wurtz_dodecane"))["scenario"]
     with pytest.raises(DataError, match="unknown backend 'slow'; choose from paper, real, brisk"):

@@ -128,8 +128,7 @@ def test_without_a_place_for_the_cache_kernels_work_all_the_same(trouble: str, t
 @pytest.mark.slow
 def test_processes_that_start_at_once_agree(tmp_path: Path) -> None:
     processes = [start(PLAY, tmp_path) for _ in range(3)]
-    results = {process.communicate(timeout=900)[0] for process in processes}
-    assert results == {play(tmp_path)[0]}
+    assert {process.communicate(timeout=900)[0] for process in processes} == {play(tmp_path)[0]}
 
 
 INTERRUPTED = """

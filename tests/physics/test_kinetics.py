@@ -206,8 +206,7 @@ def test_a_reaction_of_any_speed_ends_and_leaves_the_others_alone(power: int) ->
     """A -> B as fast as can be, beside C -> D with k = 1: the closed forms of both."""
     scheme = Scheme.of([({0: 1.0}, {1: 1.0}, 10.0**power, 0.0), ({2: 1.0}, {3: 1.0}, 1.0, 0.0)], 4)
     found = run(scheme, [1.0, 0.0, 1.0, 0.0], 1.0, 1.0, DEFAULT)
-    expected = [0.0, 1.0, np.exp(-1.0), 1.0 - np.exp(-1.0)]
-    np.testing.assert_allclose(found, expected, atol=2e-3)
+    np.testing.assert_allclose(found, [0.0, 1.0, np.exp(-1.0), 1.0 - np.exp(-1.0)], atol=2e-3)
     np.testing.assert_allclose(found[[0, 2]] + found[[1, 3]], 1.0, rtol=1e-12)
 
 

@@ -218,8 +218,7 @@ def test_camera_shows_solids_by_volume() -> None:
     GLASS.fill(0, {"NaCl": 10.0, "NaOH": 20.0}, 0.5)
     solids = GLASS.volume(0, "NaCl", "NaOH")
     share = GLASS.volume(0, "NaCl") / solids
-    full = int(solids / 0.5 * PIXELS)
-    seen = pictures(GLASS, 3, 200)[:, :full]
+    seen = pictures(GLASS, 3, 200)[:, : int(solids / 0.5 * PIXELS)]
     salt, base = (GLASS.scenario.materials[name].shade for name in ("NaCl", "NaOH"))
     assert np.isin(seen, [salt, base]).all()
     spread = np.sqrt(share * (1.0 - share) / seen.size)
@@ -228,8 +227,7 @@ def test_camera_shows_solids_by_volume() -> None:
 
 def test_no_vessel_is_black() -> None:
     """Where no vessel stands every pixel is 0, though the stream holds random numbers."""
-    row = GLASS.fill(0, {"water": 10.0}, 0.9)
-    row[PRESENT] = 0.0
+    GLASS.fill(0, {"water": 10.0}, 0.9)[PRESENT] = 0.0
     names, _ = GLASS.profile(0)
     assert names == []
     assert (pictures(GLASS, 1, 3) == 0.0).all()

@@ -92,8 +92,7 @@ PAIR = {"water": 6.0, "hexane": 3.0}
 
 def start(clock: float, in_water: float, in_hexane: float) -> None:
     """A vessel whose dodecane is known to be so much in water and so much in hexane at ``clock``."""
-    row = FOUR.fill(0, {**PAIR, "dodecane": in_water + in_hexane}, clock=clock)
-    row[CLOCK_WAS] = clock
+    FOUR.fill(0, {**PAIR, "dodecane": in_water + in_hexane}, clock=clock)[CLOCK_WAS] = clock
     k = FOUR.layout.dissolved.index("dodecane")
     FOUR.dissolved(0)[k] = 0.0
     FOUR.dissolved(0)[k, FOUR.layout.solvents.index("water")] = in_water

@@ -168,8 +168,7 @@ def test_a_violent_reaction_counts_as_the_event_it_names(tmp_path: Any) -> None:
 def test_gas_that_is_in_a_vessel_leaves_it_for_the_waste() -> None:
     """Whatever reaction made it: mol by mol, and nothing else goes."""
     glass = Glassware(vessels=1)
-    row = glass.fill(0, {"diethyl_ether": 2.0})
-    row[AMOUNTS + glass.index("H2")] = 0.25
+    glass.fill(0, {"diethyl_ether": 2.0})[AMOUNTS + glass.index("H2")] = 0.25
     atoms = glass.atoms()
     glass.phases(0)
     assert glass.amount(0, "H2") == 0.0

@@ -238,8 +238,7 @@ def test_atoms_charge_and_enthalpy_are_conserved(seed: int) -> None:
     assert enthalpy_of(row, solutions.table.handle) == pytest.approx(heat, abs=1e-9 * scale)
     np.testing.assert_array_equal(row[AMOUNTS + solutions.materials :: 2], after)
     assert not row[AMOUNTS + solutions.materials + 1 :: 2].any()
-    again = solutions.settle(row.copy())
-    np.testing.assert_allclose(again, row, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(solutions.settle(row.copy()), row, rtol=1e-9, atol=1e-12)
 
 
 def test_other_layers_and_crystals_take_no_part() -> None:

@@ -287,8 +287,7 @@ def test_crystals_under_the_last_trace_of_a_liquid() -> None:
 
 
 def test_the_paper_dries_by_its_own_vapor_pressure() -> None:
-    scenario = load_scenario("wurtz_dodecane")
-    shelf = Shelf(build_chemistry(scenario), 1, 1)
+    shelf = Shelf(build_chemistry(load_scenario("wurtz_dodecane")), 1, 1)
     row, chem = shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "Na": 0.5}).row, shelf.chem()
     names = shelf.layout.materials
     waste, air = np.zeros(len(names)), 30.0

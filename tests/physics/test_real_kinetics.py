@@ -104,8 +104,7 @@ def test_an_equilibrium_follows_van_t_hoff() -> None:
 def test_what_is_absent_holds_a_reverse_reaction_too() -> None:
     """A + B <-> C + D without A and D: nothing."""
     step = {"reactants": {0: 1, 1: 1}, "products": {2: 1, 3: 1}, "k": 1e3, "equilibrium": 1e-3}
-    done = run(network([step], 4), [0.0, 1.0, 1.0, 0.0], 10.0)
-    assert done.amounts.tolist() == [0.0, 1.0, 1.0, 0.0]
+    assert run(network([step], 4), [0.0, 1.0, 1.0, 0.0], 10.0).amounts.tolist() == [0.0, 1.0, 1.0, 0.0]
 
 
 def test_a_catalyst_multiplies_and_is_not_used_up() -> None:
@@ -349,8 +348,7 @@ def test_what_does_not_end_is_given_up_and_changes_nothing() -> None:
         {"reactants": {0: 1, 1: 1}, "products": {1: 2}, "k": 1.0},
         {"reactants": {1: 1}, "products": {2: 1}, "k": 1.0},
     ]
-    table = network(steps, 3)
-    done = run(table, [0.3, 0.5, 0.2], 2e6, jacket=310.0, tolerance=(1e-6, 1e-9))
+    done = run(network(steps, 3), [0.3, 0.5, 0.2], 2e6, jacket=310.0, tolerance=(1e-6, 1e-9))
     assert done == (-1, pytest.approx([0.3, 0.5, 0.2], abs=0.0), ROOM)
 
 

@@ -43,8 +43,7 @@ def test_absorption_is_concentration_times_peaks(scenario: str, left_out: int) -
     peaks."""
     glass = Glassware(scenario, 1)
     there = chemicals(glass.scenario)[left_out:]
-    contents = {"diethyl_ether": 8.0, **{n: 0.01 * (i + 1) for i, n in enumerate(there)}}
-    found = seen(glass, contents)
+    found = seen(glass, {"diethyl_ether": 8.0, **{n: 0.01 * (i + 1) for i, n in enumerate(there)}})
     expected = (glass.amounts(0) / litres_of_liquid(glass)) @ peaks(glass.scenario)
     assert expected.max() < 1.0
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-15)

@@ -63,8 +63,7 @@ def experiment(name: str, key: str) -> tuple[Scene, ...]:
 def variant(slots: int, counts: Mapping[str, int], **changes: Any) -> Scenario:
     """``wurtz_any`` with another shelf and other numbers of benches."""
     data = load_scenario("wurtz_any").model_dump(mode="json")
-    vessel = data["shelf"]["vessel"][0]
-    data["shelf"] = {"slots": slots, "vessel": [vessel] * min(4, slots)}
+    data["shelf"] = {"slots": slots, "vessel": [data["shelf"]["vessel"][0]] * min(4, slots)}
     for key, count in counts.items():
         data["benches"][key]["count"] = count
     return load_scenario(

@@ -80,8 +80,7 @@ def test_layers_are_as_high_as_their_volumes(name: str) -> None:
 
 
 def test_a_stirred_vessel_has_the_mean_colour_up_to_its_fill_level() -> None:
-    labs = filled({"diethyl_ether": 4.0, "water": 20.0}, clock=T_MIX)
-    scene = laboratory_scene(labs)
+    scene = laboratory_scene(filled({"diethyl_ether": 4.0, "water": 20.0}, clock=T_MIX))
     painting = paint(scene)
     glass, vessel = painting.glasses[0], vessels_of(scene)["shelf", "slot 0"]
     volumes = np.array([layer.volume_l for layer in vessel.layers])

@@ -26,8 +26,7 @@ WURTZ = load_scenario("wurtz_any")
 
 
 def slot_0(labs: Laboratories) -> VesselPicture:
-    vessel = laboratory_scene(labs).shelf[0].vessel
-    return vessel
+    return laboratory_scene(labs).shelf[0].vessel
 
 
 def litres(name: str, mol: float) -> float:
@@ -91,8 +90,7 @@ def test_layers_add_up_to_the_contents_throughout_an_episode(name: str) -> None:
 
 def test_a_bench_holds_what_was_brought_to_it_and_the_shelf_keeps_places_for_it() -> None:
     labs = filled({"diethyl_ether": 4.0, "dodecane": 0.3})
-    start = labs.actions.encode("start", "ext_0", 0, "dodecane")
-    labs.act(0, labs.members, np.array([start]))
+    labs.act(0, labs.members, np.array([labs.actions.encode("start", "ext_0", 0, "dodecane")]))
     scene = laboratory_scene(labs)
     assert scene.shelf[0].vessel is None
     # Vessels stand in slots 0 and 1 of the scenario; the beakers' places are the next two.
