@@ -142,7 +142,6 @@ for _name, _give in (("WurtzReaction-v0", "wurtz_dodecane"), ("LabManager-v1", "
     for _words in ("run", "describe", "audit", "audit plan"):
         _said = f"error: scenario: chemlab/{_name} is an environment's id; give {_give}"
         MISTAKES[f"{_words} chemlab/{_name}"] = [_said]
-NEEDS = {"plot": "matplotlib", "data": "ugropy", "train": "torch"}
 
 
 def test_mistakes_are_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,7 +149,7 @@ def test_mistakes_are_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.chdir(tmp_path)
     command("run", "fictitious", "--record", "a.jsonl", "--json")
     for words, parts in MISTAKES.items():
-        if find_spec(NEEDS.get(words.split()[0], "chemlab")):
+        if find_spec({"plot": "matplotlib", "data": "ugropy", "train": "torch"}.get(words.split()[0], "chemlab")):
             said = command(*shlex.split(words), code=2)
             assert [part for part in parts if part not in said] == [], said
             assert "Traceback" not in said

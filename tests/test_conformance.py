@@ -20,7 +20,6 @@ from chemlab.lab.experiments import ExperimentBatch
 PARTS = Path(__file__).parent / "parts"
 SEEN = "return np.clip(litres / 5.0, 0.0, 1.0)[:, None]"
 COUNTED = "CALLS.append(0)\n    return np.full((len(members), 1), len(CALLS) / 1e6)\n\n\nCALLS: list[int] = []"
-CREATED = ("turn.waste[turn.material] += mol", "turn.waste[turn.material] += 0.5 * mol")
 FAULTS = {
     "spaces": (SEEN, "return 2.0 + litres[:, None]", "must be from 0 to 1"),
     "seeds": (SEEN, "return np.random.random((len(members), 1))", "the same seed gives another episode"),
@@ -165,7 +164,7 @@ def test_every_level_of_a_file_is_loaded(tmp_path: Path) -> None:
 
 def test_the_command(tmp_path: Path) -> None:
     assert command("check", "fictitious").count("passed") == len(CHECKS)
-    file = written(tmp_path, *CREATED)
+    file = written(tmp_path, "turn.waste[turn.material] += mol", "turn.waste[turn.material] += 0.5 * mol")
     command("check", file, code=2)
     (fault,) = [one for one in json.loads(command("check", file, "--trust", "--json", code=1)) if one["error"]]
     assert (fault["name"], "C changed by" in fault["error"]) == ("conservation", True)

@@ -24,14 +24,11 @@ except ModuleNotFoundError:  # Python 3.10
 Material = dict[str, Any]
 
 DATA = Path(__file__).resolve().parents[1] / "chemlab" / "data" / "materials"
-FILES = ("solvents", "wurtz", "salts", "gases", "fictitious")
-NEW_FILES = ("organics", "acids", "snar", "minerals")
 ROOM_K = 298.15
 
 MASS, DENSITY, HEAT = "molar_mass_g_mol", "density_kg_l", "heat_capacity_j_mol_k"
 MELT, BOIL, VAPOR = "melting_point_k", "boiling_point_k", "vaporization_enthalpy_j_mol"
 PROPERTIES = (MASS, DENSITY, HEAT, MELT, BOIL, VAPOR)
-NUMERIC = (*PROPERTIES, "polarity")
 CRITICAL, FUSION, FORMATION = "critical_temperature_k", "fusion_enthalpy_j_mol", "formation_enthalpy_j_mol"
 REAL_PROPERTIES = (CRITICAL, FUSION, FORMATION)
 
@@ -45,9 +42,9 @@ def _load(files: tuple[str, ...]) -> list[tuple[str, str, Material]]:
     return rows
 
 
-ROWS = _load(FILES)
+ROWS = _load(("solvents", "wurtz", "salts", "gases", "fictitious"))
 MATERIALS: dict[str, Material] = {key: material for _, key, material in ROWS}
-NEW: dict[str, Material] = {key: material for _, key, material in _load(NEW_FILES)}
+NEW: dict[str, Material] = {key: material for _, key, material in _load(("organics", "acids", "snar", "minerals"))}
 ALL = MATERIALS | NEW
 REAL = [key for file, key, _ in ROWS if file != "fictitious"]
 FICTITIOUS = [key for file, key, _ in ROWS if file == "fictitious"]
@@ -123,7 +120,7 @@ def test_values_are_those_their_sources_list() -> None:
 
 def test_uncited_values_say_what_they_are() -> None:
     # A number that no compilation key backs must name a work, or admit being an estimate or a design value.
-    for key, field in itertools.product(REAL, NUMERIC):
+    for key, field in itertools.product(REAL, (*PROPERTIES, "polarity")):
         text = MATERIALS[key]["source"][field]
         named_work = re.search(r"\(\d{4}\)|CRC Handbook|IAPWS", text)
         admitted = text.startswith(("estimate: ", "design value", "unused by the model"))

@@ -33,7 +33,6 @@ from chemlab.lab.engine import Laboratories
 from chemlab.record import LIMITS, Play, Recorder, RecordError, read_record, verify_record
 from chemlab.roles.manager_actions import START, SUBMIT, WAIT
 
-SCENARIOS = scenario_names()
 runner = CliRunner()
 Lines = list[dict[str, Any]]
 
@@ -202,7 +201,7 @@ def test_a_scenario_of_ones_own_needs_no_file(tmp_path: Path) -> None:
         command("replay", path, "-o", tmp_path / "a.md", "--force", *more)
 
 
-@pytest.mark.parametrize("name", [*SCENARIOS, ""])
+@pytest.mark.parametrize("name", [*scenario_names(), ""])
 def test_scenarios_survive_being_data(name: str) -> None:
     scenario = load_scenario(name) if name else four_solvents()
     text = json.dumps(dump_scenario(scenario))

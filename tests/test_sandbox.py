@@ -30,7 +30,6 @@ from chemlab.sandbox import BoilingWarning, Flask, IonizationWarning, SaltWarnin
 
 FloatArray = npt.NDArray[np.float64]
 
-ROOT = Path(__file__).parent.parent
 MATERIALS = shipped_materials()
 TIERS = ("paper", "real")
 NAPHTHALENE: Any = MATERIALS["naphthalene"]
@@ -289,7 +288,7 @@ def test_an_edited_file_is_read_again(decay: str) -> None:
 
 
 def test_material_and_pair_files_are_read_again_after_an_edit(tmp_path: Path) -> None:
-    shipped = read_toml(ROOT / "chemlab" / "data" / "materials" / "solvents.toml")["hexane"]
+    shipped = read_toml(Path(__file__).parent.parent / "chemlab" / "data" / "materials" / "solvents.toml")["hexane"]
     materials, pairs = tmp_path / "m.toml", tmp_path / "p.toml"
     masses, pressures = [], []
     for density, b in ((0.65, 0.0), (0.5, 300.0)):

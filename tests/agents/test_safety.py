@@ -18,7 +18,6 @@ from chemlab.lab.text import named_events
 from chemlab.laboratory import parallel_env
 
 SAFE = "wurtz_safe"
-SEEDS = 20
 
 
 def weighted(events: dict[str, float]) -> float:
@@ -30,7 +29,7 @@ def weighted(events: dict[str, float]) -> float:
 @functools.cache
 def episodes(policy: str) -> tuple[tuple[EpisodeResult, tuple[PlayedTurn, ...]], ...]:
     """Episodes of one set of scripted policies, and all their turns."""
-    env, turns = raw_env(SAFE), [list[PlayedTurn]() for _ in range(SEEDS)]
+    env, turns = raw_env(SAFE), [list[PlayedTurn]() for _ in range(20)]
     policies = make_policies(policy, env.laboratories)
     results = [play_episode(env, policies, seed, policy, watch=own.append) for seed, own in enumerate(turns)]
     return tuple(zip(results, map(tuple, turns), strict=True))

@@ -17,7 +17,6 @@ from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import build_chemistry
 
 FloatArray = npt.NDArray[np.float64]
-R = 8.31446261815324
 
 
 class ScipyReactions:
@@ -42,7 +41,7 @@ class ScipyReactions:
         def slope(_: float, amounts: FloatArray) -> FloatArray:
             total = np.zeros_like(amounts)
             for reactants, change, factor, energy in self.steps:
-                rate = factor * np.exp(-energy / (R * temperature_k))
+                rate = factor * np.exp(-energy / (8.31446261815324 * temperature_k))
                 for i, order in reactants.items():
                     rate *= max(amounts[i] / volume_l, 0.0) ** order
                 total += rate * volume_l * change

@@ -16,8 +16,6 @@ from openenv.core.generic_client import GenericEnvClient
 
 from chemlab.agents.openenv_server import seat_app
 
-ROOT = Path(__file__).parents[2]
-
 
 @contextmanager
 def served(app: Any) -> Iterator[str]:
@@ -50,7 +48,7 @@ def validated(*arguments: Any) -> str:
 
 def test_folder_and_server_are_valid() -> None:
     """What needs a container is skipped: nothing fails, and the server passes whole."""
-    report = validated(ROOT / "recipes" / "openenv", "--skip-build")
+    report = validated(Path(__file__).parents[2] / "recipes" / "openenv", "--skip-build")
     assert "PASS  static.manifest" in report
     assert "FAIL" not in report
     with served(seat_app(scenario="unlabelled")) as url:

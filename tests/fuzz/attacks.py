@@ -29,12 +29,10 @@ from chemlab.config.files import replace_between, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "docs" / "results" / "attacks.json"
-PAGE = ROOT / "docs" / "security.md"
 TURNS = 25
 """Played where a file loads."""
 FORGED = ("wurtz_dodecane", "relay", "rush", "failing")
 """Scenarios of the episodes that are forged: the plain one, and ones with grades, reports, orders over time, wear."""
-_MARK = "attacks"
 Outcomes = dict[str, dict[str, int]]
 """By kind of file or forgery: how many came out how."""
 
@@ -125,7 +123,7 @@ def main() -> int:
             run for run in kept() if run["kind"] != own["kind"] or not (arguments.forget or run["seed"] == own["seed"])
         ]
         write_json(KEPT, [*others, own])
-    replace_between(PAGE, _MARK, list(table(kept())))
+    replace_between(ROOT / "docs" / "security.md", "attacks", list(table(kept())))
     return int(bool(failures))
 
 

@@ -15,7 +15,6 @@ from chemlab.config.loading import dump_scenario, load_scenario, restore_scenari
 from chemlab.envs.aec import raw_env
 from chemlab.record import verify_record
 
-NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60)
 Lines = list[str]
 
 
@@ -66,7 +65,7 @@ def impossible_numbers(lines: Lines, path: Path) -> Iterator[Path]:
     header["environment"]["machine"] = "abacus"
     score = json.dumps(json.loads(lines[-1])["end"]["score"])
     for first in (lines[0], text_of(header)):
-        for number in NUMBERS:
+        for number in ("Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60):
             end = lines[-1].replace(f'"score":{score}', f'"score":{number}')
             yield store(path, [first, *lines[1:-1], end])
 
@@ -131,15 +130,12 @@ def invented_world(lines: Lines, path: Path) -> Iterator[Path]:
         yield store(path, [text_of(forged), *asked[1:]])
 
 
-FORGERIES = (cut_short, impossible_numbers, other_spellings, easier_scenario, paid_more, invented_world)
-
-
 def forge(seeds: int, folder: Path, scenario: str = "wurtz_dodecane") -> dict[str, Counter[str]]:
     """How often each forgery was tried, and how it was taken: by status of its verification."""
     found: dict[str, Counter[str]] = {}
     for seed in range(seeds):
         lines = record(folder / "honest.jsonl", scenario, seed)
-        for forgery in FORGERIES:
+        for forgery in (cut_short, impossible_numbers, other_spellings, easier_scenario, paid_more, invented_world):
             counter = found.setdefault(forgery.__name__, Counter())
             for path in forgery(lines, folder / "forged.jsonl"):
                 counter[verify_record(path).status] += 1

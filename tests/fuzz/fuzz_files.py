@@ -39,7 +39,6 @@ from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.starts import lab_starts
 from chemlab.record import Play, Recorder, verify_record
 
-SECONDS = 20
 LONGEST_MESSAGE = 20_000
 
 CHEM = ("values",) if importlib.util.find_spec("rdkit") else ()
@@ -445,7 +444,7 @@ def campaign(
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
             try:
-                with limited(SECONDS):
+                with limited(20):
                     said = one(folder, kind, rng)
                 outcomes[f"{kind}: {said}"] += 1
             except Exception:

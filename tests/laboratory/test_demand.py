@@ -20,8 +20,6 @@ from chemlab.roles.bench import channel_slices
 from chemlab.roles.manager_state import CLOSED, RUNNING
 from chemlab.roles.manager_view import terms_channels
 
-GAS = 8.314462618
-
 
 def shop(*orders: dict[str, float], **demand: Any) -> dict[str, Any]:
     """A campaign's laboratory with orders over time: three moles of four in the first vessels, nothing drawn."""
@@ -124,7 +122,7 @@ def test_vessels_on_the_shelf_go_on_reacting_where_the_scenario_says_so() -> Non
     env = laboratory(values)
     labs = env.laboratories
     at = labs.shelf.layout.index("3-chlorohexane")
-    first, second = (factor * math.exp(-85000.0 / (GAS * 298.15)) * 40.0 for factor in (4.86e12, 4.86e11))
+    first, second = (factor * math.exp(-85000.0 / (8.314462618 * 298.15)) * 40.0 for factor in (4.86e12, 4.86e11))
     for ticks in (30, 60):
         manager(env, "wait")
         left, kept = math.exp(-first * ticks), math.exp(-second * ticks)

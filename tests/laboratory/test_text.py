@@ -22,8 +22,6 @@ from chemlab.lab.text import (
 )
 from chemlab.roles.bench import Channel, channel_slices
 
-LEVELS = (0.0, 0.2, 0.45, 0.7, 1.0)
-
 
 def live(labs: Laboratories, channels: tuple[Channel, ...]) -> npt.NDArray[np.float32]:
     """An observation in which every channel says something."""
@@ -56,7 +54,7 @@ def variants(labs: Laboratories, channel: Channel) -> list[npt.NDArray[Any]]:
                 rows.append(rows[1].copy())
                 rows[-1][first : first + size] = shades[0] if first < 95 else shades[-1]
         return rows if len(shades) > 2 else rows[:-2]
-    rows = [np.full(n, level) for level in LEVELS]
+    rows = [np.full(n, level) for level in (0.0, 0.2, 0.45, 0.7, 1.0)]
     # Of a spectrum every seventh value; of what is shorter, all.
     for i in range(0, n, 7 if n > 40 else 1) if n > 1 else ():
         rows.append(np.full(n, 0.3))

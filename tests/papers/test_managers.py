@@ -21,7 +21,6 @@ from studies.paper import managers
 from studies.paper.managers import BASELINES, MEASURES, collect, write_laboratory
 from studies.paper.tables import read_runs, read_table, write_runs, write_table
 
-SCRIPTED = run_files.HEURISTIC
 HOW = {"episodes": 10, "seed": RESULT_SEED, "chemlab": __version__}
 
 
@@ -41,7 +40,7 @@ def row(policy: str, score: float, run: str = "", background: str = "scripted", 
 def store(folder: Path, played: Mapping[str, float], *more: dict[str, Any]) -> None:
     """Make a folder of runs one of tables, in which the runs by name and the baselines have been played."""
     write_runs(folder, read_runs(folder))
-    values = {"scripted": SCRIPTED, "scripted:no-extraction": 0.3, "plan": 0.25, "random": -0.1}
+    values = {"scripted": run_files.HEURISTIC, "scripted:no-extraction": 0.3, "plan": 0.25, "random": -0.1}
     rows = [row(name, value) for name, value in values.items()]
     rows += [row("learned", score, name, purity=0.987, ticks=41.6) for name, score in played.items()]
     write_table(folder / "managers.csv", managers._COLUMNS, [*rows, *more])

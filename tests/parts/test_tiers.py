@@ -20,7 +20,6 @@ from chemlab.physics.mass_action import integrate as react
 from chemlab.physics.mass_action import react_work_size
 from chemlab.physics.shelf import Shelf
 
-START = {"diethyl_ether": 4.0, "1-chlorohexane": 0.7, "3-chlorohexane": 0.4, "Na": 2.0}
 TEMPERATURE_K = 320.0
 
 
@@ -49,7 +48,7 @@ def brisk(laws: Path, monkeypatch: pytest.MonkeyPatch) -> Scenario:
 def reacted(scenario: Scenario, time: float) -> np.ndarray:
     """[M] mol after some time."""
     shelf = Shelf(build_chemistry(scenario), 1, 1)
-    row = shelf.fill(0, 0, 1.2, START).row
+    row = shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, "1-chlorohexane": 0.7, "3-chlorohexane": 0.4, "Na": 2.0}).row
     work = np.zeros(react_work_size(shelf.known()))
     react(row, shelf.chem(), 0.5, TEMPERATURE_K, time, 1e-10, 1e-13, work)
     return row[AMOUNTS : AMOUNTS + len(shelf.layout.materials)].copy()

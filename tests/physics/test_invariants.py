@@ -26,7 +26,6 @@ from chemlab.physics.thermal import pressure
 IntArray = npt.NDArray[np.int64]
 
 RUNNING = 0
-TURNS = 20_000
 
 
 def check_shelf(shelf: Shelf, swelling: float = 1e-6) -> None:
@@ -125,7 +124,7 @@ def test_random_agents_break_no_invariant(scenario: str) -> None:
 
     turns, rounds, experiments = 0, 0, np.zeros(len(laboratories.experiments))
     events = np.zeros(laboratories.safety_totals.shape[1])
-    while turns < TURNS:
+    while turns < 20_000:
         turns += random_turns(laboratories, rng, policy, 0.1)
         rounds += 1
         experiments += laboratories.busy.any(axis=1)

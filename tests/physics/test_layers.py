@@ -72,7 +72,6 @@ amounts = st.one_of(
     st.floats(0.01, 3.0),
     st.floats(-12.0, -2.0).map(lambda power: 10.0**power),  # down to less than a thousandth of a pixel
 )
-fullness = st.one_of(st.just(1.0), st.floats(0.02, 1.0))
 clocks = st.one_of(
     st.sampled_from([T_MIX, T_MIX + 1e-6, CLOCK_SETTLED - 1e-6, CLOCK_SETTLED]), st.floats(T_MIX, CLOCK_SETTLED)
 )
@@ -84,7 +83,7 @@ clocks = st.one_of(
         amounts,
         min_size=3,
     ),
-    fullness,
+    st.one_of(st.just(1.0), st.floats(0.02, 1.0)),
     clocks,
 )
 @settings(max_examples=200)

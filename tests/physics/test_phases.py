@@ -17,7 +17,6 @@ from chemlab.physics.events import METAL_IN_WATER
 from chemlab.physics.shelf import CLOCK_SETTLED, Shelf
 
 GLASS = Glassware(four_solvents(), 1)
-SALTS = {"NaCl": ("Na+", "Cl-"), "NaOH": ("Na+", "OH-")}
 IONIC = ("NaCl", "NaOH", "Na+", "Cl-", "OH-")
 SOLVENTS = ("water", "diethyl_ether", "hexane", "ethyl_acetate")
 
@@ -30,7 +29,7 @@ def steady_state(contents: dict[str, float], method: str = "Radau") -> dict[str,
 
     def slope(_: float, amount: np.ndarray) -> np.ndarray:
         change = np.zeros(len(IONIC))
-        for salt, (cation, anion) in SALTS.items():
+        for salt, (cation, anion) in {"NaCl": ("Na+", "Cl-"), "NaOH": ("Na+", "OH-")}.items():
             dissolving = sum(k * amount[order[salt]] * solvent for solvent in solvents)
             rate = dissolving - k * amount[order[cation]] * amount[order[anion]]
             change[[order[cation], order[anion]]] += rate

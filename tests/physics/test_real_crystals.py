@@ -28,7 +28,6 @@ from chemlab.physics.transfer import add, free_liquid, liquid_volume, pour, stra
 
 MATERIALS = shipped_materials()
 CRUDE = ("benzoic_acid", "salicylic_acid", "NaCl", "silica", "water", "ethanol")
-STANDARD_K = 298.15
 PIXELS = 100
 
 
@@ -323,7 +322,7 @@ def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> Non
         return sum(float(enthalpy(row, glass.chem)) for row in glass.rows)
 
     def held(mol: np.ndarray, kelvin: float) -> float:
-        return float(mol @ (liquid + known.heat_capacity * (kelvin - STANDARD_K)))
+        return float(mol @ (liquid + known.heat_capacity * (kelvin - 298.15)))
 
     total, books = glass.shelf.amounts[0].sum(axis=0), energy()
     added = np.zeros_like(total)

@@ -24,8 +24,6 @@ from chemlab.render.draw import GlassBox, draw, paint
 from chemlab.render.frames import Viewer
 from chemlab.render.scene import Scene, VesselPicture, laboratory_scene
 
-CROWDS = [(12, 2, 2, 3), (8, 2, 2, 2), (26, 1, 1, 1), (3, 1, 1, 1), (6, 16, 1, 1)]
-
 
 def rgb(color: str) -> tuple[int, ...]:
     return tuple(bytes.fromhex(color[1:]))
@@ -113,7 +111,7 @@ def test_no_text_overlaps_on_a_bench(name: str, key: str) -> None:
 
 
 @pytest.mark.parametrize("size", [(960, 540), (640, 480)])
-@pytest.mark.parametrize("numbers", CROWDS)
+@pytest.mark.parametrize("numbers", [(12, 2, 2, 3), (8, 2, 2, 2), (26, 1, 1, 1), (3, 1, 1, 1), (6, 16, 1, 1)])
 def test_no_text_overlaps_in_a_crowd(numbers: tuple[int, int, int, int], size: tuple[int, int]) -> None:
     for scene in crowd(*numbers):
         check_text(paint(scene, *size).texts, *size)
