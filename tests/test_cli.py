@@ -140,8 +140,7 @@ MISTAKES = {
 }
 for _name, _give in (("WurtzReaction-v0", "wurtz_dodecane"), ("LabManager-v1", "a scenario, such")):
     for _words in ("run", "describe", "audit", "audit plan"):
-        _said = f"error: scenario: chemlab/{_name} is an environment's id; give {_give}"
-        MISTAKES[f"{_words} chemlab/{_name}"] = [_said]
+        MISTAKES[f"{_words} chemlab/{_name}"] = [f"scenario: chemlab/{_name} is an environment's id; give {_give}"]
 
 
 def test_mistakes_are_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -649,23 +648,18 @@ def test_former_commands_work_with_a_notice(former: str) -> None:
     words = FORMER_COMMANDS[former]
     before, after = runner.invoke(app, [former, "--help"]), runner.invoke(app, [*words, "--help"])
     assert (before.exit_code, before.stdout) == (0, after.stdout)
-    assert (
-        before.stderr.split()
-        == f"chemlab {former} is now chemlab {' '.join(words)}; the old name ends with this release".split()
-    )
+    said = f"chemlab {former} is now chemlab {' '.join(words)}; the old name ends with this release"
+    assert before.stderr.split() == said.split()
     assert former not in [name for names in PANELS.values() for name in names]
 
 
-@pytest.mark.parametrize(("words", "former"), [("replay none.jsonl", "output"), ("audit fictitious", "jobs")])
-def test_former_options_work_with_a_notice(words: str, former: str) -> None:
+@pytest.mark.parametrize(
+    ("words", "former", "now"), [("replay none.jsonl", "output", "out"), ("audit fictitious", "jobs", "processes")]
+)
+def test_former_options_work_with_a_notice(words: str, former: str, now: str) -> None:
     found = runner.invoke(app, [*words.split(), f"--{former}=0", "--help"])
     assert (found.exit_code, f"--{former}" in found.stdout) == (0, False)
-    assert found.stderr.split()[:4] == [
-        f"--{former}",
-        "is",
-        "now",
-        f"--{({'output': 'out', 'jobs': 'processes'})[former]};",
-    ]
+    assert " ".join(found.stderr.split()).startswith(f"--{former} is now --{now};")
 
 
 def test_further_lines_of_a_log_are_indented(

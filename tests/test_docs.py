@@ -249,11 +249,7 @@ def test_the_checks_of_pages_see_what_is_wrong() -> None:
         parse(["run", "fictitious", "--altitude", "3"], "here")
     trial = "runs/trial"
     assert makes(Block(DOCS, 1, "bash", f"chemlab train manager --out {trial} --quiet\n")) == [trial]
-    for words in (
-        f"evaluate fictitious --policy scripted,manager={trial}",
-        "plot runs runs",
-        f"export {trial}/best.zip",
-    ):
+    for words in (f"evaluate fictitious --policy scripted,manager={trial}", "plot runs runs", f"export {trial}/b.zip"):
         assert uses(Block(DOCS, 9, "bash", f"chemlab {words}\n"), trial)
     assert not uses(Block(DOCS, 9, "bash", "chemlab run fictitious --policy runs/trials\n"), trial)
 
@@ -282,9 +278,7 @@ def test_links_lead_somewhere() -> None:
             assert file.exists(), f"{page}: {target} does not exist"
             made = f"{page}: {target} is not in a checkout; write {{doc}}`words <{target.removesuffix('.md')}>`"
             assert "generated" not in file.parts, made
-            assert not anchor or anchor in anchors(file), (
-                f"{page}: {target}#{anchor}: there are {sorted(anchors(file))}"
-            )
+            assert not anchor or anchor in anchors(file), f"{page}: {target}#{anchor}: has {sorted(anchors(file))}"
 
 
 def test_the_map_names_every_module_of_the_physics() -> None:

@@ -118,18 +118,15 @@ def through(weights: Mapping[str, Any], x: Any) -> Any:
 def test_help_is_of_the_mask_and_ends() -> None:
     """Raw vessels are not submitted, nothing is discarded, and every second laboratory starts for its order alone."""
     made = managers(processed=0.5, own_goals=0.8)
-    table, rows = made.labs.actions.table, made.labs.members
+    table, rows, goals = made.labs.actions.table, made.labs.members, made.labs.state.goal[:, 0]
     mask = made._infos["manager_0"]["action_mask"].astype(np.bool_)
-    helped = made._helped(mask, rows, 0.0)
-    kinds = table[:, 0]
-    assert mask[:, kinds == SUBMIT].any()
-    assert not helped[:, (kinds == SUBMIT) | (kinds == DISCARD)].any()
-    starts = np.flatnonzero(kinds == START)
-    goals = made.labs.state.goal[:, 0]
+    helped, kinds = made._helped(mask, rows, 0.0), table[:, 0]
+    starts, submits = np.flatnonzero(kinds == START), kinds == SUBMIT
+    assert mask[:, submits].any()
+    assert not helped[:, submits | (kinds == DISCARD)].any()
     assert helped[:, starts].any()
     alone = [bool((table[starts[row], 3] == goal).all()) for row, goal in zip(helped[:, starts], goals, strict=True)]
     assert alone == [number % 2 == 0 for number in range(len(rows))], "goals of no order may be on the way to it"
-    submits = kinds == SUBMIT
     fading = made._helped(mask, rows, 0.25)[:, submits]
     assert not fading[len(rows) // 2 :].any()
     assert (fading[: len(rows) // 2] == mask[: len(rows) // 2, submits]).all()
@@ -390,7 +387,7 @@ def test_a_run_is_played_sampled_and_greedy_by_name(tmp_path: Path) -> None:
     result = train(IPPO(scenario="wurtz_dodecane_direct", roles=("manager",), steps=300, **QUICK), out)
     evaluations = Run(out).evaluations()
     assert all(one.other_mean is not None and one.other_mean <= one.mean for one in evaluations)
-    assert load_pretrained(find_best(out) / "manager").card.sampled == result.sampled
+    assert load_pretrained(Run(out).checkpoint("best") / "manager").card.sampled == result.sampled
     sampled, greedy = (export_run(Path(f"{out}:{way}"), tmp_path / way) for way in ("sampled", "greedy"))
     assert (sampled.sampled, greedy.sampled) == (True, False)
     assert sampled.evaluation["mean"] != greedy.evaluation["mean"]
@@ -423,10 +420,6 @@ def test_a_policy_that_mostly_does_nothing_gets_a_note() -> None:
     assert len(notes(results)) == 1
 
 
-def find_best(run: Path) -> Path:
-    return next((run / "checkpoints").glob("best-*"))
-
-
 @pytest.mark.slow
 def test_a_manager_learns_from_nothing(tmp_path: Path) -> None:
     """Without a clone or hints it comes past the scripted manager over the same scripted benches."""
@@ -449,8 +442,7 @@ def test_a_second_core_changes_no_number(monkeypatch: pytest.MonkeyPatch, algori
             team.learn(0.1 * number, number)
         learned.append(team.learners["manager"].network.state_dict())
         assert (get_ident() in threads) == (cores == 1)
-    one, two = learned
-    assert all(torch.equal(one[name], two[name]) for name in one)
+    torch.testing.assert_close(*learned, rtol=0.0, atol=0.0)
 
 
 @pytest.mark.slow

@@ -416,12 +416,6 @@ def test_observations_have_whole_names_and_what_is_measured() -> None:
     assert "temperature 298.2 K" in runaway.call("rxn_0", "look").text, "the same temperature has the same digits"
 
 
-def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:
-    call = '{"verb": "look", "arguments": {}}'
-    assert call_of('{"a":' * 20_000 + call) == ("look", {})
-    assert call_of(call + " " * 10_000) == ("", {})
-
-
 def token_table() -> dict[str, list[int]]:
     page = (Path(__file__).parents[2] / "docs" / "how-to" / "language-agent.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if re.match(r"\| [a-z_]+ \| \d+ \|", line)]
@@ -484,6 +478,11 @@ def test_amounts_in_verbs_have_all_their_digits(tmp_path: Path) -> None:
         actions = [dry.action(dry.checked({"amount": option})) for option in options if dry.action is not None]
         assert ["dry" in bench.action_meanings[action] for action in actions] == [True, True]
         assert actions[1] == actions[0] + 1
+
+
+def test_a_call_is_found_at_the_end_of_a_long_answer() -> None:
+    call = '{"verb": "look", "arguments": {}}'
+    assert (call_of('{"a":' * 20_000 + call), call_of(call + " " * 10_000)) == (("look", {}), ("", {}))
 
 
 def test_methods_return_text_and_raise_one_kind_of_error(room: Room) -> None:

@@ -606,16 +606,16 @@ def test_where_vessels_can_be_recorded_that_is_the_advice() -> None:
 
 def test_arguments_that_do_not_fit_the_bench(tmp_path: Path) -> None:
     agent = {"env_id": "chemlab/LabAgent-v1", "bench": "rxn_0", "algo": "recurrent-ppo"}
-    cases: list[tuple[dict[str, Any], str]] = [
+    for values, message in (
         ({"scenario": "chemlab/Nothing-v0"}, "environments are chemlab/WurtzReaction-v0"),
         ({"env_id": "chemlab/WurtzReaction-v0", "scenario": "fictitious"}, "has 'wurtz_dodecane'"),
         ({"goals": ["gold"]}, "goals: wurtz_dodecane has"),
         ({"algo": "dqn"}, "actions are continuous"),
         ({"bench": "dit", "algo": "sac"}, "actions are discrete"),
         (agent, "reset for each experiment"),
-    ]
-    for values, message in cases:
-        refused(message, message, lambda: train(training_arguments({"bench": "rxn", **values}), tmp_path / "run"))  # noqa: B023
+    ):
+        with pytest.raises(ValueError, match=message):
+            train(training_arguments({"bench": "rxn", **values}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
