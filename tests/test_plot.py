@@ -5,12 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import FEATURED, mapping, record_episode
+from helpers import FEATURED, laboratory, mapping, record_episode
 from typer.testing import CliRunner
 
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
-from chemlab.envs.aec import raw_env
 from chemlab.record import Recorder, RecordError, read_record
 from chemlab.render.mole_balance import PLACES, mole_balance
 from chemlab.roles.manager_state import INSTRUMENTS
@@ -64,8 +63,7 @@ def test_places_agree_with_the_record(scripted: Path) -> None:
 
 def test_what_instruments_take_is_a_sample(tmp_path: Path) -> None:
     """Three chromatograms take a thousandth each of what is left: 4 (1 - 0.999^3) mol of ether."""
-    env = raw_env("wurtz_dodecane")
-    env.reset(seed=0)
+    env = laboratory("wurtz_dodecane")
     actions = env.laboratories.actions
     from chemlab.record import Play
 

@@ -57,8 +57,7 @@ def test_what_is_not_played_has_not_been_decided(scenario: str) -> None:
     labs = Laboratories(scenario, 1)
     managers: list[Any] = [make_policies("scripted", labs, 0)["manager_0"] for _ in range(2)]
     manager, other = managers
-    labs.seed(0, 3)
-    labs.reset(labs.members)
+    labs.begin(3)
     member, wait = labs.members, np.array([labs.actions.encode("wait")])
     for turn in range(6):
         given = labs.observe(0, member), labs.mask(0, member), np.array([turn]), member

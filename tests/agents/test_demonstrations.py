@@ -9,13 +9,12 @@ from unittest.mock import Mock
 import gymnasium
 import numpy as np
 import pytest
-from helpers import command, record_episode, refused
+from helpers import command, laboratory, record_episode, refused
 from typer.testing import CliRunner
 
 from chemlab.agents.demonstrations import demonstrations, write_datasets
 from chemlab.cli import app
 from chemlab.config.loading import load_scenario
-from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 from chemlab.record import read_record
 from chemlab.render.history import RecordReplay
@@ -68,8 +67,7 @@ def test_agents_saw_this(tmp_path: Path) -> None:
     """Observations, masks and elapsed ticks are those of the AEC environment, where the same actions are played."""
     path = record_episode(tmp_path / "one.jsonl", "wurtz_two_lines", "careless", 8, named=True)
     found = read_record(path)
-    env = raw_env("wurtz_two_lines")
-    env.reset(seed=8)
+    env = laboratory("wurtz_two_lines", 8)
     told = demonstrations(found)
     at = {agent: [(d, i) for d in episodes for i in range(len(d.actions))] for agent, episodes in told.items()}
     for turn in found.turns:

@@ -8,7 +8,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from helpers import refused
+from helpers import laboratory, refused
 from rich.console import Console
 
 from chemlab.agents.human import HumanPolicy, LetterShades, Menu, _manager_paths, parse_numbers
@@ -36,8 +36,7 @@ def turn(env: raw_env, policy: HumanPolicy, step: int = 0) -> Any:
 @pytest.fixture
 def env() -> raw_env:
     """A laboratory at the beginning of an episode."""
-    env = raw_env("wurtz_dodecane")
-    env.reset(seed=0)
+    env = laboratory("wurtz_dodecane")
     return env
 
 
@@ -118,8 +117,7 @@ def test_a_number_is_the_whole_number_of_the_word_before_it(typed: str, slots: s
 @pytest.mark.parametrize("name", scenario_names())
 def test_every_legal_action_can_be_typed(name: str) -> None:
     """By its whole meaning, and by numbers: whatever the scenario; and by numbers nothing else."""
-    env = raw_env(name)
-    env.reset(seed=1)
+    env = laboratory(name, 1)
     labs = env.laboratories
     meanings, paths = labs.actions.action_meanings, _manager_paths(labs)
     legal = np.flatnonzero(env.infos["manager_0"]["action_mask"]).tolist()

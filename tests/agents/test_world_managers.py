@@ -83,8 +83,7 @@ def test_a_reading_changes_what_the_other_vessels_may_hold() -> None:
     """Bayes by hand: one vessel of eight is seen to hold the first halide, so of the other seven one does."""
     labs = Laboratories("unlabelled")
     manager: Any = scripted_manager(labs)
-    labs.seed(0, 0)
-    labs.reset(labs.members)
+    labs.begin()
     seen, mask = labs.observe(0, labs.members), labs.mask(0, labs.members)
     manager.act(seen, mask, np.zeros(1, dtype=np.int64), labs.members)
     belief = manager._kept[0]
@@ -206,8 +205,7 @@ def test_particles_follow_the_vessel() -> None:
     values["instruments"]["gas_chromatograph"] |= {"noise": 0.0, "drift": None}
     labs = Laboratories(load_scenario(values))
     manager: Any = scripted_manager(labs)
-    labs.seed(0, 3)
-    labs.reset(labs.members)
+    labs.begin(3)
     players = Players(labs, [manager, *list(make_policies("scripted", labs, 0).values())[1:]])
     while labs.state.ticks[0] < 30:
         players.play_pass(labs.members)
@@ -290,8 +288,7 @@ def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_l
     labs = Laboratories("relay")
     step = next(one for one in labs.scenario.family.reaction if set(one.reactants) == {"F"})
     for factor in (0.1, 1.0, 10.0):
-        labs.seed(0, np.random.SeedSequence(0))
-        labs.reset(labs.members, world={"first_limit": factor})
+        labs.begin(world={"first_limit": factor})
         agent: Any = ScriptedReaction(labs.benches[0], margin_k=margin_k)  # type: ignore[arg-type]
         for action in (labs.actions.encode("start", "rxn_0", 0, "F", "slow"), labs.actions.encode("wait")):
             labs.act(0, labs.members, np.array([action]))
@@ -364,8 +361,7 @@ def test_a_funnel_that_is_told_takes_more_water_where_water_takes_less(margin_k:
     labs = Laboratories("refine")
     sizes = np.array([0.05, 0.1, 0.2, 0.3, 0.4])
     for polarity in (0.5, 0.7, 0.9):
-        labs.seed(0, np.random.SeedSequence(0))
-        labs.reset(labs.members, world={"washing": polarity})
+        labs.begin(world={"washing": polarity})
         for action in (labs.actions.encode("start", "ext_0", 0, "F", "slow"), labs.actions.encode("wait")):
             labs.act(0, labs.members, np.array([action]))
         seen, mask = labs.observe(2, labs.members), labs.mask(2, labs.members)
@@ -382,8 +378,7 @@ def test_reports_decide_what_a_manager_takes_a_rate_for() -> None:
     believed = []
     for factor in (0.05, 20.0):
         labs = Laboratories("relay", 1)
-        labs.seed(0, np.random.SeedSequence(3))
-        labs.reset(labs.members, world={"first_limit": factor})
+        labs.begin(3, world={"first_limit": factor})
         policies = list(make_policies("scripted", labs, 0).values())
         Players(labs, policies).play_on(labs.members)
         rates = policies[0].get_memory()[0][0].rates[0]

@@ -180,8 +180,7 @@ def test_a_mistake_in_its_class_is_named(scenario: Path, method: str, wrong: str
     scenario.write_text(scenario.read_text().replace("filtration_bench:FiltrationBench", "own.py:Own"))
 
     def play() -> None:
-        env = raw_env(scenario)
-        env.reset(seed=0)
+        env = laboratory(scenario)
         env.step(env.laboratories.actions.encode("start", "fil_0", 0, "dodecane"))
         env.step(env.laboratories.actions.encode("wait"))
         env.last()

@@ -156,8 +156,7 @@ def test_every_way_to_write_an_action_is_the_same_action() -> None:
     for agent, action, written in (("manager_0", 3, numbers), ("ext_0", 3, numbers), ("rxn_0", fine, boxes)):
         states = set()
         for write in written:
-            env = raw_env(WURTZ)
-            env.reset(seed=0)
+            env = laboratory(WURTZ)
             if agent != "manager_0":
                 manager(env, "start", agent, 0, "dodecane")
                 manager(env, "wait")
@@ -278,8 +277,7 @@ def test_rendering_as_text(name: str) -> None:
 
 
 def test_rendering_without_a_mode_warns_and_an_unknown_mode_is_refused() -> None:
-    env = raw_env(WURTZ)
-    env.reset(seed=0)
+    env = laboratory(WURTZ)
     with pytest.warns(UserWarning, match="render_mode"):
         assert env.render() is None
     with pytest.raises(ValueError, match="'human'") as caught:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
-from helpers import assert_is_singles, choose, mapping
+from helpers import assert_is_singles, choose, laboratory, mapping
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.policies import make_policies
@@ -160,8 +160,7 @@ def test_every_interface_says_that_a_limit_terminates() -> None:
     values["limits"]["manager_actions"] = 2
     spec = load_scenario(values)
     move, ends = ManagerActions.of(spec).encode("measure", 0, "balance"), []
-    aec = raw_env(spec)
-    aec.reset(seed=0)
+    aec = laboratory(spec)
     for _ in range(2):
         aec.step(move)
     assert aec.laboratories.state.status[0] == LIMIT

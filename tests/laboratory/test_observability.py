@@ -69,8 +69,7 @@ def play(labs: Laboratories, rng: np.random.Generator, measure: bool = True) -> 
 def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None:
     """In the middle of random play, with benches at work: exchange everything that is hidden; nothing changes."""
     labs = Laboratories(name)
-    labs.seed(0, 1)
-    labs.reset(labs.members)
+    labs.begin(1)
     rng = np.random.default_rng(1)
     worked, at = 0, channel_slices(labs.channels)
     for turn in range(400):
@@ -107,8 +106,7 @@ def test_the_manager_sees_no_contents_in_running_laboratories(name: str) -> None
 def test_benches_see_nothing_but_their_own(name: str) -> None:
     """What is on the shelf, at other benches, ordered, measured or wasted makes no difference to a bench's view."""
     labs = Laboratories(name)
-    labs.seed(0, 2)
-    labs.reset(labs.members)
+    labs.begin(2)
     rng = np.random.default_rng(2)
     looked = np.zeros(len(labs.experiments), dtype=int)
     # Experiments on benches with real physics are longer: it takes more turns to see each.

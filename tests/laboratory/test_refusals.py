@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
-from helpers import refused, state_of
+from helpers import laboratory, refused, state_of
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.config.loading import load_scenario
@@ -38,8 +38,7 @@ def wrong_boxes(size: int) -> list[Any]:
 
 def aec(agent: str) -> tuple[Any, Callable[[Any], Any]]:
     """A laboratory in which an agent has the turn, and what plays its action."""
-    env = raw_env(WURTZ)
-    env.reset(seed=0)
+    env = laboratory(WURTZ)
     for action in () if agent == "manager_0" else (("start", agent, 0, "dodecane"), ("wait",)):
         env.step(env.laboratories.actions.encode(*action))
     return env, env.step

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import litres
+from helpers import laboratory, litres
 
 from chemlab.config.datafile import DataError
 from chemlab.config.parts import PartError
@@ -46,8 +46,7 @@ def channel(laboratories: Laboratories, agent: int, name: str, member: int = 0) 
 
 
 def test_the_instrument_reads() -> None:
-    env = raw_env(FILE, render_mode="ansi")
-    env.reset(seed=0)
+    env = laboratory(FILE, render_mode="ansi")
     labs, shelf = env.laboratories, env.laboratories.shelf
     shelf.fill(0, 0, 1.2, {"water": 20.0, "diethyl_ether": 3.0})
     water, ether = litres(env.scenario, {"water": 20.0}), litres(env.scenario, {"diethyl_ether": 3.0})
@@ -107,8 +106,7 @@ def test_the_operation_acts() -> None:
 
 
 def test_rewards_in_the_laboratory() -> None:
-    env = raw_env(FILE)
-    env.reset(seed=0)
+    env = laboratory(FILE)
     labs = env.laboratories
     measure = labs.actions.encode("measure", 1, "refractometer")
     env.step(measure)
@@ -271,8 +269,7 @@ def test_what_a_part_does_wrong_is_named(tmp_path: Path, old: str, new: str, say
         env = RoleEnv(path, bench="ext")
         env.reset(seed=0)
         env.step(A_TENTH)
-        whole = raw_env(path)
-        whole.reset(seed=0)
+        whole = laboratory(path)
         whole.step(whole.laboratories.actions.encode("measure", 0, "refractometer"))
         reading_words(whole.laboratories, 0, "refractometer")
 

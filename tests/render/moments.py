@@ -5,14 +5,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from helpers import FEATURED, slow_but
+from helpers import FEATURED, laboratory, slow_but
 
 from chemlab.agents.episodes import PlayedTurn, play_episode
 from chemlab.agents.policies import make_policies, scripted_bench
 from chemlab.config.inherit import scenario_names
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
-from chemlab.envs.aec import raw_env
 from chemlab.envs.role_env import RoleEnv
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.chemistry import CLOCK, CLOCK_WAS
@@ -28,8 +27,7 @@ _EVERY = 7
 @functools.lru_cache(maxsize=len(scenario_names()))
 def episode(name: str) -> tuple[Scene, ...]:
     """A scripted episode of a shipped scenario: its first scene, some in between, its last."""
-    env = raw_env(name)
-    env.reset(seed=0)
+    env = laboratory(name)
     scenes, turns = [laboratory_scene(env.laboratories)], 0
 
     def watch(turn: PlayedTurn) -> None:
@@ -75,8 +73,7 @@ def variant(slots: int, counts: Mapping[str, int], **changes: Any) -> Scenario:
 def crowd(slots: int, rxn: int, ext: int, dit: int) -> tuple[Scene, ...]:
     """A laboratory as busy as can be: every bench started, random actions, everything measured."""
     labs = Laboratories(variant(slots, {"rxn": rxn, "ext": ext, "dit": dit}, orders=3))
-    labs.seed(0, 0)
-    labs.reset(labs.members)
+    labs.begin()
     random = np.random.default_rng(0)
     scenes = [laboratory_scene(labs)]
     for turn in range(240):
@@ -105,8 +102,7 @@ def crowd(slots: int, rxn: int, ext: int, dit: int) -> tuple[Scene, ...]:
 def filled(contents: Mapping[str, float], clock: float | None = None, capacity_l: float = 1.2) -> Laboratories:
     """A laboratory of ``wurtz_any`` with these contents (mol) in slot 0, just as they are: no phases are settled."""
     labs = Laboratories("wurtz_any")
-    labs.seed(0, 0)
-    labs.reset(labs.members)
+    labs.begin()
     row = labs.shelf.fill(0, 0, capacity_l, dict(contents)).row
     if clock is not None:
         row[CLOCK] = row[CLOCK_WAS] = clock

@@ -158,8 +158,7 @@ def test_costs_stock_and_waste_are_the_laboratorys() -> None:
 
 @pytest.mark.parametrize("name", FEATURED)
 def test_a_look_changes_nothing(name: str) -> None:
-    env = raw_env(name)
-    env.reset(seed=3)
+    env = laboratory(name, 3)
     labs = env.laboratories
 
     def watch(turn: PlayedTurn) -> None:
@@ -173,8 +172,7 @@ def test_a_look_changes_nothing(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "policy"), [("refine", "scripted"), ("wurtz_two_lines", "random")])
 def test_a_camera_that_keeps_pictures_sees_what_a_new_one_sees(name: str, policy: str) -> None:
-    env = raw_env(name)
-    env.reset(seed=0)
+    env = laboratory(name)
     labs = env.laboratories
     camera, equal = Camera(labs.scenario, labs.shelf), list[bool]()
 
@@ -211,12 +209,10 @@ def test_pictures_of_hidden_parameters_show_what_people_see() -> None:
 
     assert len(pictures("rgb_array")) == 1
     assert len(pictures("rgb_array_true")) == 4
-    wurtz = raw_env("wurtz_dodecane")
-    wurtz.reset(seed=0)
+    wurtz = laboratory("wurtz_dodecane")
     scene = laboratory_scene(wurtz.laboratories)
     assert visible_scene(scene, wurtz.scenario) is scene
-    relay = raw_env("relay")
-    relay.reset(seed=0)
+    relay = laboratory("relay")
     scene = laboratory_scene(relay.laboratories)
     assert scene.result == float(relay.laboratories.result(relay.laboratories.members)[0]) < 0.0
     assert np.isnan(visible_scene(scene, relay.scenario).result), "its orders are paid at the end"
@@ -224,8 +220,7 @@ def test_pictures_of_hidden_parameters_show_what_people_see() -> None:
 
 def test_a_bench_shows_nothing_before_its_first_turn() -> None:
     """Starting and recalling a bench is no free look at a vessel's layers and channels."""
-    env = raw_env("unlabelled")
-    env.reset(seed=0)
+    env = laboratory("unlabelled")
     env.step(env.laboratories.actions.encode("start", "rxn_0", 0, "dodecane"))
     (bench,) = [b for b in visible_scene(laboratory_scene(env.laboratories), env.scenario).benches if b.busy]
     assert bench.seen == ()
