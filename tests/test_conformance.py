@@ -147,12 +147,11 @@ def test_options_of_a_bench_of_ones_own_mean_what_it_says(tmp_path: Path) -> Non
 
 
 def test_the_highest_limits_take_no_longer(monkeypatch: pytest.MonkeyPatch) -> None:
-    tables = mapping("wurtz_dodecane")
-    tables["limits"] |= {"ticks": 100_000, "manager_actions": 100_000}
+    spec = load_scenario({"base": "wurtz_dodecane", "limits": {"ticks": 100_000, "manager_actions": 100_000}})
     rounds: list[int] = []
     over = types.SimpleNamespace(over=True)
     monkeypatch.setattr(conformance, "_played", lambda spec, seed, most: rounds.append(most) or over)
-    CHECKS["end"][1](load_scenario(tables))
+    CHECKS["end"][1](spec)
     assert rounds[0] <= 10_001
 
 
@@ -169,7 +168,7 @@ def test_the_command(tmp_path: Path) -> None:
     (fault,) = [one for one in json.loads(command("check", file, "--trust", "--json", code=1)) if one["error"]]
     assert (fault["name"], "C changed by" in fault["error"]) == ("conservation", True)
     (tmp_path / "own.py").write_text(
-        "class Model:\n    def __init__(self, scenario):\n        self.names = scenario.nmaes\n"
+        "class Model:\n    def __init__(self, scenario):\n        self.n = scenario.nmaes\n"
     )
     (tmp_path / "a.toml").write_text('base = "wurtz_dodecane"\n[benches.rxn]\nmodel = "own.py:Model"\n')
     said = command("check", tmp_path / "a.toml", "--trust", code=2)

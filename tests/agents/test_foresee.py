@@ -70,9 +70,7 @@ def test_what_is_foreseen_of_crude_product_is_what_its_contents_say() -> None:
 
 
 def test_it_does_not_look_where_that_costs_more_than_anything_can_bring() -> None:
-    values = mapping("crude")
-    values["instruments"]["gas_chromatograph"]["price"] = 0.29
-    labs = Laboratories(load_scenario(values), 5)
+    labs = Laboratories(load_scenario({"base": "crude", "instruments": {"gas_chromatograph": {"price": 0.29}}}), 5)
     play_laboratory(labs, make_policies("scripted", labs, 0), None, 0)
     assert (labs.charges(labs.members)[:, INSTRUMENTS] == 0.0).all()
 

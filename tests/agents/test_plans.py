@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import Watched, command, mapping, refused, slow_but
+from helpers import Watched, command, refused, slow_but
 from typer.testing import CliRunner
 
 from chemlab.agents.episodes import play_laboratory
@@ -40,10 +40,7 @@ EVERY_STORED = slow_but(
 
 def small(actions: int) -> Scenario:
     """Three slots, two benches, one goal, and few manager actions."""
-    values = mapping("salt_from_oil")
-    values["shelf"]["slots"] = 3
-    values["limits"]["manager_actions"] = actions
-    return load_scenario(values)
+    return load_scenario({"base": "salt_from_oil", "shelf": {"slots": 3}, "limits": {"manager_actions": actions}})
 
 
 def watched(scenario: str | Scenario, manager: Any, count: int, seed: int = 0) -> tuple[Watched, IntArray]:

@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from helpers import FEATURED, digest, laboratory, manager, mapping, random_legal
+from helpers import FEATURED, digest, laboratory, manager, random_legal
 from pettingzoo.test.state_test import test_state as check_state
 from pettingzoo.test.state_test import test_state_space as check_state_space
 
@@ -229,12 +229,8 @@ def test_submitting_terminates_for_all() -> None:
         assert env.last()[2]
         env.step(None)
     assert sorted(order) == sorted(env.possible_agents)
-
-
-def test_submitting_with_the_last_action_is_a_submission() -> None:
-    values = mapping(WURTZ)
-    values["limits"]["manager_actions"] = 1
-    env = laboratory(values)
+    # Submitting with the last action of all is a submission.
+    env = laboratory({"base": WURTZ, "limits": {"manager_actions": 1}})
     manager(env, "submit", 0)
     assert env.laboratories.state.status[0] == CLOSED
 

@@ -25,14 +25,8 @@ from chemlab.lab.experiments import ExperimentBatch
 from chemlab.roles import reaction_bench, separation_benches
 
 WURTZ = "wurtz_dodecane"
-IDS = sorted(
-    (
-        name
-        for name, spec in gymnasium.registry.items()
-        if name.startswith("chemlab/") and {"bench", "scenario"} <= set(spec.kwargs or {})
-    ),
-    reverse=True,
-)
+BENCHES = {name for name, spec in gymnasium.registry.items() if {"bench", "scenario"} <= set(spec.kwargs or {})}
+IDS = sorted((name for name in BENCHES if name.startswith("chemlab/")), reverse=True)
 """The last first: the quick tests take one, and the first has the slowest bench."""
 KINDS = ["chemlab/FictitiousReaction-v0", "chemlab/WurtzExtraction-v0", "chemlab/WurtzDistillation-v0"]
 """One of each kind of bench, for what the environment does around it."""
@@ -207,12 +201,6 @@ def test_a_forked_child_has_threads_of_its_own() -> None:
     subprocess.run([sys.executable, "-W", "ignore", "-c", FORK], check=True, timeout=300)
 
 
-def test_batches_refuse_render_modes_when_they_are_made() -> None:
-    for name, mode in (("chemlab/WurtzReaction-v0", "ansi"), ("chemlab/LabManager-v1", "hologram")):
-        with pytest.raises(ValueError, match=f"render_mode: must be None.*{mode}"):
-            gymnasium.make_vec(name, num_envs=2, render_mode=mode)
-
-
 def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
     """Gymnasium closes every environment in the end, also those that have never been made."""
     noise: list[Any] = []
@@ -222,6 +210,9 @@ def test_refused_arguments_are_one_error(monkeypatch: pytest.MonkeyPatch) -> Non
             RoleVectorEnv(**arguments)  # type: ignore[arg-type]
     gc.collect()
     assert noise == []
+    for name, mode in (("chemlab/WurtzReaction-v0", "ansi"), ("chemlab/LabManager-v1", "hologram")):
+        with pytest.raises(ValueError, match=f"render_mode: must be None.*{mode}"):
+            gymnasium.make_vec(name, num_envs=2, render_mode=mode)
 
 
 @pytest.mark.parametrize("name", KINDS)

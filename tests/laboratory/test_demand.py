@@ -24,8 +24,7 @@ from chemlab.roles.manager_view import terms_channels
 def shop(*orders: dict[str, float], **demand: Any) -> dict[str, Any]:
     """A campaign's laboratory with orders over time: three moles of four in the first vessels, nothing drawn."""
     values = mapping("campaign")
-    values |= {"orders": len(orders), "specifications": {}, "demand": {"order": list(orders), **demand}}
-    values["world"] = {}
+    values |= {"orders": len(orders), "specifications": {}, "demand": {"order": list(orders), **demand}, "world": {}}
     values["limits"]["ticks"] = 100
     for vessel in values["shelf"]["vessel"]:
         vessel["contents"] = {"2-chlorohexane": 3.0, "1-chlorohexane": 1.0}

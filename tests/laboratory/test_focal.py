@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pytest
 from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode
-from helpers import assert_is_singles, choose, laboratory, mapping
+from helpers import assert_is_singles, choose, laboratory
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.policies import make_policies
@@ -156,9 +156,7 @@ def test_the_view_is_what_an_agent_meets(name: str, agent: str, background: str)
 
 def test_every_interface_says_that_a_limit_terminates() -> None:
     """A limit is observed and nothing follows it: a learner must not add the value of what would follow."""
-    values = mapping(WURTZ)
-    values["limits"]["manager_actions"] = 2
-    spec = load_scenario(values)
+    spec = load_scenario({"base": WURTZ, "limits": {"manager_actions": 2}})
     move, ends = ManagerActions.of(spec).encode("measure", 0, "balance"), []
     aec = laboratory(spec)
     for _ in range(2):

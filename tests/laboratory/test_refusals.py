@@ -20,8 +20,6 @@ from chemlab.laboratory import env as laboratory_env
 from chemlab.laboratory import parallel_env, raw_env
 
 WURTZ = "wurtz_dodecane"
-
-
 WRONG_NUMBERS: list[Any] = [-1, None, "0", b"0", 0.0, 1.5, float("nan"), True, np.True_, np.float32(0.0)]
 WRONG_NUMBERS += [np.array([0, 1]), np.array([0]), np.array(True), [0], {}, [], object(), 10**400, 1j]
 

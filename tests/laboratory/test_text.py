@@ -140,10 +140,8 @@ def test_readings_are_as_exact_as_their_noise(noise: float, apart: float) -> Non
 
 def test_a_laboratory_is_described_as_its_manager_sees_it() -> None:
     """No goal before its order has arrived, and fill levels as the gauge shows them."""
-    values = mapping("wurtz_any") | {"demand": {"order": [{"arrives": 50}]}}
-    values["limits"]["ticks"] = 200
-    values["shelf"]["gauge"] = 0.1
-    env = laboratory(values)
+    demand = {"demand": {"order": [{"arrives": 50}]}, "limits": {"ticks": 200}}
+    env = laboratory({"base": "wurtz_any", "shelf": {"gauge": 0.1}, **demand})
     labs = env.laboratories
     vessel, seen = labs.shelf.vessel(0, 0), env.observe("manager_0")[channel_slices(labs.channels)["slot_0_fill"]]
     text = describe_laboratory(labs)

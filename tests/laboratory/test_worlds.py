@@ -123,9 +123,8 @@ def test_what_is_drawn_is_in_vessels_and_parameters() -> None:
             amounts = labs.shelf.vessel(member, slot).amounts()
             material, titre = values["which"][name], values["titre"][name]
             assert amounts[material] * litres[material] == pytest.approx(titre * litres[HALIDES[0]], rel=1e-12)
-            assert amounts["dodecane"] * litres["dodecane"] == pytest.approx(
-                (1.0 - titre) * litres[HALIDES[0]], rel=1e-12
-            )
+            inert = amounts["dodecane"] * litres["dodecane"]
+            assert inert == pytest.approx((1.0 - titre) * litres[HALIDES[0]], rel=1e-12)
             assert amounts["diethyl_ether"] == pytest.approx(4.0, rel=1e-12)
         step = spec.family.reaction[0]
         assert known.pre_exponential[0] == pytest.approx(step.pre_exponential * values["rate"][COUPLING], rel=1e-12)
