@@ -662,9 +662,7 @@ def test_former_options_work_with_a_notice(words: str, former: str, now: str) ->
     assert " ".join(found.stderr.split()).startswith(f"--{former} is now --{now};")
 
 
-def test_further_lines_of_a_log_are_indented(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_more_lines_of_a_log_are_indented(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """In a terminal no line is longer than it, and no word is broken; elsewhere a turn is one line."""
     said = "[bold]measure slot 12[/bold] with an instrument -> nonpolar 0.50, chlorohexane 0.25, dodecane 0.125"
     hanging("tick   7  rxn_0      ", said)

@@ -68,9 +68,7 @@ class Bench(CloggingBench):
 """
 
 
-def test_a_bench_alone_carries_nothing_into_the_next_experiment(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_bench_carries_nothing_into_the_next_experiment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(PARTS.parent / "bench"))
     (tmp_path / "clogged.py").write_text(CLOGGED)
     file = tmp_path / "clogged.toml"
@@ -119,9 +117,7 @@ def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
         ({"vaporization_enthalpy_j_mol": 26.52}, "vaporization_enthalpy_j_mol: 26.52 is little .* in J/mol, not kJ"),
     ],
 )
-def test_numbers_of_a_material_that_can_hardly_be_meant(
-    change: dict[str, Any], doubt: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_doubtful_numbers_of_a_material(change: dict[str, Any], doubt: str, monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = load_scenario(mapping("wurtz_dodecane_direct"))
     ether = scenario.materials["diethyl_ether"].model_copy(update=change)
     monkeypatch.setitem(scenario.materials, "diethyl_ether", ether)

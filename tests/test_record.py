@@ -326,9 +326,7 @@ def openings(honest: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
 
 
 @pytest.mark.parametrize("what", CONDITIONS)
-def test_other_conditions_than_the_shipped_ones_are_not_ok(
-    what: str, openings: dict[str, Lines], tmp_path: Path
-) -> None:
+def test_other_conditions_than_shipped_ones_are_not_ok(what: str, openings: dict[str, Lines], tmp_path: Path) -> None:
     name, make = CONDITIONS[what]
     lines = json.loads(json.dumps(openings[name]))
     assert verify_record(store(tmp_path / "a.jsonl", lines)).status == "torn"
@@ -896,9 +894,7 @@ def test_exit_codes_of_verify(honest: Path, tmp_path: Path) -> None:
     assert "end.score: recorded 0.99, recomputed" in command("verify", tampered, code=1)
 
 
-def test_reactions_that_are_too_stiff_are_words_in_a_verdict_and_a_command(
-    honest: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_too_stiff_reactions_are_words_in_verdict_and_command(honest: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     stiff = "rxn_0: the reactions of laboratory 0 are too stiff"
     monkeypatch.setattr(Laboratories, "act", Mock(side_effect=ArithmeticError(stiff)))
     result = verify_record(honest)

@@ -274,9 +274,7 @@ def test_the_base_of_these_tests_is_sound(tmp_path: Path) -> None:
         ('reactions = "wurtz"', 'reactions = "alchemy"', ["reactions", "'alchemy'", "wurtz"]),
     ],
 )
-def test_a_wrong_scenario_is_named_with_file_key_and_bound(
-    tmp_path: Path, old: str, new: str, parts: list[str]
-) -> None:
+def test_a_wrong_scenario_is_named_by_file_key_and_bound(tmp_path: Path, old: str, new: str, parts: list[str]) -> None:
     file = written(tmp_path, changed(BASE, old, new))
     refused(lambda: Laboratories(file), file, *parts)
 

@@ -234,7 +234,7 @@ def test_the_command(minari: Any, scripted: Path, tmp_path: Path) -> None:
     command(*arguments, "--force")
 
 
-def test_a_dataset_is_replaced_by_a_whole_one(
+def test_a_dataset_is_replaced_whole(
     minari: Any, scripted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     arguments = ["export", "demos", str(scripted), "-o", "tests/kept", "--agent", "manager_0", "--force"]

@@ -227,9 +227,7 @@ def test_scripted_scores_are_those_of_scripted_policies_in_the_roles_that_learn(
     assert min(found[0].values()) > 0.5
 
 
-def test_benches_that_have_practised_are_greedy_under_a_sampled_manager(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_practised_benches_are_greedy_under_a_sampled_manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = joint.Team(IPPO(scenario="wurtz_dodecane_direct", roles=("all",), envs=4, rollout=16))
     run.make()
     played, kept = [], tmp_path / "kept"

@@ -168,9 +168,7 @@ def test_former_names_are_replaced_in_every_part(given: str, current: str) -> No
     assert current_name(given) == current
 
 
-def test_a_notice_names_each_former_name_once(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_notice_names_former_names_once(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(former_names, "_noticed", set())
     for _ in range(2):
         current_name("heuristic,manager=hasty")

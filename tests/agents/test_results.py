@@ -135,9 +135,7 @@ def test_names_of_runs_are_text_on_pages(tmp_path: Path) -> None:
     assert not re.search(r"<|^\[|[^!]\[a\]\(", text, re.MULTILINE)
 
 
-def test_what_is_wrong_is_said_before_anything_is_made(
-    runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_mistakes_are_said_before_anything_is_made(runs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     Path("file").write_text("in the way")
     before = [path for path in sorted(tmp_path.rglob("*")) if path.is_file()]

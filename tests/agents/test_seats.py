@@ -276,9 +276,7 @@ def test_a_full_disk_leaves_a_ledger_intact(tmp_path: Path) -> None:
     assert ledger.read_bytes() == before
 
 
-def test_an_episode_that_could_not_be_written_down_is_written_down_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_episode_that_could_not_be_written_is_written_later(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     room, full = Room("unlabelled", folder=tmp_path), Mock(side_effect=OSError(28, "No space left on device"))
     with monkeypatch.context() as patch:
         patch.setattr(os, "fsync", full)

@@ -201,9 +201,7 @@ def test_a_run_that_is_killed_and_a_sweep_that_is_stopped_go_on(tmp_path: Path) 
     assert without_times(one.run) == without_times(other)
 
 
-def test_waiting_for_runs_of_another_process_takes_no_processor(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_waiting_for_another_process_takes_no_processor(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("stable_baselines3")
     (one,) = plan(sweep_file(tmp_path, PPO), tmp_path / "out")
     monkeypatch.setattr(one.run, "busy", lambda: True)

@@ -126,9 +126,7 @@ def test_a_run_that_stops_twice_comes_to_the_same_end(algo: str, tmp_path: Path)
 
 
 @pytest.mark.usefixtures("hasty")
-def test_a_clone_is_scored_before_it_learns_and_goes_on_from_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_clone_is_scored_before_it_learns_and_goes_on_then(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     arguments = small("maskable-recurrent-ppo", bc="scripted", bc_steps=50)
     whole, broken = Run(tmp_path / "whole"), Run(tmp_path / "broken")
     train(arguments, whole.path)
@@ -248,9 +246,7 @@ def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pyte
     np.testing.assert_array_equal(weights_of(run, "sac"), weights_of(whole, "sac"))
 
 
-def test_a_finished_run_is_not_run_again_and_another_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finished_run_is_not_run_again_another_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     flags, run = ["train", "fictitious", *small("ppo").flags(), "--out", str(tmp_path / "run")], Run(tmp_path / "run")
     told = json.loads(CliRunner().invoke(app, [*flags, "--json"]).stdout)
     result: Any = run.result()
@@ -627,9 +623,7 @@ def test_a_mistyped_policy_leaves_nothing_behind(tmp_path: Path) -> None:
     assert not (tmp_path / "run").exists()
 
 
-def test_a_run_that_fails_before_its_first_checkpoint_does_not_hold_its_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_without_a_checkpoint_does_not_hold_its_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Whatever goes wrong there; one that was stopped by its user goes on."""
     run, values = Run(tmp_path / "run"), {**SMALL, "env_id": RXN, "algo": "ppo"}
     for error, holds in ((RuntimeError("no memory"), False), (KeyboardInterrupt(), True)):

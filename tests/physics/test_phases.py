@@ -58,9 +58,7 @@ small = st.floats(0.01, 3.0)
     st.dictionaries(st.sampled_from(IONIC), small, min_size=2),
 )
 @settings(max_examples=25)
-def test_any_mixture_comes_to_the_rest_of_its_rate_equations(
-    solvents: dict[str, float], ionic: dict[str, float]
-) -> None:
+def test_mixtures_come_to_the_rest_of_their_rate_equations(solvents: dict[str, float], ionic: dict[str, float]) -> None:
     """The same for random amounts of both salts and all ions, neutral or not, in up to four solvents."""
     contents = {**solvents, **ionic}
     GLASS.fill(0, contents, 20.0)

@@ -95,9 +95,7 @@ def test_moving_nothing_changes_nothing() -> None:
 
 
 @given(contents, contents, st.floats(0.05, 0.95))
-def test_what_does_not_fit_spills_proportionally(
-    first: dict[str, float], second: dict[str, float], share: float
-) -> None:
+def test_what_does_not_fit_spills_by_shares(first: dict[str, float], second: dict[str, float], share: float) -> None:
     """The receiver ends brim-full; an equal share of everything is in the waste, and its litres are the event."""
     glass = glass_with(first, second)
     together, litres = glass.rows[:, AMOUNTS:].sum(axis=0), glass.volume(0) + glass.volume(1)

@@ -347,9 +347,7 @@ def test_a_verdict_is_of_the_episode_that_was_checked(tmp_path: Path, monkeypatc
     assert lab.verdict == ("", "")
 
 
-def test_what_fails_is_said(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_failures_are_said(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """A policy that fails pauses its laboratory, and the server goes on."""
     with served(tmp_path, paused=True) as lab:
         broken, works = lab.lives[0], lab.lives[0].step
