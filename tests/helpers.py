@@ -195,9 +195,7 @@ def pascal(materials: Mapping[str, Material], name: str, kelvin: float) -> float
 def litres(scenario: Scenario, contents: Mapping[str, float]) -> float:
     """Volume of amounts in mol, from the cited molar masses and densities."""
     materials = scenario.materials
-    return sum(
-        mol * materials[n].molar_mass_g_mol / (1000.0 * materials[n].density_kg_l) for n, mol in contents.items()
-    )
+    return sum(n * materials[k].molar_mass_g_mol / (1000.0 * materials[k].density_kg_l) for k, n in contents.items())
 
 
 def four_solvents() -> Scenario:
@@ -386,9 +384,8 @@ class Glassware:
     ) -> tuple[float, float]:
         """Heat or cool; returns (heat that went in, heat the condenser took), J."""
         row, receiver = self.rows[source], self.rows[target]
-        result: Any = heat(
-            row, receiver, float(joules), np.array([hottest_k, coolest_k, 1.0, 0.0]), self.chem, self.waste, self.events
-        )
+        limits = np.array([hottest_k, coolest_k, 1.0, 0.0])
+        result: Any = heat(row, receiver, float(joules), limits, self.chem, self.waste, self.events)
         return float(result[0]), float(result[1])
 
     def check(self) -> None:

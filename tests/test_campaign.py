@@ -27,9 +27,8 @@ NEEDS = {"optuna_tpe": "optuna", "baybe_gp": "baybe", "ax_client": "ax"}
 def published(campaign: Campaign, recipe: dict[str, Any]) -> tuple[float, float]:
     """Return (amount in mol, purity) by the publication's equations with the hidden factors of a world."""
     drawn: dict[str, Any] = dict(campaign._labs.worlds.values(0))
-    (extra,), (second,) = (
-        [x for step, x in drawn[k].items() if recipe["catalyst"] in step] for k in ("catalysts", "second")
-    )
+    factors = (drawn["catalysts"], drawn["second"])
+    (extra,), (second,) = ([x for step, x in own.items() if recipe["catalyst"] in step] for own in factors)
     heat = 8.314462618 * recipe["temperature_k"]
     vessel = campaign.scenario.shelf.vessel[0].contents
     charge = {**vessel, "boronate": 0.167 * recipe["equivalents"], recipe["catalyst"]: 0.00167 * recipe["percent"]}

@@ -163,9 +163,7 @@ def test_the_command(tmp_path: Path) -> None:
     command("check", file, code=2)
     (fault,) = [one for one in json.loads(command("check", file, "--trust", "--json", code=1)) if one["error"]]
     assert (fault["name"], "C changed by" in fault["error"]) == ("conservation", True)
-    (tmp_path / "own.py").write_text(
-        "class Model:\n    def __init__(self, scenario):\n        self.n = scenario.nmaes\n"
-    )
+    (tmp_path / "own.py").write_text("class Model:\n    def __init__(self, spec):\n        self.names = spec.nmaes\n")
     (tmp_path / "a.toml").write_text('base = "wurtz_dodecane"\n[benches.rxn]\nmodel = "own.py:Model"\n')
     said = command("check", tmp_path / "a.toml", "--trust", code=2)
     assert ('own.py", line 3' in said, "error: " in said, "site-packages/typer" in said) == (True, True, False)

@@ -135,9 +135,7 @@ def test_properties_are_sensible_and_consistent(seed: int, name: str, physics: s
     liquids = [m for m in scenario.materials.values() if m.role in ("solvent", "solute")]
     for goal in scenario.lab_goals:
         boils = scenario.materials[goal].boiling_point_k
-        apart = [
-            abs(m.boiling_point_k - boils) for key, m in scenario.materials.items() if key != goal and m in liquids
-        ]
+        apart = [abs(m.boiling_point_k - boils) for k, m in scenario.materials.items() if k != goal and m in liquids]
         assert min(apart) >= LEVELS[name].gap_k[0] - 0.1
     for key, material in invented.items():
         assert 300.0 < material.boiling_point_k < (640.0 if key in scenario.goals else 800.0)  # of dimers: tars
@@ -149,9 +147,8 @@ def test_properties_are_sensible_and_consistent(seed: int, name: str, physics: s
     heat = {name: table["real"]["formation_enthalpy_j_mol"] for name, table in made.materials.items()}
     for step in scenario.family.reaction:
         for of, low, high in ((mass, -0.05, 0.05), (heat, -250e3, 0.0)):
-            change = sum(of[k] * n for k, n in step.products.items()) - sum(
-                of[k] * n for k, n in step.reactants.items()
-            )
+            change = sum(of[k] * n for k, n in step.products.items())
+            change -= sum(of[k] * n for k, n in step.reactants.items())
             assert low < change < high
 
 

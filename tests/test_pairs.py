@@ -19,9 +19,7 @@ from chemlab.config.materials import shipped_materials
 from chemlab.config.pairs import Pair, load_pairs, log_activity_coefficients, pair_table, shipped_pairs
 
 ROOT = Path(__file__).parent.parent
-MOLECULES = sorted(
-    name for name, material in shipped_materials().items() if material.role in ("solvent", "solute") and material.real
-)
+MOLECULES = sorted(key for key, m in shipped_materials().items() if m.role in ("solvent", "solute") and m.real)
 
 FILE = """
 pairs = [

@@ -275,9 +275,7 @@ def test_a_salt_reacts_as_its_ions_where_it_dissolves(tmp_path: Path) -> None:
     spectator = ({"ethyl_acetate": 1.0, "OH-": 1.0}, {"acetate": 1.0, "ethanol": 1.0})
     assert ions == (*spectator, {"ethyl_acetate": 1.0, "OH-": 1.0}, {})
     squared = "orders = { ethyl_acetate = 1, NaOH = 2 }"
-    _, ions = of_ions(
-        tmp_path, "ethyl_acetate = 1, NaOH = 1", f"{solid} = 1, ethanol = 1", squared, salts=both + acetate
-    )
+    _, ions = of_ions(tmp_path, "ethyl_acetate = 1, NaOH = 1", f"{solid} = 1, ethanol = 1", squared, both + acetate)
     assert ions == (*spectator, {"ethyl_acetate": 1.0, "OH-": 2.0}, {})
     # A catalyst's base is what acts.
     catalysed = of_ions(tmp_path, "1-hexene = 1", "trans-2-hexene = 1", "catalysts = { NaOH = 1 }", salts=both)

@@ -359,9 +359,8 @@ def _most_of(scenario: Scenario, goal: str, shelf: Sequence[Mapping[str, float]]
     row = list(have).index(goal)
     planes, bounds = list(-change), list(have.values())
     for _ in range(200):
-        found = linprog(
-            -change[row], A_ub=np.array(planes), b_ub=np.array(bounds), options={"primal_feasibility_tolerance": 1e-10}
-        )
+        tolerance = {"primal_feasibility_tolerance": 1e-10}
+        found = linprog(-change[row], A_ub=np.array(planes), b_ub=np.array(bounds), options=tolerance)
         assert found.status == 0
         extents, inside = found.x, True
         for i, j, k, c in chords(scenario):
@@ -493,9 +492,8 @@ def test_only_what_can_happen_here_is_kept() -> None:
 
 def test_a_file_with_a_base_says_only_what_is_different(tmp_path: Path) -> None:
     file = tmp_path / "dear.toml"
-    file.write_text(
-        'base = "wurtz_dodecane"\nname = "dear"\n[instruments.balance]\nprice = 0.25\n[limits]\nbudget = 0.5\n'
-    )
+    text = "[instruments.balance]\nprice = 0.25\n[limits]\nbudget = 0.5\n"
+    file.write_text(f'base = "wurtz_dodecane"\nname = "dear"\n{text}')
     dear, base = load_scenario(file), load_scenario("wurtz_dodecane")
     expected = base.model_dump()
     expected["name"], expected["limits"]["budget"], expected["instruments"]["balance"]["price"] = "dear", 0.5, 0.25

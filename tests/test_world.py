@@ -157,9 +157,8 @@ def test_splits_share_no_world_and_training_none_of_a_test_region() -> None:
 
 
 def test_a_world_is_its_number() -> None:
-    spec = specified(
-        x=number({"kind": "normal", "mean": 0.0, "sd": 1.0}), y=identity("permutation", 3, ["b", "c", "d"])
-    )
+    normal = {"kind": "normal", "mean": 0.0, "sd": 1.0}
+    spec = specified(x=number(normal), y=identity("permutation", 3, ["b", "c", "d"]))
     split, variables = Split.of("test"), compile_draws(spec, MATERIALS)
     table = world_draws(3, variables)
     for member, seed in enumerate((5, 6, 5)):
@@ -203,7 +202,7 @@ def test_noise_and_orders_of_a_private_split_follow_from_its_salt() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["", "Train", "private", "private:", "private:quetzal", "private:" + "1" * 31, "tests"]
+    "name", ["", "Train", "tests", "private", "private:", "private:quetzal", f"private:{'1' * 31}"]
 )
 def test_splits_that_there_are_not(name: str) -> None:
     with pytest.raises(ValueError, match=r"split: must be train, validation, test or private:SALT") as refused:

@@ -472,9 +472,7 @@ def test_a_folder_of_runs_is_a_row_for_best_and_one_for_last(played: Played, tmp
     found = benchmark(["unlabelled", DIRECT], rows, TINY, 2, baseline=rows[0].name, keep=tmp_path / "parts")
     cells = found["scenarios"]["unlabelled"]["cells"]
     labs = Laboratories("unlabelled", 5, split="test")
-    scores = [
-        play_laboratory(labs, make_policies(policy, labs), None, AUDIT_SEED).returns for policy in rows[1].policies
-    ]
+    scores = [play_laboratory(labs, make_policies(one, labs), None, AUDIT_SEED).returns for one in rows[1].policies]
     # The first replication is the first run's, the second the second's, each in worlds of its own.
     assert cells[rows[1].name]["score"] == pytest.approx(np.concatenate([scores[0][:3], scores[1][3:]]).mean())
     assert found["scenarios"][DIRECT]["cells"][rows[0].name]["reason"] == "was trained in unlabelled"

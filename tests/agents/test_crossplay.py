@@ -90,9 +90,8 @@ def test_a_gap_is_the_partners_score_less_the_mean_of_strangers(played: Played) 
     assert one["gap"]["low"] <= one["gap"]["value"] <= one["gap"]["high"]
     other = gaps["benches", "scripted"]
     assert other["unseen"] == ["scripted:unsafe"]
-    assert other["gap"]["value"] == pytest.approx(
-        own["value"] - cell(found, "scripted:unsafe", "scripted")["value"], abs=1e-12
-    )
+    expected = own["value"] - cell(found, "scripted:unsafe", "scripted")["value"]
+    assert other["gap"]["value"] == pytest.approx(expected, abs=1e-12)
 
 
 def test_partners_that_learning_had_are_played_too() -> None:

@@ -97,9 +97,7 @@ def test_report_is_made_of_the_returns() -> None:
     results = evaluate(find_target(DIT), ["random"], episodes=5, seed=3, goals=["dodecane", "NaCl"])
     rows = {row["policy"]: row for row in results["policies"]}
     assert list(rows) == ["scripted", "random"]  # the baseline is played as well
-    ours, base = (
-        np.array([rows[name]["returns"][goal] for goal in results["goals"]]) for name in ("random", "scripted")
-    )
+    ours, base = (np.array([rows[one]["returns"][goal] for goal in results["goals"]]) for one in ("random", "scripted"))
     row = rows["random"]
     assert row["mean"]["value"] == pytest.approx(ours.mean(), abs=1e-6)
     assert row["difference"]["value"] == pytest.approx((ours - base).mean(), abs=1e-6)

@@ -55,9 +55,8 @@ def test_no_reward_is_lost_or_another_agents(rewards: str | None) -> None:
             earned = found[1][agent]
             assert rewards is not None or not earned[~begun[agent]].any()
             paid[agent] += float(earned[begun[agent]].sum())
-            over = found[2] | (
-                found[4][agent]["experiment_over"] if rewards is None and agent != "manager_0" else False
-            )
+            ended = rewards is None and agent != "manager_0"
+            over = found[2] | (found[4][agent]["experiment_over"] if ended else False)
             begun[agent] &= ~over
         return found
 
@@ -350,9 +349,8 @@ def test_a_last_minibatch_of_one_does_no_harm() -> None:
     numbers = rng.random((2, count), dtype=np.float32)
     batch: dict[str, Any] = {"observed": observed, "seen": observed, "mask": mask, "action": action}
     before = {name: value.clone() for name, value in learner.network.state_dict().items()}
-    learner.update(
-        {**batch, "log_probability": log_probability, "advantage": numbers[0], "target": numbers[1]}, 1.0, rng
-    )
+    more = {"log_probability": log_probability, "advantage": numbers[0], "target": numbers[1]}
+    learner.update({**batch, **more}, 1.0, rng)
     for name, value in learner.network.state_dict().items():
         assert torch.isfinite(value).all(), name
     assert any((value != before[name]).any() for name, value in learner.network.state_dict().items())

@@ -185,9 +185,7 @@ def test_instruments_read_ever_fewer_vessels_unasked() -> None:
     """What they read is observed, costs nothing, and cannot be measured again at first."""
     made = managers("rush", shown_readings=0.5, refund=0.0, free_readings=0.0, rollout=1)
     labs, age = made.labs, made.labs.state.age
-    column = next(
-        c for name, c in channel_slices(labs.roles[0].channels).items() if name == "slot_0_gas_chromatograph_age"
-    )
+    column = channel_slices(labs.roles[0].channels)["slot_0_gas_chromatograph_age"]
     assert (age == 0).all()
     assert not made._observed["manager_0"][:, column].any()
     measures = labs.actions.table[:, 0] == MEASURE
@@ -519,9 +517,8 @@ def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
     other = export_run(tmp_path / "without", tmp_path / "other")
     assert other.observation_size == card.observation_size - notes_size(labs.manager.workplace)
     hidden = tuple(len(load_pretrained(tmp_path / "own").weights[f"{layer}.bias"]) for layer in range(2))
-    blind, seeing = (
-        managers("failing", tied=False, notes=notes, net_arch=hidden).learners["manager"] for notes in (False, True)
-    )
+    learners = [managers("failing", tied=False, notes=on, net_arch=hidden).learners for on in (False, True)]
+    blind, seeing = (own["manager"] for own in learners)
     own = load_pretrained(tmp_path / "own")
     refused("notes", "observes its notes, which are off here; add --notes", blind.take, own)
     seeing.take(own)

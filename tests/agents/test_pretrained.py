@@ -61,9 +61,8 @@ def ship(policy: PretrainedPolicy, folder: Path, name: str) -> None:
     from safetensors.numpy import save
 
     layers = enumerate(policy._layers)
-    weights = {
-        f"{i}.{part}": np.ascontiguousarray(a) for i, (w, b) in layers for part, a in (("weight", w.T), ("bias", b))
-    }
+    arrays = {f"{i}.{part}": a for i, (w, b) in layers for part, a in (("weight", w.T), ("bias", b))}
+    weights = {key: np.ascontiguousarray(array) for key, array in arrays.items()}
     (folder / f"{name}.safetensors").write_bytes(save(weights))
     (folder / f"{name}.json").write_text(policy.card.model_copy(update={"name": name}).model_dump_json())
 

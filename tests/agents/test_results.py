@@ -44,9 +44,7 @@ def test_runs_that_differ_in_their_seed_are_together(runs: Path) -> None:
     cells, left_out = cells_of(group_runs(read_runs(runs)))
     assert left_out == ["z: not finished"]
     ((title, labels),) = cells.items()
-    assert {label: [run.name for run in one.runs] for label, one in labels.items() if label != "ppo"} == {
-        "ppo (y)": ["y"]
-    }
+    assert {key: [run.name for run in one.runs] for key, one in labels.items() if key != "ppo"} == {"ppo (y)": ["y"]}
     cell = labels["ppo"]
     assert title == "lab, rxn, 2 goals"
     assert [run.finished.seed for run in cell.runs] == [0, 1, 2, 3]

@@ -57,9 +57,8 @@ def test_arguments_are_taken_as_text_or_number(room: Room) -> None:
 def test_scores_of_experiments_are_no_readings_of_what_is_hidden(scenario: str, hides: bool) -> None:
     """A bench's score is the exact amount of product, and an agent may have the manager's seat, too."""
     texts: list[str] = []
-    play_scripted(
-        Room(scenario, Laboratories(scenario).agents, salt=SALT, seed=3), seen=lambda *told: texts.append(told[1])
-    )
+    room = Room(scenario, Laboratories(scenario).agents, salt=SALT, seed=3)
+    play_scripted(room, seen=lambda *told: texts.append(told[1]))
     told = [text for text in texts if "Experiment over" in text]
     assert told
     assert all(("Experiment over." in text) == hides for text in told)

@@ -525,9 +525,8 @@ def fitting(kind: type[Arguments], name: str) -> dict[str, Any]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
     """Every number of every algorithm."""
-    numbers = {
-        name for name, f in kind.model_fields.items() if {"int", "float"} & set(re.findall(r"\w+", str(f.annotation)))
-    }
+    fields = kind.model_fields.items()
+    numbers = {name for name, f in fields if {"int", "float"} & set(re.findall(r"\w+", str(f.annotation)))}
     assert numbers <= set(NONSENSE)
     algo = str(kind.model_fields["algo"].default)
     for name in numbers:

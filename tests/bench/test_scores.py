@@ -115,9 +115,8 @@ def test_reaction_score_is_what_was_produced() -> None:
         batch.reset(batch.members, batch.scenario.goals.index(goal))
         batch.shelf.fill(0, 0, 1.2, {"diethyl_ether": 4.0, **brought})
         batch.bench.begin(batch.shelf, batch.experiments, batch.members)
-        assert float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0]) == pytest.approx(
-            0.3, rel=1e-9
-        )
+        after = float(batch.bench.measure(batch.shelf, batch.experiments, batch.members)[0])
+        assert after == pytest.approx(0.3, rel=1e-9)
         batch.shelf.amounts[0, 0, batch.shelf.layout.index(goal)] += 0.25
         assert float(batch.finish(batch.members)[0]) == pytest.approx(0.25, rel=1e-9)
 

@@ -119,9 +119,8 @@ def main() -> int:
             return int(bool(failures))
         own = {"kind": arguments.kind, "tries": arguments.tries, "seed": arguments.seed, "commit": _commit()}
         own |= {"outcomes": outcomes, "failures": len(failures)}
-        others = [
-            run for run in kept() if run["kind"] != own["kind"] or not (arguments.forget or run["seed"] == own["seed"])
-        ]
+        forget = arguments.forget
+        others = [run for run in kept() if run["kind"] != own["kind"] or not (forget or run["seed"] == own["seed"])]
         write_json(KEPT, [*others, own])
     replace_between(ROOT / "docs" / "security.md", "attacks", list(table(kept())))
     return int(bool(failures))

@@ -302,9 +302,8 @@ def attempt(folder: Path, kind: str, bases: Sequence[Files], rng: np.random.Gene
             scenario = load_scenario(folder / "lab.toml")
         elif kind == "record":
             name, other = (scenario_names()[i] for i in rng.integers(len(scenario_names()), size=2))
-            write_json(
-                folder / "dump.json", dump_scenario(load_scenario(name)), rng, dump_scenario(load_scenario(other))
-            )
+            one, another = (dump_scenario(load_scenario(own)) for own in (name, other))
+            write_json(folder / "dump.json", one, rng, another)
             scenario = restore_scenario(read_json(folder / "dump.json"), str(folder / "dump.json"))
         elif kind == "starts":
             scenario = recorded_starts(folder, rng)

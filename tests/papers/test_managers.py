@@ -59,9 +59,7 @@ def rows_of(page: Path) -> dict[tuple[str, str], list[str]]:
 def labels(folder: Path) -> dict[tuple[str, str], list[int]]:
     """{(background, label): seeds} of a folder's managers."""
     groups = managers._groups(read_runs(folder))
-    return {
-        (g.background, label): [run.finished.seed for run in runs] for g in groups for label, runs in g.labels.items()
-    }
+    return {(g.background, key): [run.finished.seed for run in runs] for g in groups for key, runs in g.labels.items()}
 
 
 def test_managers_are_grouped_by_scenario_background_and_settings(tmp_path: Path) -> None:

@@ -360,9 +360,8 @@ def test_random_operations_keep_atoms_and_energy() -> None:
                 laws.partition(row, glass.chem, glass.work)
             elif kind == 2:
                 limits = np.array([800.0, 250.0, rng.integers(1, 5), 1.0])
-                made: Any = laws.heat(
-                    row, glass.rows[other], rng.normal(0, 3e4), limits, glass.chem, glass.waste, glass.events
-                )
+                vessels = row, glass.rows[other]
+                made: Any = laws.heat(*vessels, rng.normal(0, 3e4), limits, glass.chem, glass.waste, glass.events)
                 balance = float(made[0] - made[1])
             elif kind == 3:
                 laws.elapse(row, rng.uniform(0, 5), glass.chem, glass.waste, glass.events, glass.work)

@@ -331,9 +331,8 @@ def test_matter_and_energy_are_balanced_over_random_operations(seed: int) -> Non
         row, kelvin = glass.rows[0], float(glass.rows[0, TEMPERATURE])
         waste = glass.waste.copy()
         if kind == 0:
-            went, taken = laws.heat(
-                row, glass.rows[1], float(rng.normal(0.0, 40e3)), limits, glass.chem, glass.waste, glass.events
-            )
+            joules = float(rng.normal(0.0, 40e3))
+            went, taken = laws.heat(row, glass.rows[1], joules, limits, glass.chem, glass.waste, glass.events)
             books += went - taken
         elif kind == 1:
             name = str(rng.choice(["water", "ethanol", "benzoic_acid"], p=[0.5, 0.3, 0.2]))

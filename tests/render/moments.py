@@ -64,9 +64,8 @@ def variant(slots: int, counts: Mapping[str, int], **changes: Any) -> Scenario:
     data["shelf"] = {"slots": slots, "vessel": [data["shelf"]["vessel"][0]] * min(4, slots)}
     for key, count in counts.items():
         data["benches"][key]["count"] = count
-    return load_scenario(
-        {**data, "title": "A title that goes on for longer than there is room in a picture" * 2, **changes}
-    )
+    title = "A title that goes on for longer than there is room in a picture" * 2
+    return load_scenario({**data, "title": title, **changes})
 
 
 @functools.lru_cache(maxsize=8)

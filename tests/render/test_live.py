@@ -32,9 +32,8 @@ class Served:
     """A server in a thread of its own, and its laboratories."""
 
     def __init__(self, folder: Path, policies: list[str], tokens: dict[str, str] | None, **options: Any) -> None:
-        self.lives = [
-            live.Live(load_scenario(NAME), policy, 0, "train", folder / str(i)) for i, policy in enumerate(policies)
-        ]
+        spec, own = load_scenario(NAME), enumerate(policies)
+        self.lives = [live.Live(spec, policy, 0, "train", folder / str(i)) for i, policy in own]
         self.port = _free_port("127.0.0.1")
         self.url = f"http://127.0.0.1:{self.port}"
         app = live.live_app(self.lives, policies, tokens, **options)
