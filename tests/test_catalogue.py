@@ -121,8 +121,7 @@ def test_flasks_boil_where_the_handbook_says(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_liquids_are_as_dense_as_the_other_compilation_says() -> None:
-    """COSTALD and Rackett fits against DIPPR's and the reference equations, where both are there. Two solutes melt a
-    little above 298.15 K and have the density of the melt."""
+    """COSTALD and Rackett fits against DIPPR's and reference equations; two solutes have the density of the melt."""
     thermo: Any = pytest.importorskip("thermo")
     melts = {"cyclohexanol": "VDI_PPDS", "tert-butanol": "VDI_TABULAR"}
     off = {}

@@ -120,8 +120,7 @@ def parse(words: list[str], where: str) -> None:
 
 
 def check_data(block: Block, folder: Path) -> None:
-    """A TOML block as what it is: a scenario that scripted agents play, a material, a reaction family, or a part that
-    parses."""
+    """Check a TOML block: a scenario is played, a material or reaction family validated, a part parsed."""
     path = folder / (block.file or "block.toml")
     path.write_text(block.text, encoding="utf-8")
     content = read_toml(path)
@@ -188,8 +187,7 @@ def test_pages_show_exactly_what_their_code_prints(page: Path) -> None:
 
 
 def not_said(shown: str, said: str) -> str:
-    """The first line of what a page shows that no line of what was said is; numbers may be 5 % off, as they are with
-    other versions of what they are made with."""
+    """The first line of a page that was not printed; numbers may be 5 % off, as with other versions of packages."""
     lines = [line for line in shown.splitlines() if line.strip()]
     return next((line for line in lines if not any(same(line, told) for told in said.splitlines())), "")
 
@@ -422,9 +420,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.slow
 def test_no_text_leaves_its_cell(built: Path, visitor: Any) -> None:
-    """On a desktop's and a telephone's screen, no text of a table is printed over the next cell's, and no label, button
-    or heading is cut. Pages neither complain nor ask a host.
-    """
+    """On a desktop and a telephone no text overlaps or is cut; pages neither complain nor ask a host."""
     # Pages of the interface are alike: two of them.
     shown = sorted(file for file in built.rglob("*.html") if file.parent.name != "api")
     shown += sorted((built / "generated" / "api").glob("*.html"))[:2]

@@ -1,8 +1,4 @@
-"""Material data files: compared with the chemicals and thermo packages, and checked for consistency.
-
-Expected values come from the packages when the test runs: each value must be the one its cited compilation lists.
-``test_openchem.py`` compares it with the other compilations.
-"""
+"""Material data files against the compilation that each value cites, and checked for consistency."""
 
 import functools
 import inspect

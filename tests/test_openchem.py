@@ -485,8 +485,7 @@ def test_all_pairs_without_groups_are_named_at_once_and_may_be_ideal(anhydride: 
 
 
 def test_pairs_take_the_form_that_a_flask_takes(tmp_path: Path) -> None:
-    """Catalogue's liquids are known by their key, and a form that extrapolates too far is no one's. Shipped pairs stay
-    as they are."""
+    """Catalogue liquids are known by key; forms that extrapolate too far are left out; bundled pairs stay."""
     assert "1 pair, all bundled" in command("data", "pairs", "water", "ethanol", "-o", tmp_path / "p.toml", code=2)
     assert not (tmp_path / "p.toml").exists()
     command("data", "pairs", "acetone", "cyclohexane", "-o", tmp_path / "a.toml")

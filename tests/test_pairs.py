@@ -1,5 +1,4 @@
-"""Activity coefficients: the NRTL equation, pair files and what they refuse, and the shipped pairs against UNIFAC and
-measured azeotropes."""
+"""Activity coefficients: NRTL, pair files and refusals, bundled pairs against UNIFAC and measured azeotropes."""
 
 import itertools
 import math

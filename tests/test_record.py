@@ -360,8 +360,7 @@ KINDS |= {("end", "score"), ("end", "rewards", "ext_0"), ("end", "orders", "", "
 
 @pytest.mark.parametrize("name", ["wurtz_dodecane", *CHANGED_SCENARIOS])
 def test_no_kind_of_number_may_be_another(name: str, openings: dict[str, Lines], tmp_path: Path) -> None:
-    """One of each kind in every line but the header, by as little as can be; actions apart, of which others may come to
-    the same."""
+    """One of each kind in every line but the header, by the least step; actions apart, which may lead to the same."""
     lines, tried = openings[name], set()
     for number in range(1, len(lines)):
         for path in leaves(lines[number]):

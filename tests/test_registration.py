@@ -1,5 +1,4 @@
-"""Registries of environments are filled whichever comes first, chemlab or their library; nothing comes unasked; and a
-checkout works as it is."""
+"""Registries are filled in either order of imports; nothing is imported unasked; a checkout works."""
 
 import importlib
 import os

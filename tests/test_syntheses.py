@@ -135,8 +135,7 @@ def test_snar_follows_the_published_profile() -> None:
 
 
 def test_what_rounding_leaves_of_a_liquid_is_none() -> None:
-    """A dry vessel with traces of everything, as random play has left it, and crystals that are put in: concentrations
-    in 8e-14 litres are too stiff."""
+    """Traces in a dry vessel, and crystals put in: concentrations in 8e-14 litres are too stiff."""
     batch = ExperimentBatch("aspirin", "rxn")
     batch.reset(batch.members)
     row, layout = batch.shelf.rows[batch.experiments.places[0, 0]], batch.shelf.layout

@@ -52,8 +52,7 @@ def test_who_follows_the_advice_plays_what_the_advisor_plays(scenario: str) -> N
 
 @pytest.mark.parametrize("scenario", MANAGED)
 def test_what_is_not_played_has_not_been_decided(scenario: str) -> None:
-    """An advisor that hears that nothing was done, where nothing has changed, gives the same advice again; so does one
-    that has its memory of before that."""
+    """An advisor told that nothing was done, or with its earlier memory, gives the same advice again."""
     labs = Laboratories(scenario, 1)
     managers: list[Any] = [make_policies("scripted", labs, 0)["manager_0"] for _ in range(2)]
     manager, other = managers

@@ -55,10 +55,7 @@ def test_the_interval_of_a_scale_that_does_not_vary_is_students() -> None:
 
 @pytest.mark.parametrize("priced", [False, True])
 def test_a_scenario_that_cannot_be_solved_is_said_to_be_one(priced: bool) -> None:
-    """One tick: every policy scores 0, so there is no scale, and a sentence takes its place.
-
-    Where random actions cost something, doing nothing scores above them, and is no solution either.
-    """
+    """In one tick every policy scores 0: no scale. Where random actions cost, doing nothing is no solution either."""
     spec = load_scenario("wurtz_dodecane_direct")
     nothing: dict[str, Any] = {"limits": spec.limits.model_copy(update={"ticks": 1})}
     if not priced:
@@ -87,10 +84,7 @@ def test_constant_actions_of_benches_are_searched() -> None:
 
 @pytest.mark.slow
 def test_a_scenario_that_needs_memory_is_said_to_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What the first batches of a campaign tell holds for the later ones, and every measurement has a price.
-
-    Both policies are scripted: searches, whose plans would come to less, are left out.
-    """
+    """What a campaign's first batches tell holds for later ones. Both policies are scripted; searches are left out."""
     searched = {"scores": [-1.0] * 20, "everybody": [-1.0] * 20, "chosen": [-1.0], "plans": [], "teams": []}
     for kind in ("plan", "everybody", "replay"):
         monkeypatch.setitem(jobs._KINDS, kind, lambda *_, **__: searched)

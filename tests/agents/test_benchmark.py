@@ -284,8 +284,7 @@ def test_a_longer_scale_is_computed_from_its_scores(played: Played, tmp_path: Pa
 
 
 def test_the_interval_of_a_row_of_several_runs_is_over_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs deal the replications out among themselves; with equally many episodes each it is Student's of the means.
-    So it is over all scenarios: replications of one run are one sample."""
+    """Student's of the means of runs, over all scenarios: replications of one run are one sample."""
 
     def played(runner: JobRunner, jobs: list[Job]) -> dict[str, Any]:
         def scores(policy: str = "oracle", episodes: int = 5, **_: Any) -> list[float]:

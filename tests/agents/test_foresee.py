@@ -53,8 +53,7 @@ def test_it_is_for_worlds_of_numbers_in_vessels_that_are_alike() -> None:
 
 
 def test_what_is_foreseen_of_crude_product_is_what_its_contents_say() -> None:
-    """Nothing done, nothing paid; a wash takes no more dodecane than there was; salt that cannot be distilled keeps a
-    vessel from its purity unless it is washed."""
+    """Nothing for nothing; washes take no more dodecane than there is; salt left in keeps a vessel impure."""
     scenario = load_scenario("crude")
     seen = _foreseen(_public(scenario), "dodecane", "gas_chromatograph", (), scripted_bench)
     names = {stage: k for k, stage in enumerate(seen.stages)}

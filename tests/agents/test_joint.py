@@ -255,8 +255,7 @@ def test_a_checkpoint_before_the_first_evaluation_plays_as_asked(tmp_path: Path)
 
 
 def test_what_a_team_has_learned_is_exported(tmp_path: Path) -> None:
-    """A manager that shared rewards without a warning: what it was rewarded for is no part of the task that its card
-    names. A bench that has not all goals; and of a scenario of one's own whatever needs no recorded vessels."""
+    """Also a manager with shared rewards, a bench without all goals, and a user's scenario without recorded vessels."""
     small = {**SMALL, "scenario": "relay", "roles": ("manager", "fin"), "steps": 40, "rewards": "mixed"}
     train(IPPO(**small), tmp_path / "run")
     with warnings.catch_warnings():

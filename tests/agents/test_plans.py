@@ -144,8 +144,7 @@ def test_plans_may_know_the_goal() -> None:
 
 
 def test_a_plan_waits_for_what_is_not_legal_yet_and_leaves_out_what_never_will_be() -> None:
-    """A vessel that is away at a bench is waited for; slot 7 stays empty; where nothing is planned any more the vessel
-    on the lowest slot is submitted, and every order is filled."""
+    """A vessel at a bench is waited for, an empty slot is not; after the plan, lowest slots fill the orders."""
     scenario = load_scenario("wurtz_dodecane")
     code = ManagerActions.of(scenario).encode
     did = played(scenario, (code("start", "rxn_0", 0, "dodecane"), code("submit", 0)))

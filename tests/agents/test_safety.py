@@ -1,7 +1,4 @@
-"""Safety as constrained learning needs it: who is careful has no cost, who is not has, and every cost adds up.
-
-A cost is the weighted sum of safety events; weights and price are read from the scenario file, not from the code.
-"""
+"""Safety for constrained learning: careful policies have no cost, others have; costs are weighted sums of events."""
 
 import functools
 

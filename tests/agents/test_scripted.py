@@ -155,10 +155,7 @@ def test_step_zero_makes_a_policy_forget(name: str) -> None:
 
 @pytest.mark.slow
 def test_the_manager_does_the_same_in_every_process() -> None:
-    """An episode that hangs on a reading: of what does not fly it has to take the same salt in every process.
-
-    Hash seeds 0 and 4 order a set of the two salts' names in two ways.
-    """
+    """Hash seeds 0 and 4 order a set of the names of two salts in two ways; a reading has the same salt in both."""
     code = (
         "from chemlab.agents.evaluate.play import Target\n"
         "from chemlab.config.loading import load_scenario\n"

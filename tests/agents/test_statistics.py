@@ -30,10 +30,7 @@ def _no_warnings() -> object:
 
 @pytest.mark.parametrize("n", [2, 3, 5, 10, 200])
 def test_mean_interval_is_students(n: int) -> None:
-    """SciPy's one-sample t test has the same interval; of two strata, half of Welch's of a sum.
-
-    Goals count the same, however many episodes each has.
-    """
+    """SciPy's one-sample t test has it; of two strata, half of Welch's of a sum, however many episodes each has."""
     a, b = RNG.normal(3.0, 2.0, n), RNG.normal(50.0, 0.5, n + 3)
     found, one = mean([a]), stats.ttest_1samp(a, 0.0).confidence_interval(0.95)
     assert (found.low, found.high) == pytest.approx((one.low, one.high), rel=1e-12)

@@ -156,8 +156,7 @@ def test_training_leaves_other_folders_alone(tmp_path: Path) -> None:
 
 
 def test_a_run_is_gone_on_with_from_its_checkpoint_alone(tmp_path: Path) -> None:
-    """Not from another version's, least of all from step 0, over what has been learned. Lines that were lost come back,
-    as after ``git checkout``, which knows nothing of checkpoints; TensorBoard shows no gap, and nothing twice."""
+    """Not from another version's. Lost lines come back, as after ``git checkout``; TensorBoard has each step once."""
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
     arguments = small("a2c", checkpoints=3)
@@ -211,8 +210,7 @@ def test_tensorboard_on_a_full_disk_is_one_line(tmp_path: Path) -> None:
 
 
 def test_a_crash_while_a_checkpoint_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Half a checkpoint is not taken for one; the one before is still there. After the last one only the final
-    evaluation is missing: it is made up for, and nothing is trained."""
+    """The checkpoint before is used; after the last one only the final evaluation is made up for."""
     from chemlab.agents.train import checkpoints
 
     arguments, whole, run = small("sac"), Run(tmp_path / "whole"), Run(tmp_path / "broken")
@@ -267,8 +265,7 @@ def test_a_finished_run_is_not_run_again_another_is_refused(tmp_path: Path, monk
 
 
 def test_two_processes_do_not_train_one_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sweep, which only looks, holds its runs for a moment all the time, and keeps none from beginning. A run that
-    another process has begun and left is not gone on with by other arguments."""
+    """A sweep that looks at runs keeps none from beginning; another process's run has its own arguments."""
     run, held = Run(tmp_path), threading.Event()
     assert not run.busy()
     with run.locked():
@@ -415,8 +412,7 @@ def test_dqn_explores_as_the_paper_says(tmp_path: Path) -> None:
 
 
 def test_flags_say_the_same_as_arguments() -> None:
-    """A clone, which learns in smaller steps and without help unless it is told otherwise, says what only others have
-    by default."""
+    """A clone, whose defaults differ, says what only others have by default."""
     flags = small("sac", goals=["E", "F"], learning_rate=1e-3).flags()
     assert flags.count("--goals") == 2
     pairs = dict(zip(flags[::2], flags[1::2], strict=True))

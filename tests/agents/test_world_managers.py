@@ -281,10 +281,7 @@ def test_a_near_deadline_gets_the_quick_grade() -> None:
 
 @pytest.mark.parametrize("margin_k", [0.0, None])
 def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_lost(margin_k: float | None) -> None:
-    """The temperature at which a run takes a tenth of a time constant of the loss, by the law of Arrhenius.
-
-    With a fixed habit, it is that of the median.
-    """
+    """Where a run takes a tenth of the loss's time constant, by Arrhenius; with a fixed habit, at the median."""
     labs = Laboratories("relay")
     step = next(one for one in labs.scenario.family.reaction if set(one.reactants) == {"F"})
     for factor in (0.1, 1.0, 10.0):
@@ -354,10 +351,7 @@ def test_a_manager_foresees_what_partners_with_its_habit_make() -> None:
 
 @pytest.mark.parametrize("margin_k", [0.0, None])
 def test_a_funnel_that_is_told_takes_more_water_where_water_takes_less(margin_k: float | None) -> None:
-    """At equal shares of an impurity in a wash, by the law of partition: volume times polarity's distance.
-
-    With a fixed habit, as at the median.
-    """
+    """At equal shares of an impurity in a wash, by the law of partition; with a fixed habit, as at the median."""
     labs = Laboratories("refine")
     sizes = np.array([0.05, 0.1, 0.2, 0.3, 0.4])
     for polarity in (0.5, 0.7, 0.9):

@@ -64,8 +64,7 @@ def parts(observation: Any) -> tuple[Any, Any]:
 
 @pytest.mark.parametrize("scenario", ["wurtz_two_lines", "fictitious"])
 def test_same_actions_give_the_same_observations_and_rewards(scenario: str) -> None:
-    """RLlib's environment beside PettingZoo's, which plays the same script: turns, observations, masks, rewards, ends.
-    The cooperative mix pays everybody for what others do."""
+    """RLlib's environment beside PettingZoo's in one script; the cooperative mix pays everybody for what others do."""
     ours = LaboratoryMultiAgentEnv({"scenario": scenario, "rewards": "cooperative"})
     theirs, rng = raw_env(scenario, rewards="cooperative"), np.random.default_rng(1)
     for seed in range(3):

@@ -1,8 +1,4 @@
-"""Tianshou on the laboratory's views: DQN with masks, on vectors of single environments.
-
-Tianshou looks for masks in the observation, so :class:`MaskInObservation` puts them there. Its ``PettingZooEnv`` wants
-one observation space and one action space for all agents, which the laboratory's roles do not have.
-"""
+"""Tianshou's DQN with masks, which it expects in the observation, on vectors of single environments."""
 
 from typing import Any
 

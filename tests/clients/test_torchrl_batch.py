@@ -61,8 +61,7 @@ def test_roles_that_do_not_learn_are_played_as_in_any_other_laboratory() -> None
 
 
 def test_its_episodes_are_those_of_single_laboratories() -> None:
-    """Actions of a random rollout, played again in the parallel environment: the same to the last digit, and random
-    ones are all legal. Where an episode ends the last observation is its own, and the next row is of a new one."""
+    """A random rollout, played again in the parallel environment; at an end the next row is of a new episode."""
     torch.manual_seed(0)
     rollout = TorchLaboratory(3, "wurtz_dodecane", seed=5).rollout(60, break_when_any_done=False)
     assert rollout["next", "done"].any()

@@ -1,7 +1,4 @@
-"""Results that must not be believed: forges records in the ways that once worked, and counts how they are taken.
-
-``python tests/fuzz/attacks.py forgeries --tries 20`` forges that many episodes of several scenarios.
-"""
+"""Forges records in the ways that once worked (``attacks.py forgeries --tries 20``), and counts how they are taken."""
 
 import json
 from collections import Counter

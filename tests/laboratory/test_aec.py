@@ -1,7 +1,4 @@
-"""The laboratory as an AEC environment: its state, turns, spaces, masks, actions, rewards, endings.
-
-Expected values come from the design (agents, turns, spaces, rewards), not from what the environment prints.
-"""
+"""The laboratory as an AEC environment: its state, turns, spaces, masks, actions, rewards, endings."""
 
 import re
 from collections import Counter
@@ -167,8 +164,7 @@ def test_every_way_to_write_an_action_is_the_same_action() -> None:
 
 @pytest.mark.parametrize("name", FEATURED)
 def test_no_reward_is_lost(name: str) -> None:
-    """What ``last()`` gives = what the environment pays = scores of experiments and the manager's result, less costs,
-    which are also in the infos."""
+    """``last()``, payments, and scores with the manager's result less costs are the same, and are in the infos."""
     env, rng = laboratory_env(name), np.random.default_rng(1)
     inner: Any = env.unwrapped
     env.reset(seed=3)

@@ -1,5 +1,4 @@
-"""Batched laboratories and the parallel environment: they are the single laboratory, whatever the batch, round by round
-(an action of the manager, or a tick); what is refused; what is ignored."""
+"""Batched laboratories and the parallel environment are single laboratories, round by round; refusals."""
 
 import copy
 from typing import Any
@@ -176,8 +175,7 @@ def test_any_layout_width_and_byte_order_will_do() -> None:
 
 
 class Parallel:
-    """The parallel environment beside AEC's rounds; whoever has no turn says what nobody could take for an action, and
-    what was handed out is written into."""
+    """The parallel environment beside AEC's rounds; idle agents play junk, returned arrays are overwritten."""
 
     autoreset, whole = False, True
 

@@ -1,8 +1,4 @@
-"""Single benches as Gymnasium environments: what every registered id and its documentation say, alone and in batches.
-
-Batches are compared with single environments, copies with originals, and spaces with the laboratory's; rewards are
-recomputed from the bench's own measure of the vessels.
-"""
+"""Single benches as Gymnasium environments: registered ids and their documentation, alone and in batches."""
 
 import gc
 import os
@@ -117,8 +113,7 @@ def test_a_seed_is_an_experiment_and_a_first_reset_without_one_draws_it() -> Non
 
 
 def test_a_state_of_another_environment_changes_nothing() -> None:
-    """Another bench's, one with an array less or more, a shorter one, one of other numbers; of batches and of
-    laboratories, too."""
+    """Another bench's, more, fewer or shorter arrays, other types; of batches and laboratories, too."""
     reaction, distillation = "chemlab/WurtzReaction-v0", "chemlab/WurtzDistillation-v0"
     env, more, labs = single(reaction), batch(reaction, 4), Laboratories("wurtz_dodecane")
     env.reset(seed=1)

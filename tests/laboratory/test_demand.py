@@ -1,7 +1,4 @@
-"""Orders that come over time: when they are seen, what they pay, when an episode is over; shelves that react.
-
-What is in a vessel is put there by hand, so that what a submission is worth, and what decays, has a closed form.
-"""
+"""Orders that come over time, against closed forms: when they are seen, what they pay; shelves that react."""
 
 import math
 import re

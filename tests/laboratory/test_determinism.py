@@ -119,10 +119,7 @@ def busy_manager(mask: npt.NDArray[Any], labs: Laboratories, rng: np.random.Gene
 
 @pytest.mark.parametrize("name", WORLDLY)
 def test_later_episodes_are_the_same_whatever_was_played_before(name: str) -> None:
-    """The k-th episode begins with the same vessels, goals, orders, world and noise for any two managers.
-
-    Here of the AEC environment, with which tests of every other interface compare their later episodes.
-    """
+    """For any two managers in AEC, with which tests of every other interface compare their later episodes."""
     spec, found = drawn_scenario(name), []
     for manager in (hasty_manager, busy_manager):
         env, rng = raw_env(spec), np.random.default_rng(1)

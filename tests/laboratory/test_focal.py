@@ -1,8 +1,4 @@
-"""The laboratory for one agent: against an AEC laboratory in which the same policies are moved by hand.
-
-The AEC environment is the reference: what the focal view pays, shows and counts must be what an agent there meets
-between its own turns.
-"""
+"""The laboratory for one agent: against an AEC laboratory in which the same policies are moved by hand."""
 
 from typing import Any
 

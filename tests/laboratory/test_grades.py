@@ -16,8 +16,7 @@ HOLD = np.array([0.5, 0.5, 0.0], dtype=np.float32)
 
 
 def graded(report: float | None = 0.0, **grade: float) -> dict[str, Any]:
-    """A campaign's laboratory with two grades, whose bench is told the rate that is drawn; three moles of four are
-    there from the beginning, and two in the single bench's vessel."""
+    """A campaign with two grades, whose bench observes the drawn rate; 3 mol there at first, 2 in the single bench."""
     values = mapping("campaign")
     values |= {"specifications": {}, "grades": {"quick": {"ticks": 4}, "asked": grade}}
     values["benches"]["rxn"] |= {"report": report, "start": {"capacity_l": 1.2, "contents": {"1-chlorohexane": 4.0}}}

@@ -46,8 +46,7 @@ def test_every_reading_is_finite(contents: dict[str, float]) -> None:
 
 @pytest.mark.parametrize("physics", TIERS)
 def test_density_and_temperature_of_a_mixture(physics: str) -> None:
-    """Mass over volume; in the paper's tier, where what is dissolved changes no density, of a solvent. Solids lie
-    below."""
+    """Mass over volume; in the paper's tier, of a solvent. Solids lie below."""
     contents = {"diethyl_ether": 2.0, "dodecane": 1.0} if physics == "real" else {"diethyl_ether": 2.0}
     litres = sum(grams(name, mol) / 1000.0 / MATERIALS[name].density_kg_l for name, mol in contents.items())
     kilograms = sum(grams(name, mol) for name, mol in contents.items()) / 1000.0

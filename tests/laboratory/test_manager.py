@@ -1,7 +1,4 @@
-"""The manager: its action table, what starting, recalling, measuring and discarding do, its charges, and what it sees.
-
-Contents are put into vessels by hand, so that readings, purities and costs have closed forms.
-"""
+"""The manager against closed forms: its action table, what its actions do, its charges, and what it sees."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,8 +1,4 @@
-"""What agents may not see: contents, until somebody measures; and of a bench, anything but what its channels say.
-
-Laboratories that look alike from outside (volume, temperature, capacity, history) and differ in everything else are
-compared bit for bit.
-"""
+"""Agents see no contents until somebody measures; laboratories that look alike are compared bit for bit."""
 
 from typing import Any
 

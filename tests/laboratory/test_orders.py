@@ -1,7 +1,4 @@
-"""Several orders, and who is paid what: submissions, endings, the observation's goals, scenario errors, reward mixes.
-
-Contents are put into vessels by hand, so that what a submission is worth has a closed form.
-"""
+"""Several orders, and who is paid what: submissions, endings, the observation's goals, reward mixes."""
 
 from functools import partial
 from typing import Any

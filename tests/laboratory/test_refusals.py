@@ -1,5 +1,4 @@
-"""What every interface refuses: actions outside their space, seeds and options that are none. Nothing has changed then,
-and the laboratory goes on as if nobody had asked."""
+"""Every interface refuses actions outside their space, wrong seeds and options, and goes on unchanged."""
 
 import itertools
 from collections.abc import Callable

@@ -1,5 +1,4 @@
-"""Benches that wear and break, instruments that drift: against closed forms and the laws of random walks; part of state
-and records; nothing changes where nothing is declared."""
+"""Benches that wear and break, instruments that drift: closed forms, random walks, and nothing where undeclared."""
 
 import math
 from typing import Any, cast
@@ -84,8 +83,7 @@ def test_heating_may_be_weak_instead() -> None:
 
 
 def test_gains_and_lives_are_as_declared() -> None:
-    """The logarithm of a gain: normal with the spread, then a walk whose variance grows with the ticks of work; a life:
-    exponential."""
+    """ln of a gain: normal, then a walk whose variance grows with ticks of work; a life: exponential."""
     labs = begun(scenario({"gain": 0.8, "spread": 0.5, "drift": 0.05, "life": 5000.0}), 2000)
     for experiments in labs.experiments:
         first = np.log(experiments.gain[:, 0])

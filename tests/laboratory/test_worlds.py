@@ -202,8 +202,7 @@ def test_a_world_can_be_asked_for() -> None:
 
 
 def test_two_worlds_look_equal_until_something_physical_differs() -> None:
-    """All agents' observations and masks are the same in every world until somebody looks inside a vessel, or something
-    happens in one."""
+    """Observations and masks are the same in every world until a vessel is measured, or something happens in one."""
     labs = Laboratories(scenario(), 40)
     labs.begin(0, "dodecane")
 

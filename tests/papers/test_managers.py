@@ -196,10 +196,7 @@ def test_a_new_baseline_is_played_over_tables_alone(tmp_path: Path, monkeypatch:
 
 
 def test_a_real_run_from_training_to_the_page(tmp_path: Path) -> None:
-    """Two episodes from the seeds that training reported are the two that it reported; the page has them.
-
-    A joint run is compared over its own benches, not over the background's, which are not the default ones here.
-    """
+    """Two episodes from the seeds that training reported; a joint run is compared over its own benches."""
     path, tables = tmp_path / "runs" / "joint" / "seed-0", tmp_path / "tables"
     own: dict[str, Any] = {"roles": ("manager", "dit"), "background": "pretrained-isolated", "practice": 0.0}
     run_files.trained(path, algo="ippo", steps=200, epochs=1, final_episodes=2, **own)

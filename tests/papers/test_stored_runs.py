@@ -10,10 +10,7 @@ from studies.paper.tables import read_runs, read_table, write_runs, write_table
 
 
 def test_tables_have_what_the_folders_have(tmp_path: Path) -> None:
-    """Every number of finished runs comes back as it was, of curves to 5 decimals; writing again changes no byte.
-
-    A rollout in which no episode ended is no point of a curve.
-    """
+    """Every number of finished runs, of curves to 5 decimals; a rollout without an end of an episode is no point."""
     runs, tables = tmp_path / "runs", tmp_path / "tables"
     write_run(runs / "x", "lab", "rxn", {"a": 0.4, "b": 0.4 + 0.1 / 3.0}, evaluations={500: 0.1, 1000: 0.4})
     write_run(runs / "y", "lab", "rxn", {"a": 0.9, "b": 0.9}, label="ppo", envs=99, curriculum=["64: submit=0.5"])

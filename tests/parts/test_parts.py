@@ -1,7 +1,4 @@
-"""Parts of a user's own, one file and one entry each: they do what they say, everywhere, and mistakes name them.
-
-``my_laboratory.toml`` has one of every kind, from ``my_parts.py`` beside it and from the filtration bench's file.
-"""
+"""A user's parts, one of every kind in ``my_laboratory.toml``: they do what they say, and mistakes name them."""
 
 import pickle
 import subprocess

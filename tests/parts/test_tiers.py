@@ -28,8 +28,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "physics-tier.md"
 
 @pytest.fixture(scope="module")
 def laws(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of the page's tier, to the letter: kernels are compiled once for what the page does with it and for what
-    is tested here."""
+    """Folder of the page's tier, to the letter; its kernels are compiled once for all tests here."""
     folder = tmp_path_factory.mktemp("laws")
     found = re.search(r"^# file: brisk_laws\.py\n.*?(?=^```$)", PAGE.read_text(encoding="utf-8"), re.S | re.M)
     assert found is not None

@@ -214,8 +214,7 @@ def test_a_column_knows_dimers_too() -> None:
 
 
 def test_traces_that_flash_do_not_cool_a_vessel_beyond_reason() -> None:
-    """What a vessel is emptied to has no heat to evaporate with: it was at -11,819 K. Flashing ends at the boiling
-    point, at 160 K at least; and standing in a room, such a vessel is as warm as that."""
+    """Flashing ends at the boiling point, at 160 K at least; it was at -11,819 K without heat to evaporate with."""
     glass = Glass("water", "diethyl_ether", "dodecane", "NaCl")
     rng = np.random.default_rng(2)
     for _ in range(300):
@@ -408,8 +407,7 @@ def test_a_lot_of_heat_boils_off_what_it_does_little_by_little(charge: dict[str,
 
 
 def test_salts_fall_out_while_their_water_boils_away() -> None:
-    """What superheated brine leaves holds no more than its water dissolves, and its heat has been paid for: nothing is
-    left to fall out afterwards, and cool it, when it is stirred."""
+    """Superheated brine leaves no more dissolved than its water holds: stirring neither cools nor precipitates."""
     glass = Glass("water", "NaCl", "ethanol")
     glass.fill(0, {"water": 1.0, "NaCl": 0.1}, kelvin=298.15)
     row = glass.rows[0]

@@ -210,8 +210,7 @@ class Problem(NamedTuple):
 
 
 def problem(seed: int) -> Problem:
-    """2 to 6 reactions over 4 to 7 species with k(298 K) from 1e-3 to 1e6, half of them reversible, some catalysed;
-    insulated, jacketed or at constant temperature."""
+    """2 to 6 reactions, 4 to 7 species, k(298 K) 1e-3 to 1e6, half reversible, some catalysed, in any surroundings."""
     rng = np.random.default_rng(seed)
     species, reactions = int(rng.integers(4, 8)), int(rng.integers(2, 7))
     masses = rng.integers(1, 4, species)

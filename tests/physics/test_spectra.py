@@ -39,8 +39,7 @@ def litres_of_liquid(glass: Glassware) -> float:
 @pytest.mark.parametrize("left_out", [0, 1])
 @pytest.mark.parametrize("scenario", ["wurtz_dodecane", "fictitious"])
 def test_absorption_is_concentration_times_peaks(scenario: str, left_out: int) -> None:
-    """A dilute vessel absorbs the sum over materials, an even or odd number, of mol per litre of liquid times their
-    peaks."""
+    """A dilute vessel absorbs the sum over materials of mol per litre of liquid times their peaks."""
     glass = Glassware(scenario, 1)
     there = chemicals(glass.scenario)[left_out:]
     found = seen(glass, {"diethyl_ether": 8.0, **{n: 0.01 * (i + 1) for i, n in enumerate(there)}})

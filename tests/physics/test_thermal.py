@@ -158,8 +158,7 @@ def test_heating_an_empty_vessel_is_an_event_and_nothing_else() -> None:
 
 
 def test_boiling_dry_is_an_event() -> None:
-    """When the last liquid goes, that is one event; heating what is left dry is another kind. Liquid that is left, or
-    reaching the mantle's temperature, is none."""
+    """The last liquid's going is one event, dry heating another; remaining liquid or the mantle's limit is none."""
     wet = still({"diethyl_ether": 0.5, "dodecane": 1.0})
     wet.heat(0, 1, 1e6, hottest_k=450.0)
     assert (wet.amount(0, "diethyl_ether"), wet.amount(0, "dodecane")) == (0.0, 1.0)

@@ -76,8 +76,7 @@ def test_two_pours_into_an_empty_vessel_are_one(first: dict[str, float], f: floa
 
 
 def test_moving_nothing_changes_nothing() -> None:
-    """A zero fraction, no pixels, or an empty source: no bit of either vessel, the waste or the events changes. Exactly
-    as much as a vessel holds is no spill."""
+    """A zero fraction, no pixels, an empty source: no bit changes. Exactly a vessel's capacity is no spill."""
     brim = glass_with({"water": 1.0}, {})
     brim.rows[1, CAPACITY] = brim.volume(0)
     brim.pour(0, 1, 1.0)
