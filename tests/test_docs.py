@@ -268,22 +268,26 @@ def anchors(page: Path) -> set[str]:
 
 def test_links_lead_somewhere() -> None:
     """Every relative link works in a checkout; pages that Sphinx makes are named by roles, which Sphinx checks."""
+    checked = 0
     for page in PROSE:
         for target, anchor in re.findall(r"\]\(([^)#\s]*)(?:#([^)]*))?\)", prose(page)):
             if "://" in target:
                 continue
+            checked += 1
             file = page.parent / target if target else page
             assert file.exists(), f"{page}: {target} does not exist"
             made = f"{page}: {target} is not in a checkout; write {{doc}}`words <{target.removesuffix('.md')}>`"
             assert "generated" not in file.parts, made
             assert not anchor or anchor in anchors(file), f"{page}: {target}#{anchor}: has {sorted(anchors(file))}"
+    assert checked > 200
 
 
 def test_the_map_names_every_module_of_the_physics() -> None:
     """Whether what it names is there is checked in tests/test_map.py."""
     stems = {Path(name).stem for name in re.findall(r"`([\w./*]+\.py)`", (DOCS / "map.md").read_text(encoding="utf-8"))}
-    for module in (ROOT / "chemlab" / "physics").glob("*.py"):
-        assert module.stem in stems | {"__init__", "constants", "events"}, f"{module.name} is not on the map"
+    modules = {path.stem for path in (ROOT / "chemlab" / "physics").glob("*.py")}
+    assert {"__init__", "constants", "events"} < modules
+    assert modules - stems == {"__init__", "constants", "events"}
 
 
 def test_pictures_are_small_and_the_citation_names_this_version() -> None:
@@ -453,8 +457,8 @@ def test_pages_build_without_warnings(built: Path) -> None:
     for name in scenario_names():
         assert load_scenario(name).title in (pages / "scenarios" / f"{name}.html").read_text(encoding="utf-8")
     # The words before a colon are not taken for an attribute's type: annotations alone give types.
-    for file in (pages / "api").glob("*.html"):
-        assert 'Type<span class="colon">' not in file.read_text(encoding="utf-8"), file.name
+    api = [file.read_text(encoding="utf-8") for file in (pages / "api").glob("*.html")]
+    assert ["chemlab" in page and 'Type<span class="colon">' not in page for page in api] == [True] * max(len(api), 9)
     commands = (pages / "command.html").read_text(encoding="utf-8")
     for name in COMMAND.commands:
         assert f"chemlab {name}" in commands

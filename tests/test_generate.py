@@ -52,9 +52,6 @@ def weigh(side: Mapping[str, int], atoms: Mapping[str, Mapping[str, int]]) -> Co
     return total
 
 
-# Networks -----------------------------------------------------------------------------------------------------------
-
-
 @given(st.integers(0, 2**40), sizes())
 def test_a_network_has_its_size_balances_and_leads_from_the_feeds_to_the_goal(seed: int, size: Size) -> None:
     network = draw_network(Draws(seed), size)
@@ -112,9 +109,6 @@ def test_a_size_is_what_was_asked_for_or_there_is_none(name: str, materials: int
 def test_what_there_is_not_is_said_with_what_to_do(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(DataError, match=re.escape(message)):
         generated(**{"seed": 0, **arguments})
-
-
-# Materials ----------------------------------------------------------------------------------------------------------
 
 
 def test_boiling_points_are_those_of_alkanes() -> None:
@@ -193,9 +187,6 @@ def test_pairs_are_regular_solutions(tmp_path: Path) -> None:
     assert frozenset(row["of"]) in pairs
 
 
-# Scenarios ----------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("physics", ["paper", "real"])
 @pytest.mark.parametrize("goals", [1, 3])
 def test_what_there_can_be_of_a_goal_follows_from_the_route(physics: str, goals: int) -> None:
@@ -253,9 +244,6 @@ def test_it_needs_no_extra() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, "NUMBA_DISABLE_JIT": "1"})
 
 
-# Playing ------------------------------------------------------------------------------------------------------------
-
-
 def play(scenario: Scenario) -> float:
     """The scripted agents' score of an episode, in which every atom stays somewhere."""
     played, before, after = script("studies/physics/chemistries.py").scripted(scenario)
@@ -282,9 +270,6 @@ def test_kernels_are_compiled_for_no_chemistry_of_its_own() -> None:
 @given(st.integers(0, 2**40), sizes(), st.sampled_from(sorted(LEVELS)))
 def test_any_size_loads_and_plays(seed: int, size: Size, name: str) -> None:
     play(chemistry(seed, size.materials, size.reactions, name, "paper", size.steps, 1))
-
-
-# Difficulty ---------------------------------------------------------------------------------------------------------
 
 
 def test_the_harder_it_is_the_less_constant_conditions_reach() -> None:

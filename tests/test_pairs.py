@@ -39,9 +39,6 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-# The equation -------------------------------------------------------------------------------------------------------
-
-
 def test_two_materials_at_infinite_dilution_follow_the_closed_form() -> None:
     # ln gamma_1 = tau_21 + tau_12 exp(-alpha tau_12)
     tau = np.array([[0.0, 0.7], [1.9, 0.0]])
@@ -70,9 +67,6 @@ def test_activity_coefficients_are_those_of_another_library() -> None:
     x = generator.dirichlet(np.ones(5))
     other = thermo.NRTL(T=300.0, xs=x.tolist(), tau_as=tau.tolist(), alpha_cs=alpha.tolist())
     np.testing.assert_allclose(log_activity_coefficients(x, tau, alpha), np.log(other.gammas()), rtol=1e-12)
-
-
-# Files --------------------------------------------------------------------------------------------------------------
 
 
 def test_a_table_has_every_parameter_at_its_place(file: Path) -> None:
@@ -113,9 +107,6 @@ def test_a_missing_pair_is_named_with_what_makes_it(file: Path) -> None:
 def test_a_wrong_pair_is_refused(file: Path, old: str, new: str, parts: list[str]) -> None:
     file.write_text(changed(FILE, old, new))
     refused(lambda: load_pairs([file]), file, *parts)
-
-
-# The shipped pairs --------------------------------------------------------------------------------------------------
 
 
 def test_every_two_shipped_molecules_are_a_pair() -> None:
@@ -223,9 +214,6 @@ def test_what_shares_out_between_a_solvent_and_water_is_as_measured(study: Calla
     for (solute, solvent), (log_k, _) in distribution.MEASURED.items():
         found = distribution.log_k(solute, solvent, distribution.saturated(solvent), distribution.shipped_coefficients)
         assert found == pytest.approx(log_k, abs=0.2), (solute, solvent)
-
-
-# The tool -----------------------------------------------------------------------------------------------------------
 
 
 def test_the_advised_command_makes_the_shipped_row(tmp_path: Path) -> None:

@@ -43,8 +43,6 @@ def thermo() -> Any:
     return pytest.importorskip("thermo", reason='thermo is not installed: pip install ".[test]"')
 
 
-# Vapour pressures ---------------------------------------------------------------------------------------------------
-
 # Names of thermo's methods; none is the value's own source.
 REFERENCES: dict[str, tuple[str, float, str]] = {
     "salicylic_acid": ("LANDOLT", 0.06, "a solid; the compilations disagree on its melt"),
@@ -142,9 +140,6 @@ def test_ions_have_the_formation_enthalpy_of_the_handbook(name: str) -> None:
     assert real(MATERIALS[name]).formation_enthalpy_j_mol == float(value)
 
 
-# Heats --------------------------------------------------------------------------------------------------------------
-
-
 def heat(change: dict[str, float]) -> float:
     """kJ of a change in moles, from formation enthalpies."""
     return sum(number * real(MATERIALS[name]).formation_enthalpy_j_mol for name, number in change.items()) / 1000.0
@@ -194,9 +189,6 @@ def test_making_ions_keeps_volume_heat_capacity_and_mass(ion: str) -> None:
     assert sum(m.heat_capacity_j_mol_k for m in parts) == pytest.approx(whole.heat_capacity_j_mol_k, rel=1e-6)
 
 
-# Form ---------------------------------------------------------------------------------------------------------------
-
-
 REAL = """
 [goo.real]
 vapor_pressure = { form = "antoine", coefficients = [9.88, 1950.0, 0.0], low_k = 260.0, high_k = 450.0 }
@@ -239,9 +231,6 @@ def test_wrong_properties_are_named(tmp_path: Path, old: str, new: str, parts: l
     refused(lambda: load_materials([file]), f"{file}: goo", *parts)
 
 
-# The tier "paper" ---------------------------------------------------------------------------------------------------
-
-
 def test_the_paper_refuses_a_material_without_polarity(tmp_path: Path) -> None:
     text = GOO.replace("polarity = 0.2\n", "").replace('polarity = "made up too"\n', "")
     file = written(tmp_path, text)
@@ -250,9 +239,6 @@ def test_the_paper_refuses_a_material_without_polarity(tmp_path: Path) -> None:
     values |= {"material_files": [str(file)], "stock": {**values["stock"], "goo": 1.0}}
     with pytest.raises(DataError, match=r"'goo' has no polarity, which physics = 'paper' needs"):
         load_scenario(values)
-
-
-# Salts --------------------------------------------------------------------------------------------------------------
 
 
 def test_salt_dissolves_as_the_handbooks_say_alike_in_all_families() -> None:

@@ -129,9 +129,9 @@ def test_water_takes_aspirin_and_the_anhydride_apart_as_fast_as_was_measured() -
 
 def test_snar_follows_the_published_profile() -> None:
     """Which is with one amine to a substitution: they differ the less the more amine there is."""
-    for row in rows_of("snar"):
-        if "ortho" in row.quantity and "5 equivalents" in row.quantity:
-            assert row.chemlab == pytest.approx(row.published, rel=0.12)
+    rows = [row for row in rows_of("snar") if "ortho" in row.quantity and "5 equivalents" in row.quantity]
+    assert [row.chemlab for row in rows] == pytest.approx([row.published for row in rows], rel=0.12)
+    assert len(rows) == 6
 
 
 def test_what_rounding_leaves_of_a_liquid_is_none() -> None:

@@ -137,11 +137,8 @@ def means(bench: str, scenario: str, episodes: int, policy: str) -> dict[str, fl
         batch = arena_for(bench, goal, scenario, episodes)
         shape = batch.bench.action_space.shape
         size = shape[0] if shape else 0
-        found[goal] = float(
-            play_experiments(
-                batch, scripted_bench(batch.bench) if policy == "scripted" else RandomPolicy(size, i)
-            ).mean()
-        )
+        player = scripted_bench(batch.bench) if policy == "scripted" else RandomPolicy(size, i)
+        found[goal] = float(play_experiments(batch, player).mean())
     return found
 
 

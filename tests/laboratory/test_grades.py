@@ -80,12 +80,11 @@ def test_reports_say_what_is_there_as_well_as_sensors_can() -> None:
     env = laboratory(graded())
     labs = env.laboratories
     slices = channel_slices(labs.channels)
-    names = [f"rxn_0_reported_{what}" for what in ("amount", "purity", "ticks")]
-    assert [float(env.observe("manager_0")[slices[name]][0]) for name in names] == [0.0, 0.0, 0.0]
+    said = [slices[f"rxn_0_reported_{what}"].start for what in ("amount", "purity", "ticks")]
+    assert env.observe("manager_0")[said].tolist() == [0.0, 0.0, 0.0]
     run(env, "quick")
     made = labs.shelf.amounts[0, 0, labs.shelf.layout.index("2-chlorohexane")]
-    said = [float(env.observe("manager_0")[slices[name]][0]) for name in names]
-    assert said == pytest.approx([made / 4.0, made / 4.0, 4 / 20], rel=1e-6)
+    assert env.observe("manager_0")[said] == pytest.approx([made / 4.0, made / 4.0, 4 / 20], rel=1e-6)
     many = Laboratories(load_scenario(graded(report=0.1)), 400)
     many.begin(world={"rate": 1.0})
     begin = many.actions.encode("start", "rxn_0", 0, "2-chlorohexane", "quick")

@@ -148,13 +148,6 @@ def test_fully_settled_vessel_is_stacked(contents: dict[str, float]) -> None:
     np.testing.assert_allclose(shares, stacked(expected_volumes(GLASS, names, 1.3)), rtol=0.0, atol=1e-10)
 
 
-def slope(glass: Glassware, names: list[str], clock: float, i: int, j: int) -> float:
-    """(mu_i - mu_j) / sigma^2 as PHYSICS section 2 has it, per vessel height."""
-    density = densities(glass, names)
-    mean = [(clock - T_MIX) * sum(other - own for other in density) for own in density]
-    return float((mean[i] - mean[j]) * np.sqrt(2.0 * np.pi) * np.exp(clock))
-
-
 @pytest.mark.parametrize("since_mixed", [0.2, 1.0, 2.0, 3.0])
 @pytest.mark.parametrize(
     "contents",
@@ -167,13 +160,15 @@ def test_layers_part_with_the_designs_slope(contents: dict[str, float], since_mi
     FOUR.fill(0, contents, 1.3, clock=clock)
     FOUR.partition(0)
     names, shares = FOUR.profile(0)
-    fluids, height = names[1:], (np.arange(PIXELS) + 0.5) / PIXELS
-    compared = 0
+    fluids, height, compared = names[1:], (np.arange(PIXELS) + 0.5) / PIXELS, 0
+    density = densities(FOUR, fluids)
+    mean = [since_mixed * sum(other - own for other in density) for own in density]
     for i in range(len(fluids)):
         for j in range(i):
             both = (shares[1 + i] > 1e-12) & (shares[1 + j] > 1e-12)
             ratio = np.log(shares[1 + i, both] / shares[1 + j, both])
-            steps, expected = np.diff(ratio) / np.diff(height[both]), slope(FOUR, fluids, clock, i, j)
+            steps = np.diff(ratio) / np.diff(height[both])
+            expected = (mean[i] - mean[j]) * np.sqrt(2.0 * np.pi) * np.exp(clock)  # PHYSICS, section 2
             assert expected > 0.0  # columns go from dense to light: the lighter one wins with height
             np.testing.assert_allclose(steps, expected, rtol=1e-4)
             compared += both.sum()
@@ -234,11 +229,9 @@ def test_no_vessel_is_black() -> None:
 
 def test_profile_leaves_the_vessel_alone() -> None:
     """Looking at the layers changes nothing in the vessel, bit for bit."""
-    row = GLASS.fill(0, {"water": 10.0, "diethyl_ether": 3.0, "NaCl": 1.0}, 0.9, clock=0.3)
-    GLASS.phases(0)
+    row = GLASS.mixed(0, {"water": 10.0, "diethyl_ether": 3.0, "NaCl": 1.0}, 0.9)
+    row[CLOCK] = 0.3
     GLASS.partition(0)
     before = row.copy()
-    GLASS.profile(0)
     pictures(GLASS, 5, 2)
     assert (row == before).all()
-    assert row[CLOCK] == 0.3

@@ -104,7 +104,10 @@ def in_water() -> float:
 
 
 def test_settling_keeps_the_deviation() -> None:
-    """t > t': S(t) = S*(t) + S(t') - S*(t')."""
+    """t > t': S(t) = S*(t) + S(t') - S*(t'); t = t': S stays, whatever S* is."""
+    start(T_MIX + 0.3, 0.18, 0.02)
+    FOUR.partition(0)
+    assert in_water() == pytest.approx(0.18, rel=1e-14)
     before, after = T_MIX + 0.01, T_MIX + 0.05
     start(before, 0.05, 0.15)
     FOUR.turn(0, 0.04)
@@ -126,13 +129,6 @@ def test_mixing_shrinks_the_deviation() -> None:
     assert 0.0 < expected < 0.2
     assert in_water() == pytest.approx(expected, rel=1e-12)
     assert FOUR.in_solvent(0, "dodecane", "hexane") == pytest.approx(0.2 - expected, rel=1e-12)
-
-
-def test_standing_still_changes_nothing() -> None:
-    """t = t': S stays, whatever S* is."""
-    start(T_MIX + 0.3, 0.18, 0.02)
-    FOUR.partition(0)
-    assert in_water() == pytest.approx(0.18, rel=1e-14)
 
 
 def test_what_would_be_negative_is_clipped_and_the_rest_scaled() -> None:

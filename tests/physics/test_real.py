@@ -111,7 +111,9 @@ def test_distillation_follows_an_independent_rayleigh_integration(charge: str) -
     glass = Glass(*contents)
     glass.fill(0, contents)
     glass.fill(1, {})
-    for purity, recovery, kelvin in judged(charge)[:4]:
+    points = judged(charge)[:4]
+    assert len(points) == 4
+    for purity, recovery, kelvin in points:
         while glass.mol(0, kept) / sum(glass.mol(0, name) for name in contents) < purity:
             glass.heat(100.0)
         assert glass.mol(0, kept) / contents[kept] == pytest.approx(recovery, abs=0.02)
