@@ -287,7 +287,7 @@ def test_the_map_names_every_module_of_the_physics() -> None:
     stems = {Path(name).stem for name in re.findall(r"`([\w./*]+\.py)`", (DOCS / "map.md").read_text(encoding="utf-8"))}
     modules = {path.stem for path in (ROOT / "chemlab" / "physics").glob("*.py")}
     assert {"__init__", "constants", "events"} < modules
-    assert modules - stems == {"__init__", "constants", "events"}
+    assert modules - stems <= {"__init__", "constants", "events"}
 
 
 def test_pictures_are_small_and_the_citation_names_this_version() -> None:

@@ -132,14 +132,8 @@ MISCIBLE = [
     ("ethyl_acetate", "toluene"),
     ("acetic_acid", "water"),
 ]
-APART = [
-    ("hexane", "water"),
-    ("dodecane", "water"),
-    ("1-chlorohexane", "water"),
-    ("2-chlorohexane", "water"),
-    ("1-hexene", "water"),
-    ("toluene", "water"),
-]
+OILS = ("hexane", "dodecane", "1-chlorohexane", "2-chlorohexane", "1-hexene", "toluene")
+APART = [(oil, "water") for oil in OILS]
 
 
 @pytest.fixture

@@ -28,12 +28,8 @@ def test_the_books_balance(name: str, tmp_path: Path) -> None:
     """Of every group there is as much at each stage as the scenario's stock and vessels hold."""
     scenario = load_scenario(name)
     balance = mole_balance(read_record(record_episode(tmp_path / "one.jsonl", name, "careless")))
-    start = np.array(
-        [
-            scenario.stock.get(material, 0.0) + sum(v.contents.get(material, 0.0) for v in scenario.shelf.vessel)
-            for material in balance.materials
-        ]
-    )
+    contents = [scenario.stock, *(vessel.contents for vessel in scenario.shelf.vessel)]
+    start = np.array([sum(held.get(material, 0.0) for held in contents) for material in balance.materials])
     assert balance.groups
     for group in balance.groups:
         totals = balance.amounts(group).sum(axis=(1, 2))

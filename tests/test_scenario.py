@@ -111,11 +111,8 @@ weights = { spill_l = 1.0 }
 
 def resolved(scenario: Scenario) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
     """Everything a scenario says but where it came from."""
-    return (
-        scenario.model_dump(),
-        {k: m.model_dump() for k, m in scenario.materials.items()},
-        scenario.family.model_dump(),
-    )
+    materials = {key: material.model_dump() for key, material in scenario.materials.items()}
+    return scenario.model_dump(), materials, scenario.family.model_dump()
 
 
 def top(line: str) -> tuple[str, str]:

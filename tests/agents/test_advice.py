@@ -236,10 +236,8 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
     best = Run(tmp_path / "run").checkpoint("best")
     assert load_pretrained(best / "manager").card.advice == "scripted"
     labs = Laboratories("rush", 2, split="validation")
-    found = [
-        play_laboratory(labs, make_policies(name, labs, 0), None, 1).returns
-        for name in (str(tmp_path / "run"), str(best / "manager.safetensors"))
-    ]
+    names = (str(tmp_path / "run"), str(best / "manager.safetensors"))
+    found = [play_laboratory(labs, make_policies(name, labs, 0), None, 1).returns for name in names]
     np.testing.assert_array_equal(*found)
     exported = export_run(tmp_path / "run", tmp_path / "mine")
     assert exported.advice == "scripted"

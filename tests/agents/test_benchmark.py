@@ -61,13 +61,9 @@ def test_scores_are_those_of_the_episodes(played: Played) -> None:
     assert cell["generalization"]["value"] == pytest.approx((scores["test"].mean() - scores["train"].mean()) / span)
     parts = (slice(0, 3), slice(3, 5))
     shares = [(scores["test"][p].mean() - random[p].mean()) / (oracle[p].mean() - random[p].mean()) for p in parts]
-    for name, value, replications in (
-        ("scripted", cell["value"], shares),
-        ("oracle", 1, [1, 1]),
-        ("random", 0, [0, 0]),
-    ):
+    for name, value, own in (("scripted", cell["value"], shares), ("oracle", 1, [1, 1]), ("random", 0, [0, 0])):
         assert cells[name]["value"] == pytest.approx(value, abs=1e-12)
-        assert cells[name]["replications"] == pytest.approx(replications)
+        assert cells[name]["replications"] == pytest.approx(own)
     assert all(one["value"] <= 1.0 + 1e-12 for one in cells.values() if one["value"] is not None)
     assert "has no orders to choose from" in cells["scripted:fifo"]["reason"]
     # Against the baseline episode by episode, whatever these have in common.

@@ -77,11 +77,8 @@ def test_no_reward_is_lost_or_another_agents(rewards: str | None) -> None:
 
 def weights(run: Path) -> dict[str, Any]:
     checkpoint = Run(run).checkpoint("last")
-    return {
-        f"{file.stem} {name}": array
-        for file in checkpoint.glob("*.safetensors")
-        for name, array in load_pretrained(file).weights.items()
-    }
+    files = {file.stem: load_pretrained(file).weights for file in checkpoint.glob("*.safetensors")}
+    return {f"{stem} {name}": array for stem, own in files.items() for name, array in own.items()}
 
 
 class _Stop(Exception):

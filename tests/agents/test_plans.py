@@ -131,16 +131,13 @@ def test_a_plan_is_blind() -> None:
 def test_plans_may_know_the_goal() -> None:
     """What a plan does is a function of the public goal, and of nothing else."""
     scenario = load_scenario("fictitious")
-    actions = ManagerActions.of(scenario)
-    plans = {
-        context: (actions.encode("start", "rxn_0", 0, context[0]), actions.encode("submit", 0))
-        for context in all_contexts(scenario)
-    }
+    encode = ManagerActions.of(scenario).encode
+    plans = {one: (encode("start", "rxn_0", 0, one[0]), encode("submit", 0)) for one in all_contexts(scenario)}
     labs = Laboratories(scenario, 1)
     taped, goals = watched(scenario, ConstantPlan(scenario, labs.channels, labs.actions, plans), 30)
     assert len(set(goals.tolist())) == len(scenario.lab_goals)
     for goal, did in zip(goals, taped.actions, strict=True):
-        assert tuple(a for a in did if actions.decode(a)[0] != "wait") == plans[(scenario.goals[goal],)]
+        assert tuple(a for a in did if labs.actions.decode(a)[0] != "wait") == plans[(scenario.goals[goal],)]
 
 
 def test_a_plan_waits_for_what_is_not_legal_yet_and_leaves_out_what_never_will_be() -> None:

@@ -410,10 +410,8 @@ def test_a_policy_that_mostly_does_nothing_gets_a_note() -> None:
 
     usual = row("scripted", limit=0.1, nothing=0.0)
     results = {"baseline": "scripted", "policies": [usual, row("random", limit=0.9, nothing=0.6), row("a", limit=0.5)]}
-    assert [line.partition(" of the episodes")[0] for line in notes(results)] == [
-        "random ran out of actions or ticks in 90%",
-        "random submitted nothing in 60%",
-    ]
+    said = ["random ran out of actions or ticks in 90%", "random submitted nothing in 60%"]
+    assert [line.partition(" of the episodes")[0] for line in notes(results)] == said
     results["policies"][0] = row("scripted", limit=1.0, nothing=0.0)  # type: ignore[index]
     assert len(notes(results)) == 1
 

@@ -108,10 +108,7 @@ def test_runs_that_the_baselines_and_the_manual_go_on_with_are_runs_of_a_sweep()
 def test_of_a_folder_of_all_runs_a_script_takes_those_of_its_sweeps() -> None:
     """All sweeps have the same ``--out`` in the manual. The leaderboard has no benches that learned from nothing."""
     planned = {file.stem: plan(file, Path("results")) for file in SWEEPS}
-    for name, sweeps in {
-        "ablations": {"ablations"},
-        "from_nothing": {"from_nothing", "stages"},
-    }.items():
+    for name, sweeps in {"ablations": {"ablations"}, "from_nothing": {"from_nothing", "stages"}}.items():
         is_own = script(f"studies/baselines/{name}.py").is_own
         assert {one.name for runs in planned.values() for one in runs if is_own(one.run)} == {
             one.name for sweep in sweeps for one in planned[sweep]

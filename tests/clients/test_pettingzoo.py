@@ -9,21 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 from helpers import FEATURED, seeded
-from pettingzoo.test import (
-    api_test,
-    bombardment_test,
-    parallel_api_test,
-    parallel_seed_test,
-    render_test,
-    seed_test,
-)
-from pettingzoo.utils import (
-    AssertOutOfBoundsWrapper,
-    BaseWrapper,
-    TerminateIllegalWrapper,
-    aec_to_parallel,
-    parallel_to_aec,
-)
+from pettingzoo.test import api_test, bombardment_test, parallel_api_test, parallel_seed_test, render_test, seed_test
+from pettingzoo.utils import AssertOutOfBoundsWrapper, BaseWrapper, TerminateIllegalWrapper
+from pettingzoo.utils.conversions import aec_to_parallel, parallel_to_aec
 
 from chemlab.lab.text import named_costs, named_events
 from chemlab.laboratory import env as laboratory_env

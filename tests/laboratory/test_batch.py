@@ -54,10 +54,7 @@ class Batched:
         assert (state.shape, state.dtype) == ((env.num_envs, *env.state_space.shape), np.float32)
         who = [agent for agent in env.possible_agents if env.idle_observations or infos[agent]["has_turn"][member]]
         apart = {"final_obs"} if env.infos else {"paid", "partial"}
-        own = {
-            agent: {key: values[member] for key, values in info.items() if key not in apart}
-            for agent, info in infos.items()
-        }
+        own = {agent: {key: info[key][member] for key in info.keys() - apart} for agent, info in infos.items()}
         if not env.infos:
             assert apart < infos["manager_0"].keys()
             told = {"has_turn", "experiment_over", "score", "action_mask"}

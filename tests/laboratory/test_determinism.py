@@ -43,14 +43,8 @@ def test_another_process_plays_the_same_episodes() -> None:
     here = digests(FEATURED)
     # Another hash seed shuffles sets of strings: an order that comes from one would show.
     environment = dict(os.environ, PYTHONHASHSEED="271828", PYTHONPATH=os.pathsep.join(p for p in sys.path if p))
-    run = subprocess.run(
-        [sys.executable, str(Path(__file__)), *FEATURED],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=900,
-    )
+    words = [sys.executable, __file__, *FEATURED]
+    run = subprocess.run(words, env=environment, capture_output=True, text=True, timeout=900)
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout) == here
     assert all(here[f"{name} careless"] != here[f"{name} scripted"] for name in FEATURED)
@@ -64,12 +58,8 @@ def test_the_seed_moves_the_camera_and_not_only_the_policy() -> None:
         env.reset(seed=seed)
         env.step(labs.actions.encode("start", "ext_0", 0, "dodecane"))
         env.step(labs.actions.encode("wait"))
-        for meaning in (
-            "add water to EV, 0.2 L",
-            "mix EV, 6 units of settling time",
-            "settle, 0.5 units of settling time",
-        ):
-            env.step(labs.benches[1].action_meanings.index(meaning))
+        for one in ("add water to EV, 0.2 L", "mix EV, 6 units of settling time", "settle, 0.5 units of settling time"):
+            env.step(labs.benches[1].action_meanings.index(one))
         pictures.append(env.observe("ext_0").tobytes())
         hidden.append(labs.shelf.vessels.tobytes())
     assert pictures[0] == pictures[1] != pictures[2]

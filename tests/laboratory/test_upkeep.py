@@ -133,14 +133,8 @@ def test_a_bench_that_breaks_ends_its_experiment_and_waits_for_a_fitter() -> Non
     assert set(labs.costs()) == set(COST_ITEMS)
 
 
-DRAWN_LIFE: dict[str, dict[str, Any]] = {
-    "life": {
-        "what": "life",
-        "of": ["rxn_0", "rxn_1", "rxn"],
-        "change": "value",
-        "distribution": {"kind": "uniform", "low": 1.0, "high": 1000.0},
-    }
-}
+LIVES = {"kind": "uniform", "low": 1.0, "high": 1000.0}
+DRAWN_LIFE = {"life": {"what": "life", "of": ["rxn_0", "rxn_1", "rxn"], "change": "value", "distribution": LIVES}}
 
 
 def test_a_repair_is_over_while_another_line_works() -> None:
@@ -221,25 +215,12 @@ def test_a_trend_goes_on_from_the_last_calibration() -> None:
     assert labs.observe(0, labs.members)[0, sum(sizes[:at])] == pytest.approx(20 / spec.limits.ticks)
 
 
+GAINS = {"kind": "lognormal", "median": 1.0, "sigma": 0.5, "low": 0.2, "high": 5.0}
+BIASES, TRENDS = {"kind": "normal", "mean": 0.0, "sd": 0.05}, {"kind": "uniform", "low": 0.0, "high": 1e-4}
 DRAWS: dict[str, dict[str, Any]] = {
-    "gain": {
-        "what": "gain",
-        "of": ["rxn_0", "rxn_1", "rxn"],
-        "distribution": {"kind": "lognormal", "median": 1.0, "sigma": 0.5, "low": 0.2, "high": 5.0},
-        "test": [[2.0, 5.0]],
-    },
-    "bias": {
-        "what": "bias",
-        "of": [GC],
-        "change": "offset",
-        "distribution": {"kind": "normal", "mean": 0.0, "sd": 0.05},
-    },
-    "trend": {
-        "what": "trend",
-        "of": [GC],
-        "change": "value",
-        "distribution": {"kind": "uniform", "low": 0.0, "high": 1e-4},
-    },
+    "gain": {"what": "gain", "of": ["rxn_0", "rxn_1", "rxn"], "distribution": GAINS, "test": [[2.0, 5.0]]},
+    "bias": {"what": "bias", "of": [GC], "change": "offset", "distribution": BIASES},
+    "trend": {"what": "trend", "of": [GC], "change": "value", "distribution": TRENDS},
     **DRAWN_LIFE,
 }
 

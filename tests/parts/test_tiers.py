@@ -66,13 +66,8 @@ def test_its_kernels_follow_its_laws(brisk: Scenario) -> None:
 
 def test_nobody_gets_another_tiers_laws_without_compiling_either() -> None:
     tests = [f"{__file__}::{test.__name__}" for test in (test_its_kernels_follow_its_laws, test_a_law_can_be_called)]
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-n", "0", "-q", *tests],
-        env={**os.environ, "NUMBA_DISABLE_JIT": "1"},
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
+    words, plain = [sys.executable, "-m", "pytest", "-n", "0", "-q", *tests], {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    done = subprocess.run(words, env=plain, capture_output=True, text=True, timeout=900)
     assert done.returncode == 0, done.stdout
 
 

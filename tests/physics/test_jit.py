@@ -159,13 +159,10 @@ def test_an_interrupted_compilation_leaves_nothing_behind(tmp_path: Path) -> Non
     script = tmp_path / "interrupted.py"
     script.write_text(INTERRUPTED, encoding="utf-8")
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "kernels")}
-    outputs = [
-        subprocess.run(
-            [sys.executable, str(script), how], capture_output=True, text=True, env=environment, timeout=300
-        ).stdout
-        for how in ("interrupted", "whole")
-    ]
-    assert outputs == ["interrupted\n", "3.0\n"]
+    for how, printed in (("interrupted", "interrupted\n"), ("whole", "3.0\n")):
+        words = [sys.executable, str(script), how]
+        run = subprocess.run(words, capture_output=True, text=True, env=environment, timeout=300)
+        assert run.stdout == printed
 
 
 def test_an_interruption_waits_for_the_function_that_is_compiled() -> None:

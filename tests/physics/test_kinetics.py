@@ -46,12 +46,8 @@ class Scheme:
                 orders[r, j] += number
             for j, number in products.items():
                 stoichiometry[r, j] += number
-        return cls(
-            stoichiometry,
-            orders,
-            np.array([a for _, _, a, _ in steps], dtype=np.float64),
-            np.array([energy for _, _, _, energy in steps], dtype=np.float64),
-        )
+        factors, energies = (np.array([step[i] for step in steps], dtype=np.float64) for i in (2, 3))
+        return cls(stoichiometry, orders, factors, energies)
 
     @property
     def network(self) -> Table[Chemistry]:
