@@ -27,7 +27,7 @@ from chemlab.config.materials import Material
 from chemlab.config.scenario import SAFETY_EVENTS, Scenario
 from chemlab.envs.aec import raw_env
 from chemlab.envs.players import Memory, Watching
-from chemlab.kernels.arrays import declared
+from chemlab.kernels.arrays import FloatArray, declared
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories
 from chemlab.physics.backends import heat, law_addresses, partition, settle_phases
@@ -37,8 +37,6 @@ from chemlab.physics.shelf import T_MIX, Shelf
 from chemlab.physics.stratification import profile
 from chemlab.physics.transfer import add, drain, pour, turn_clock
 from chemlab.roles.manager_actions import SUBMIT, WAIT
-
-FloatArray = npt.NDArray[np.float64]
 
 PIXELS = 100
 TRACE = 1e-9
@@ -194,8 +192,7 @@ def pascal(materials: Mapping[str, Material], name: str, kelvin: float) -> float
 
 def litres(scenario: Scenario, contents: Mapping[str, float]) -> float:
     """Volume of amounts in mol, from the cited molar masses and densities."""
-    materials = scenario.materials
-    return sum(n * materials[k].molar_mass_g_mol / (1000.0 * materials[k].density_kg_l) for k, n in contents.items())
+    return sum(mol * molar_volume(scenario, name) for name, mol in contents.items())
 
 
 def four_solvents() -> Scenario:

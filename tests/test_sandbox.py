@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from helpers import Glassware
 from scipy.integrate import solve_ivp
@@ -23,12 +22,11 @@ import chemlab.sandbox
 from chemlab.config.datafile import DataError, read_toml
 from chemlab.config.materials import shipped_materials
 from chemlab.envs.role_env import RoleEnv
+from chemlab.kernels.arrays import FloatArray
 from chemlab.openchem.writing import material_text, pair_text
 from chemlab.physics import backends as laws
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.sandbox import BoilingWarning, Flask, IonizationWarning, SaltWarning, SpillWarning
-
-FloatArray = npt.NDArray[np.float64]
 
 MATERIALS = shipped_materials()
 TIERS = ("paper", "real")

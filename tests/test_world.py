@@ -13,6 +13,7 @@ from chemlab.config.datafile import DataError
 from chemlab.config.datamodel import validated
 from chemlab.config.draws import Split, WorldSpec
 from chemlab.config.loading import load_scenario
+from chemlab.kernels.arrays import FloatArray
 from chemlab.kernels.tables import Table
 from chemlab.lab.engine import Laboratories
 from chemlab.lab.experiments import ExperimentBatch
@@ -27,7 +28,6 @@ from chemlab.lab.sampling import (
     world_draws,
 )
 
-FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 MATERIALS = ("a", "b", "c", "d")
 
 

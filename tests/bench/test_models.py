@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from helpers import PIXELS, Glassware, play_experiments
 from scipy.integrate import solve_ivp
@@ -13,10 +12,9 @@ from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
 from chemlab.config.parts import PartError, strangers_code
 from chemlab.config.scenario import Scenario
+from chemlab.kernels.arrays import FloatArray
 from chemlab.lab.experiments import ExperimentBatch
 from chemlab.physics.chemistry import build_chemistry
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class ScipyReactions:

@@ -6,20 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from helpers import Glassware, network_table
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from chemlab.kernels.arrays import FloatArray
 from chemlab.kernels.tables import Table
 from chemlab.physics.chemistry import AMOUNTS, Chemistry
 from chemlab.physics.constants import GAS_CONSTANT
 from chemlab.physics.mass_action import integrate as react
 from chemlab.physics.mass_action import react_work_size
 
-FloatArray = npt.NDArray[np.float64]
 Step = tuple[Mapping[int, float], Mapping[int, float], float, float]
 """(reactants, products, pre-exponential, activation energy); species by number, orders are the coefficients."""
 

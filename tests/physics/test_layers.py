@@ -3,18 +3,16 @@
 from collections.abc import Mapping
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from helpers import PIXELS, Glassware, four_solvents, molar_volume
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
+from chemlab.kernels.arrays import FloatArray
 from chemlab.physics.chemistry import CLOCK, PRESENT
 from chemlab.physics.shelf import CLOCK_SETTLED, T_MIX
 from chemlab.physics.stratification import camera
-
-FloatArray = npt.NDArray[np.float64]
 
 GLASS = Glassware("wurtz_dodecane", 1)
 FOUR = Glassware(four_solvents(), 1)

@@ -5,20 +5,18 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from real_tier import enthalpy_of, filled, real_table
 from scipy.optimize import brentq
 
+from chemlab.kernels.arrays import FloatArray
 from chemlab.kernels.jit import kernel
 from chemlab.kernels.tables import Table
 from chemlab.physics.backends.real.acids import acid_work_size, ph, settle_acids
 from chemlab.physics.chemistry import AMOUNTS, ROLE_ION, ROLE_SOLVENT, TEMPERATURE
 from chemlab.physics.constants import GAS_CONSTANT
-
-FloatArray = npt.NDArray[np.float64]
 
 ROOM = 298.15
 WATER, PROTON, HYDROXIDE = range(3)

@@ -13,11 +13,11 @@ from real_tier import enthalpy_of, filled, give_enthalpy, network, react
 from scipy.integrate import solve_ivp
 from scipy.linalg import null_space
 
+from chemlab.kernels.arrays import FloatArray
 from chemlab.kernels.tables import Table
 from chemlab.physics.chemistry import AMOUNTS, TEMPERATURE
 from chemlab.physics.constants import GAS_CONSTANT
 
-FloatArray = npt.NDArray[np.float64]
 Step = Mapping[str, Any]
 
 ROOM = 298.15
