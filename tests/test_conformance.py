@@ -118,7 +118,7 @@ def test_what_can_hardly_be_meant(key: str, value: Any, words: str) -> None:
     ],
 )
 def test_doubtful_numbers_of_a_material(change: dict[str, Any], doubt: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    scenario = load_scenario(mapping("wurtz_dodecane_direct"))
+    scenario = load_scenario({"base": "wurtz_dodecane_direct"})
     ether = scenario.materials["diethyl_ether"].model_copy(update=change)
     monkeypatch.setitem(scenario.materials, "diethyl_ether", ether)
     assert re.match(rf"materials.diethyl_ether.{doubt}", "\n".join(doubts(scenario)))

@@ -48,10 +48,9 @@ def test_a_person_at_a_bench(tmp_path: Path) -> None:
 
 def test_leaving_keeps_the_record_so_far(tmp_path: Path) -> None:
     for number, last in enumerate((["q"], ["Quit"], [])):
-        path = tmp_path / f"{number}.jsonl"
+        path, part = tmp_path / f"{number}.jsonl", tmp_path / f"{number}.jsonl.part"
         code, shown = play(path, [*SCRIPT[:2], *last])
         assert (code, path.exists()) == (0, False)
-        part = path.with_name(f"{number}.jsonl.part")
         assert part.name in shown
         assert verify_record(part).status == "torn"
         assert len(read_record(part).turns) == 22  # start, wait, 20 steps of the reaction

@@ -26,14 +26,11 @@ def scripted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record_episode(tmp_path_factory.mktemp("demonstrations") / "scripted.jsonl", named=True)
 
 
+PLAYED = [("wurtz_two_lines", "scripted", {}), ("wurtz_two_lines", "careless", {}), ("wurtz_safe", "careless", {})]
+
+
 @pytest.mark.parametrize(
-    ("scenario", "policy", "more"),
-    [
-        ("wurtz_two_lines", "scripted", {}),
-        ("wurtz_two_lines", "careless", {}),
-        ("wurtz_safe", "careless", {}),
-        ("wurtz_dodecane", "scripted", {"rewards": "mixed"}),
-    ],
+    ("scenario", "policy", "more"), [*PLAYED, ("wurtz_dodecane", "scripted", {"rewards": "mixed"})]
 )
 def test_nothing_earned_is_lost(scenario: str, policy: str, more: Any, tmp_path: Path) -> None:
     """Rewards of an agent's episodes add up to the record's; turns and costs likewise."""
@@ -241,8 +238,7 @@ def test_a_dataset_is_replaced_whole(
     command(*arguments)
     before = minari.load_dataset("tests/kept/manager_0-v0").total_steps
     with monkeypatch.context() as patch:
-        full = Mock(side_effect=OSError(28, "No space left on device"))
-        patch.setattr(minari, "create_dataset_from_buffers", full)
+        patch.setattr(minari, "create_dataset_from_buffers", Mock(side_effect=OSError(28, "No space left on device")))
         command(*arguments, code=2)
     assert minari.load_dataset("tests/kept/manager_0-v0").total_steps == before
     folder = minari.storage.get_dataset_path("tests/kept/manager_0-v0").parent

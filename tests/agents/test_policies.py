@@ -44,12 +44,10 @@ def test_random_actions_are_uniform_over_the_legal_ones() -> None:
 
 
 def test_random_numbers_are_uniform_and_in_the_box() -> None:
-    policy = RandomPolicy(6, 2)
-    n = 5000
-    actions = policy.act(np.zeros((n, 1), dtype=np.float32), None, np.zeros(n, dtype=np.int64), np.arange(n))
-    assert actions.shape == (n, 6)
-    assert actions.min() >= 0.0
-    assert actions.max() < 1.0
+    seen, steps, members = np.zeros((5000, 1), dtype=np.float32), np.zeros(5000, dtype=np.int64), np.arange(5000)
+    actions = RandomPolicy(6, 2).act(seen, None, steps, members)
+    assert actions.shape == (5000, 6)
+    assert 0.0 <= actions.min() < actions.max() < 1.0
     for column in actions.T:
         assert chi_square(np.histogram(column, bins=10, range=(0.0, 1.0))[0]) < 40.0  # 9 degrees of freedom
 
