@@ -14,7 +14,7 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from helpers import command, four_solvents, random_legal, record_episode
+from helpers import command, four_solvents, random_legal, record_episode, refused
 from typer.testing import CliRunner
 
 import chemlab
@@ -137,11 +137,9 @@ def test_streams_that_went_on(tmp_path: Path) -> None:
     env.reset(seed=5)
     env.reset()
     recorder = Recorder(path, env.laboratories)
-    with pytest.raises(ValueError, match="begin"):
-        recorder.turn([])
+    refused("begin", recorder.turn, [])
     recorder.begin()
-    with pytest.raises(ValueError, match="not over"):
-        recorder.begin()
+    refused("not over", recorder.begin)
     while not path.exists():
         agent, (observation, _, _, _, info) = env.agent_selection, env.last()
         mask = info.get("action_mask")
@@ -520,8 +518,7 @@ def test_a_file_has_one_writer(tmp_path: Path) -> None:
     def watch(turn: Any) -> None:
         if turn.tick == 5:
             other.reset(seed=1)
-            with pytest.raises(ValueError, match=r"a\.jsonl\.part: another process is recording there"):
-                second.begin(1)
+            refused(r"a\.jsonl\.part: another process is recording there", second.begin, 1)
 
     with Recorder(path, labs, force=True) as recorder:
         play_episode(env, make_policies("scripted", labs, 3), 3, watch=watch, recorder=recorder)
@@ -537,8 +534,7 @@ def test_a_file_has_one_writer(tmp_path: Path) -> None:
     env.reset(seed=1)
     held.begin(1)
     held.part.write_text("of another process")
-    with pytest.raises(ValueError, match="created by another process"):
-        held.close()
+    refused("created by another process", held.close)
     held.part.unlink()
     held.close()
     assert held.part.read_text().startswith("{")
@@ -658,8 +654,7 @@ def test_an_episode_that_is_broken_off_leaves_its_part(tmp_path: Path) -> None:
     with pytest.raises(RecordError, match=r"not finished: read .*a\.jsonl\.part"):
         read_record(path)
     # Neither does anything write over it unasked.
-    with pytest.raises(ValueError, match="already exists"):
-        Recorder(path, env.laboratories)
+    refused("already exists", Recorder, path, env.laboratories)
     with Recorder(path, env.laboratories, force=True) as recorder:
         play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
     assert [file.name for file in path.parent.iterdir()] == ["a.jsonl"]
@@ -670,8 +665,7 @@ def test_a_file_that_appears_while_recording_is_kept(tmp_path: Path) -> None:
     path = tmp_path / "a.jsonl"
     recorder = Recorder(path, env.laboratories)
     path.write_text("mine")
-    with pytest.raises(ValueError, match="another process"):
-        play_episode(env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
+    refused("another process", play_episode, env, make_policies("scripted", env.laboratories, 0), 0, recorder=recorder)
     assert path.read_text() == "mine"
     assert verify_record(recorder.part).status == "ok"
 

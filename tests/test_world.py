@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import refused
 from scipy import stats
 
 from chemlab.config.datafile import DataError
@@ -183,8 +184,7 @@ def test_a_world_is_its_number() -> None:
 )
 def test_worlds_that_cannot_be_asked_for(given: dict[str, Any], message: str) -> None:
     spec = specified(x=number({"kind": "uniform", "low": 0.0, "high": 1.0}), y=identity("choice", 2, ["b", "c"]))
-    with pytest.raises(ValueError, match=message):
-        given_values(spec, given, MATERIALS)
+    refused(message, given_values, spec, given, MATERIALS)
 
 
 def test_noise_and_orders_of_a_private_split_follow_from_its_salt() -> None:

@@ -140,7 +140,7 @@ def test_runs_are_known_by_their_folders(played: Played, tmp_path: Path) -> None
     assert unseen["manager", str(first)] == ["scripted:unsafe", team]
     with pytest.raises(ValueError, match=r"benches: .*seed-0 has no policy for this side: it plays as 'scripted'"):
         find_players(spec, ["scripted"], [str(first)])
-    refused("given", "given twice", find_players, spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
+    refused("given twice", find_players, spec, [str(first), str(Run(first).checkpoint("last"))], ["scripted"])
 
 
 def test_who_cannot_play_is_refused() -> None:
@@ -154,7 +154,7 @@ def test_who_cannot_play_is_refused() -> None:
         (["scripted:fifo"], ["scripted"], "has no orders to choose from"),
         (["scripted"], ["fictitious_rxn"], "does not fit"),
     ):
-        refused(message, message, find_players, spec, managers, benches)
+        refused(message, find_players, spec, managers, benches)
 
 
 @pytest.mark.slow

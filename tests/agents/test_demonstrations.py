@@ -262,5 +262,5 @@ def test_what_did_not_happen_is_no_demonstration(minari: Any, scripted: Path, tm
         ("unknown agent chef", [scripted], "tests/chef", ["chef"]),
         (r"--name: .* given '\.\./away'", [scripted], "../away"),
     ):
-        refused("records", message, write_datasets, records, *more)
+        refused(message, write_datasets, records, *more)
     assert not (tmp_path / "datasets" / "tests").exists()

@@ -66,9 +66,9 @@ def test_mistakes_are_explained() -> None:
         ("Na=much", "not a number"),
         ("gold=1", "unknown; choose from T, V, 1-chlorohexane"),
     ):
-        refused(typed, part, parse_numbers, typed, 5, REAGENTS)
+        refused(part, parse_numbers, typed, 5, REAGENTS)
     two = "could be 1-chlorohexane or 1-bromohexane"
-    refused("1=1", two, parse_numbers, "1=1", 4, ("1-chlorohexane", "1-bromohexane"))
+    refused(two, parse_numbers, "1=1", 4, ("1-chlorohexane", "1-bromohexane"))
     for typed, part in (
         ("4", "from 1 to 3"),
         ("pour 2", "not possible now"),
@@ -76,7 +76,7 @@ def test_mistakes_are_explained() -> None:
         ("3 1", "3 is an action, not a group; leave out 1"),
         ("²", "no action"),
     ):
-        refused(typed, part, menu().take, typed)
+        refused(part, menu().take, typed)
 
 
 def menu() -> Menu:

@@ -169,7 +169,7 @@ def test_one_role_can_learn_alone_and_start_from_another_run(tmp_path: Path) -> 
     assert train(second, tmp_path / "second").steps >= 40
     assert {name.partition(" ")[0] for name in weights(tmp_path / "second")} == {"rxn", "dit"}
     nowhere = IPPO(**SMALL, begin_from=str(tmp_path))
-    refused("neither", "neither a training run nor a checkpoint", train, nowhere, tmp_path / "third")
+    refused("neither a training run nor a checkpoint", train, nowhere, tmp_path / "third")
     assert not (tmp_path / "third").exists(), "another name may be given for the same folder"
 
 
@@ -195,7 +195,7 @@ def test_a_team_begins_as_clones(tmp_path: Path) -> None:
     assert (card.name, card.bench, card.background) == ("mine", "dit", "scripted")
     assert "--bc scripted --bc-steps 50" in card.command
     for role, message in ((None, "give one of its roles: dit, rxn; given None"), ("ext", "dit, rxn; given 'ext'")):
-        refused("role", message, export_run, tmp_path / "run", tmp_path / "other", role)
+        refused(message, export_run, tmp_path / "run", tmp_path / "other", role)
 
 
 @pytest.mark.parametrize(
@@ -265,7 +265,7 @@ def test_what_a_team_has_learned_is_exported(tmp_path: Path) -> None:
     own.write_text('base = "wurtz_dodecane_direct"\nname = "own"\n[limits]\nticks = 90\n')
     train(IPPO(**{**SMALL, "scenario": str(own), "roles": ("manager", "dit"), "steps": 40}), tmp_path / "own")
     assert export_run(tmp_path / "own", tmp_path / "two", "manager").scenario == "own"
-    refused("chemlab", r"run: chemlab export starts .*own\.toml", export_run, tmp_path / "own", tmp_path / "two", "dit")
+    refused(r"run: chemlab export starts .*own\.toml", export_run, tmp_path / "own", tmp_path / "two", "dit")
 
 
 @pytest.mark.slow
@@ -368,15 +368,15 @@ def test_policies_of_single_benches_go_on_together(tmp_path: Path) -> None:
         (f"rxn={tmp_path / 'nowhere'}", "nowhere: neither a training run nor a checkpoint"),
         (f"ext={tmp_path / 'dit'}", "holds no policy of ext"),
     ):
-        refused(wrong, message, team_of, IPPO(**SMALL, begin_from=wrong))
+        refused(message, team_of, IPPO(**SMALL, begin_from=wrong))
     other = IPPO(**SMALL, begin_from=begin, net_arch=(32,))
-    refused("layers", r"rxn: rxn has hidden layers \[64, 64\].*--net-arch", team_of, other)
+    refused(r"rxn: rxn has hidden layers \[64, 64\].*--net-arch", team_of, other)
 
 
 def test_bad_arguments_are_named(tmp_path: Path) -> None:
     run, cook = tmp_path / "run", "roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"
-    refused("roles", cook, train, IPPO(roles=("cook",)), run)
-    refused("regime", r"regime\s.*'together' or 'in-turns'", lambda: IPPO(regime="chaos"))  # type: ignore[arg-type]
-    refused("bc", "heuristc", train, IPPO(**SMALL, bc="heuristc"), run)
-    refused("background", "heuristc", train, IPPO(**SMALL, background="heuristc"), run)
+    refused(cook, train, IPPO(roles=("cook",)), run)
+    refused(r"regime\s.*'together' or 'in-turns'", lambda: IPPO(regime="chaos"))  # type: ignore[arg-type]
+    refused("heuristc", train, IPPO(**SMALL, bc="heuristc"), run)
+    refused("heuristc", train, IPPO(**SMALL, background="heuristc"), run)
     assert not run.exists()

@@ -107,7 +107,7 @@ def test_bad_searches_are_refused() -> None:
         ("none", {"contexts": []}),
         ("'omniscient'", {"benches": "omniscient", "budget": 5}),
     ):
-        refused(said, said, search_plan, "wurtz_dodecane", **arguments)
+        refused(said, search_plan, "wurtz_dodecane", **arguments)
 
 
 def test_a_plan_is_blind() -> None:
@@ -203,7 +203,7 @@ def test_plans_by_name() -> None:
 
 def test_damaged_files_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "plan.json"
-    refused("missing", rf"{file}.*no such file", load_plans, file)
+    refused(rf"{file}.*no such file", load_plans, file)
     for text, said in (
         ("{", "not valid JSON"),
         ("[]", "not a file of plans"),
@@ -211,7 +211,7 @@ def test_damaged_files_are_refused(tmp_path: Path) -> None:
         ('{"kind": "plan", "format": 1, "scenario": "x"}', "not a file of plans.*chemlab audit plan --out"),
     ):
         file.write_text(text)
-        refused(text, f"(?s){file}.*{said}", load_plans, file)
+        refused(f"(?s){file}.*{said}", load_plans, file)
 
 
 def test_a_plan_that_does_not_fit_is_refused(tmp_path: Path) -> None:
@@ -225,7 +225,7 @@ def test_a_plan_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         ("wurtz_dodecane", "scripted:unsafe", None, audit.format("wurtz_dodecane", "scripted:unsafe --out")),
         (own, "scripted", None, re.escape(audit.format(own, "scripted"))),
     ):
-        refused("plan", said, plan_for, Laboratories(scenario), benches, file=given)
+        refused(said, plan_for, Laboratories(scenario), benches, file=given)
 
 
 def test_the_command(tmp_path: Path) -> None:
@@ -263,4 +263,4 @@ def test_replaying_an_episode_from_its_own_seed_gives_the_same_episode() -> None
 def test_a_constant_plan_of_everybody() -> None:
     """Donors whose manager is blind: nobody looks, and the score is that of the plan."""
     assert replay_actions("wurtz_dodecane", "plan", episodes=10, donors=3).mean() >= 0.97
-    refused("donors", "at least one donor", replay_actions, "wurtz_dodecane", donors=0)
+    refused("at least one donor", replay_actions, "wurtz_dodecane", donors=0)

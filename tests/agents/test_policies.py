@@ -113,9 +113,9 @@ def test_what_a_policy_draws_depends_on_the_episode_s_seed_alone(policy: str) ->
 
 def test_an_unknown_policy_is_refused() -> None:
     labs = Laboratories("fictitious")
-    said = refused("unknown", "'omniscient'", make_policies, "omniscient", labs)
+    said = refused("'omniscient'", make_policies, "omniscient", labs)
     assert [name for name in policy_names() if name not in said] == []
-    refused("mistyped", r"did you mean scripted\?", make_policies, "scriptd", labs)
+    refused(r"did you mean scripted\?", make_policies, "scriptd", labs)
 
 
 @pytest.fixture

@@ -518,7 +518,7 @@ def test_a_policy_with_notes_is_played_and_exported(tmp_path: Path) -> None:
     learners = [managers("failing", tied=False, notes=on, net_arch=hidden).learners for on in (False, True)]
     blind, seeing = (own["manager"] for own in learners)
     own = load_pretrained(tmp_path / "own")
-    refused("notes", "observes its notes, which are off here; add --notes", blind.take, own)
+    refused("observes its notes, which are off here; add --notes", blind.take, own)
     seeing.take(own)
     own.card = own.card.model_copy(update={"notes": False, "advice": "scripted"})
-    refused("hints", "observes the hints of scripted, which ippo and mappo do not give", seeing.take, own)
+    refused("observes the hints of scripted, which ippo and mappo do not give", seeing.take, own)

@@ -195,7 +195,7 @@ def test_sampled_actions_follow_the_logits_and_the_seed() -> None:
 
 def test_sampled_continuous_actions_have_the_exported_spread() -> None:
     plain = made_up(bench_of(RXN))
-    refused("cannot", "cannot be sampled: it has no log_std", plain.as_played, "sampled")
+    refused("cannot be sampled: it has no log_std", plain.as_played, "sampled")
     size = plain.card.action_size
     weights = {**plain.weights, "log_std": np.full(size, -4.0, dtype=np.float32)}
     weights["1.weight"], weights["1.bias"] = plain.weights["1.weight"] * 0.01, np.full(size, 0.5, dtype=np.float32)
@@ -204,13 +204,13 @@ def test_sampled_continuous_actions_have_the_exported_spread() -> None:
     found = policy.act(seen, None, np.zeros(4000, dtype=np.int64), np.arange(4000))
     np.testing.assert_allclose(found.mean(axis=0), policy.values(seen[:1])[0], atol=0.002)
     np.testing.assert_allclose(found.std(axis=0), np.exp(-4.0), rtol=0.1)
-    refused("dqn", "dqn learns values of actions", made_up(bench_of(DIT), algo="dqn").as_played, "sampled")
+    refused("dqn learns values of actions", made_up(bench_of(DIT), algo="dqn").as_played, "sampled")
 
 
 def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrained, "_shipped", lambda: tmp_path)
     bench = bench_of(DIT)
-    refused("none", r"\(none for distillation is bundled\); train one", pretrained_for, bench)
+    refused(r"\(none for distillation is bundled\); train one", pretrained_for, bench)
     ship(made_up(bench, seed=1, scenario="elsewhere"), tmp_path, "a")
     ship(made_up(bench, seed=2), tmp_path, "b")
     ship(made_up(bench_of(RXN), seed=3), tmp_path, "c")
@@ -225,7 +225,7 @@ def test_policies_are_found_for_benches_they_fit(tmp_path: Path, monkeypatch: py
         ("wurtz_dodecane", "ext", r"no pretrained policy fits 'ext'.*\(none for extraction is bundled\)"),
         ("wurtz_real", "dit", r"fits 'dit' of wurtz_real \(a: .*; others that do not fit: 1\); train one"),
     ):
-        refused(key, said, pretrained_for, ExperimentBatch(scenario, key).bench)
+        refused(said, pretrained_for, ExperimentBatch(scenario, key).bench)
 
 
 def test_benches_that_learned_in_laboratories_are_for_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,15 +255,15 @@ def test_trained_managers_keep_the_benches_they_learned_over() -> None:
 def test_what_does_not_fit_is_named() -> None:
     policy = made_up(bench_of(DIT))
     kind = r"it is for distillation, this is reaction; train one for it: chemlab"
-    refused("another kind", kind, policy.check, bench_of(RXN))
+    refused(kind, policy.check, bench_of(RXN))
     oil = ExperimentBatch("salt_from_oil", "dit").bench
-    refused("other materials", r"'dit' of salt_from_oil: observation '.*': it was trained with", policy.check, oil)
+    refused(r"'dit' of salt_from_oil: observation '.*': it was trained with", policy.check, oil)
     values = load_scenario("wurtz_dodecane").model_dump()
     values["benches"]["dit"]["process"][0]["magnitudes"] = values["benches"]["dit"]["process"][0]["magnitudes"][:-1]
     fewer = ExperimentBatch(load_scenario(values), "dit").bench
-    refused("fewer actions", "has 31 actions, here there are 30; they differ from", policy.check, fewer)
+    refused("has 31 actions, here there are 30; they differ from", policy.check, fewer)
     small = np.zeros((4, 12), dtype=np.float32)
-    refused("observations", r"observes \[B, 310\] numbers, given \(4, 12\)", policy.values, small)
+    refused(r"observes \[B, 310\] numbers, given \(4, 12\)", policy.values, small)
 
 
 def test_a_bench_that_has_changed_is_a_warning() -> None:
@@ -299,16 +299,16 @@ def test_fingerprints_of_bundled_policies_are_of_the_scenarios_as_they_are() -> 
 
 
 def test_damaged_and_missing_files(tmp_path: Path) -> None:
-    refused("missing", "no such card", load_pretrained, "nothing")
+    refused("no such card", load_pretrained, "nothing")
     ship(made_up(bench_of(DIT)), tmp_path, "a")
     file = tmp_path / "a.safetensors"
     file.write_bytes(file.read_bytes()[:-5])
-    refused("cut", r"a\.safetensors: cannot be read", load_pretrained, tmp_path / "a")
+    refused(r"a\.safetensors: cannot be read", load_pretrained, tmp_path / "a")
     ship(made_up(bench_of(RXN)), tmp_path, "b")
     file.write_bytes((tmp_path / "b.safetensors").read_bytes())
-    refused("mixed", "do not belong together", load_pretrained, tmp_path / "a")
+    refused("do not belong together", load_pretrained, tmp_path / "a")
     (tmp_path / "a.json").write_text("{}")
-    refused("empty", "not a card of this version", load_pretrained, tmp_path / "a")
+    refused("not a card of this version", load_pretrained, tmp_path / "a")
 
 
 def test_export_says_what_is_missing(tmp_path: Path) -> None:

@@ -85,7 +85,7 @@ def test_seeds_are_used_once() -> None:
     np.testing.assert_array_equal(first, [venv.reset() for _ in range(12)])
     venv.seed(6)
     for wrong in (1.5, True, [1], [1, -1]):
-        refused(str(wrong), "seed.*given", venv.seed, wrong)
+        refused("seed.*given", venv.seed, wrong)
     other = [venv.reset() for _ in range(12)]
     np.testing.assert_array_equal(np.array(other)[:, 0], np.array(first)[:, 1])  # seed 6 is member 0's now
 
@@ -102,7 +102,7 @@ def test_options() -> None:
     for i, options in enumerate(({"goal": "dodecane"}, None, {"goal": "NaCl"})):
         np.testing.assert_array_equal(seen[i], RoleEnv(bench="dit").reset(seed=1 + i, options=options)[0])
     venv.set_options({"goal": "gold"})
-    refused("goal", "gold", venv.reset)
+    refused("gold", venv.reset)
 
 
 def test_attributes_and_methods() -> None:
@@ -116,7 +116,7 @@ def test_attributes_and_methods() -> None:
     assert not venv.has_attr("no_such_thing")
     venv.set_attr("copy", False)
     assert venv.get_attr("copy") == [False] * 3
-    refused("members", "members share it", venv.set_attr, "copy", True, indices=[0])
+    refused("members share it", venv.set_attr, "copy", True, indices=[0])
     assert venv.get_attr("copy") == [False] * 3
     with pytest.raises(AttributeError, match="no_such_thing"):
         venv.set_attr("no_such_thing", 1)
@@ -192,11 +192,11 @@ def test_an_existing_batch_wrapped_or_not() -> None:
 
 
 def test_batches_it_cannot_take() -> None:
-    refused("autoreset", "SAME_STEP", ChemlabVecEnv, RoleVectorEnv(2, bench="rxn"))
-    refused("autoreset", "SAME_STEP", ChemlabVecEnv, 2, autoreset_mode="NextStep")
+    refused("SAME_STEP", ChemlabVecEnv, RoleVectorEnv(2, bench="rxn"))
+    refused("SAME_STEP", ChemlabVecEnv, 2, autoreset_mode="NextStep")
     batch = RoleVectorEnv(2, bench="rxn", autoreset_mode="SameStep")
-    refused("arguments", "no arguments, given bench", ChemlabVecEnv, batch, bench="ext")
-    refused("masks", "show_masks: continuous", ChemlabVecEnv, 2, bench="rxn", show_masks=True)
+    refused("no arguments, given bench", ChemlabVecEnv, batch, bench="ext")
+    refused("show_masks: continuous", ChemlabVecEnv, 2, bench="rxn", show_masks=True)
     with pytest.raises(TypeError, match="one of chemlab's batches"):
         ChemlabVecEnv(gymnasium.make_vec("CartPole-v1", num_envs=2))
 

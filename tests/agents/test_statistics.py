@@ -151,8 +151,8 @@ def test_jackknife_of_a_mean_is_students() -> None:
 
 def test_mistakes_are_refused() -> None:
     for wrong in ([], [[]], [[1.0], []], [[np.nan]]):
-        refused("mean", "statistics", mean, wrong)
-    refused("paired", "paired samples", paired_improvement, [[1.0]], [[1.0, 2.0]])
-    refused("strata", "strata", probability_of_improvement, [[1.0]], [[1.0], [2.0]])
+        refused("statistics", mean, wrong)
+    refused("paired samples", paired_improvement, [[1.0]], [[1.0, 2.0]])
+    refused("strata", probability_of_improvement, [[1.0]], [[1.0], [2.0]])
     together = r"equally many in each stratum, given \[1, 2\]"
-    refused("together", together, mean, [[1.0], [1.0, 2.0]], together=True)
+    refused(together, mean, [[1.0], [1.0, 2.0]], together=True)

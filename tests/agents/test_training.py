@@ -173,7 +173,7 @@ def test_a_run_is_gone_on_with_from_its_checkpoint_alone(tmp_path: Path) -> None
         seal_file(last / "state.pkl")
         if content != kept:
             said = f"{last.name}: not a checkpoint of this version; delete the run's folder"
-            refused("version", said, train, arguments, broken.path)
+            refused(said, train, arguments, broken.path)
     for file in (broken.curve_file, broken.evaluations_file):
         file.write_text("".join(file.read_text().splitlines(keepends=True)[:1]))
     time.sleep(1.1)  # files are told apart, and put in order, by the second they were begun in
@@ -292,7 +292,7 @@ def test_two_processes_do_not_train_one_run(tmp_path: Path, monkeypatch: pytest.
             train(small("ppo"), tmp_path, Stop(1))
 
     monkeypatch.setattr(Agent, "check", begin_first)
-    refused("other", "holds a run with other arguments: .*seed 0", train, small("ppo", seed=1), tmp_path)
+    refused("holds a run with other arguments: .*seed 0", train, small("ppo", seed=1), tmp_path)
 
 
 def test_results_say_what_was_trained_and_what_came_of_it(tmp_path: Path) -> None:
@@ -337,7 +337,7 @@ def test_the_weight_of_sacs_entropy_begins_where_it_is_told_to(tmp_path: Path) -
         ({"algo": "sac", "ent_coef_start": 0.0}, "greater than 0"),
         ({"algo": "sac", "ent_coef_start": 0.1, "ent_coef": 0.1}, "ent_coef fixes it"),
     ):
-        refused("sac", message, training_arguments, {"bench": "rxn", **values})
+        refused(message, training_arguments, {"bench": "rxn", **values})
 
 
 def test_flags_win_over_the_file_and_the_file_over_the_preset(tmp_path: Path) -> None:
@@ -365,9 +365,9 @@ def test_the_usual_algorithm_has_what_is_asked_for() -> None:
 
 def test_one_agent_of_several_is_named() -> None:
     one = r"roles: ppo trains one agent, and .* has rxn_0, rxn_1; give one of them"
-    refused("rxn", one, find_task, PPO(scenario="wurtz_two_lines", roles=("rxn",)))
+    refused(one, find_task, PPO(scenario="wurtz_two_lines", roles=("rxn",)))
     known = r"roles: unlabelled has manager, rxn, .*manager_0, .*or all; given al$"
-    refused("al", known, find_task, PPO(scenario="unlabelled", roles=("al",)))
+    refused(known, find_task, PPO(scenario="unlabelled", roles=("al",)))
     assert find_task(PPO(scenario="wurtz_two_lines", roles=("rxn_1",))).agent == "rxn_1"
     assert find_task(PPO(scenario="unlabelled", roles=("rxn",))).agent == "rxn_0"
 
@@ -440,7 +440,7 @@ def test_wrong_arguments() -> None:
         ({"bench": None, "algo": "ippo", "period": 3}, "period: is for regime in-turns"),
     ):
         given: dict[str, Any] = {"bench": "rxn", **values}
-        refused(message, message, training_arguments, given)
+        refused(message, training_arguments, given)
 
 
 def test_old_names_are_accepted_with_a_notice(capsys: Any) -> None:
@@ -528,9 +528,9 @@ def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
     for name in numbers:
         for value in NONSENSE[name]:
             given = {**fitting(kind, name), name: value}
-            refused(name, f"(?m)^{name}", kind, **given)
+            refused(f"(?m)^{name}", kind, **given)
             said = rf"train: {name}(\.\d)?: Input should be "
-            refused(name, said, load_arguments, None, {"algo": algo, **given})
+            refused(said, load_arguments, None, {"algo": algo, **given})
         for value in EDGES.get(name, ()):
             kind(**fitting(kind, name), **{name: value})
 
@@ -548,8 +548,7 @@ def test_values_of_any_kind_are_readable_errors(algo: str) -> None:
 def test_nonsense_in_a_file_and_on_the_command_line(tmp_path: Path) -> None:
     file = tmp_path / "train.toml"
     file.write_text("clip_range = nan\n")
-    with pytest.raises(ValueError, match=f"^{re.escape(str(file))}: clip_range: must be a finite number, given nan$"):
-        load_arguments(file, {})
+    refused(f"^{re.escape(str(file))}: clip_range: must be a finite number, given nan$", load_arguments, file, {})
     for target in (RXN, "wurtz_dodecane"):
         said = command("train", target, "--gae-lambda", "nan", "--out", tmp_path / "run", code=2)
         assert "train: gae_lambda: Input should be a finite number, given nan" in said
@@ -560,16 +559,15 @@ def test_a_run_of_an_older_version_is_refused(tmp_path: Path) -> None:
     """Its arguments stand beside the others."""
     values = {"env_id": RXN, "label": "ppo", "algo": "ppo", "seed": 0, "scenario": "fictitious", "bench": "rxn"}
     (tmp_path / "config.json").write_text(json.dumps({**values, "goals": ["E"], "fingerprint": "0", "steps": 384}))
-    with pytest.raises(ValueError, match=r"holds a run of chemlab before 0\.3; give another --out, or delete"):
-        train(small("ppo"), tmp_path)
+    refused(r"holds a run of chemlab before 0\.3; give another --out, or delete", train, small("ppo"), tmp_path)
     assert find_runs(tmp_path)[0].config() is not None, "it can still be read"
 
 
 def test_a_minibatch_of_one_is_refused_where_it_would_make_weights_that_are_no_numbers() -> None:
     single = "batch_size: a rollout of 65 steps leaves a single step for the last minibatch"
-    refused("65", single, MaskablePPO, bench="dit", envs=5, rollout=13)
+    refused(single, MaskablePPO, bench="dit", envs=5, rollout=13)
     MaskablePPO(bench="dit", envs=5, rollout=13, batch_size=33)
-    refused("1", "rollout: PPO needs at least 2 steps", PPO, bench="rxn", envs=1, rollout=1)
+    refused("rollout: PPO needs at least 2 steps", PPO, bench="rxn", envs=1, rollout=1)
 
 
 def test_training_on_an_empty_vessel_is_spoken_of(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -614,7 +612,7 @@ def test_a_mistyped_policy_leaves_nothing_behind(tmp_path: Path) -> None:
     """Whom to learn from is looked up before anything is written; the right name may follow in the same folder."""
     values = {**SMALL, "env_id": "chemlab/LabManager-v1", "algo": "maskable-ppo", "scenario": "wurtz_any"}
     for key, name in (("bc", "heuristc"), ("bc", "nowhere/at/all"), ("hints", "heuristc")):
-        refused(key, name, train, training_arguments({**values, key: name}), tmp_path / "run")
+        refused(name, train, training_arguments({**values, key: name}), tmp_path / "run")
     assert not (tmp_path / "run").exists()
 
 
@@ -629,8 +627,7 @@ def test_a_run_without_a_checkpoint_does_not_hold_its_folder(tmp_path: Path, mon
         assert run.config_file.exists() is holds
         if not holds:
             values |= {"seed": 7}
-    with pytest.raises(ValueError, match="holds a run with other arguments: seed 7"):
-        train(training_arguments({**values, "seed": 8}), run.path)
+    refused("holds a run with other arguments: seed 7", train, training_arguments({**values, "seed": 8}), run.path)
 
 
 def test_a_value_based_learner_on_a_reaction_bench_plays_the_bench_with_numbers(tmp_path: Path) -> None:
@@ -679,5 +676,4 @@ def test_a_role_of_a_laboratory_is_a_task() -> None:
     asked = batch.laboratories.scenario.goals
     assert {asked[goal] for goal in batch.laboratories.state.goal[:, 0]} == {"dodecane"}
     assert one.fingerprint == LaboratoryTask("wurtz_any").fingerprint
-    with pytest.raises(ValueError, match="goals: wurtz_dodecane asks for dodecane, given gold"):
-        LaboratoryTask("wurtz_dodecane", goals=("gold",))
+    refused("goals: wurtz_dodecane asks for dodecane, given gold", LaboratoryTask, "wurtz_dodecane", goals=("gold",))

@@ -302,22 +302,22 @@ def test_a_server_that_starts_anew_imports_nothing_from_where_it_is_started(tmp_
 def test_seals_are_of_content_and_key(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = tmp_path / "state.pkl"
     file.write_bytes(b"mine")
-    refused("new", "has no signature of this user", read_sealed, file)
+    refused("has no signature of this user", read_sealed, file)
     seal_file(file)
     assert read_sealed(file) == b"mine"
     assert read_sealed(shutil.copy(file, tmp_path / "moved") and shutil.copytree(tmp_path, tmp_path / "b") / file.name)
     file.write_bytes(b"mind")
-    refused("changed", "was changed", read_sealed, file)
+    refused("was changed", read_sealed, file)
     with strangers_code(True):
         assert read_sealed(file) == b"mind"
     file.write_bytes(b"mine")
     monkeypatch.setenv("CHEMLAB_STATE_DIR", str(tmp_path / "other"))
-    refused("user", "written by another user", read_sealed, file)
+    refused("written by another user", read_sealed, file)
     key = tmp_path / "other" / "seal.key"
     assert len(key.read_bytes()) == 32
     assert os.name != "posix" or key.stat().st_mode & 0o077 == 0, "nobody else reads it"
     (tmp_path / "state.pkl.seal").write_text("é" * 32)
-    refused("user", "written by another user", read_sealed, file)
+    refused("written by another user", read_sealed, file)
 
 
 def test_without_a_place_for_the_key_a_process_knows_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

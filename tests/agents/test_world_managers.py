@@ -174,7 +174,7 @@ def test_who_lapses_goes_on(scenario: str) -> None:
 def test_policies_of_who_has_no_choice_are_refused() -> None:
     for name, scenario, said in (("memoryless", "unlabelled", "nothing to forget"), ("fifo", "campaign", "no orders")):
         message = f"scripted:{name}: the scripted manager of {scenario} has {said}"
-        refused(name, message, make_policies, f"scripted:{name}", Laboratories(scenario))
+        refused(message, make_policies, f"scripted:{name}", Laboratories(scenario))
 
 
 def failing(**wear: Any) -> dict[str, Any]:
@@ -419,11 +419,11 @@ def test_purity_among_what_is_not_there_is_refused() -> None:
 
     itself = "purity_among: '2-chlorohexane' itself must be one of them"
     among = {"purity_among": ["1-chlorohexane"]}
-    refused("itself", itself, load_scenario, campaign(specifications={"2-chlorohexane": among}))
+    refused(itself, load_scenario, campaign(specifications={"2-chlorohexane": among}))
     nothing = {"purity_among": ["2-chlorohexane", "toluene"]}
     said = "purity_among: 'toluene' cannot occur; known: "
-    refused("toluene", said, load_scenario, campaign(specifications={"2-chlorohexane": nothing}))
+    refused(said, load_scenario, campaign(specifications={"2-chlorohexane": nothing}))
     # It counts for the goal, whatever is asked for.
-    refused("grade", r"grades\.g\.purity_among", load_scenario, campaign(grades={"g": among}))
+    refused(r"grades\.g\.purity_among", load_scenario, campaign(grades={"g": among}))
     ordered = campaign(orders=1, demand={"order": [among]})
-    refused("order", r"demand\.order\.0\.purity_among", load_scenario, ordered)
+    refused(r"demand\.order\.0\.purity_among", load_scenario, ordered)

@@ -148,14 +148,14 @@ def test_seeds_begin_the_same_episodes() -> None:
 
 def test_wrong_settings_and_steps_are_named() -> None:
     made, cook = LaboratoryMultiAgentEnv, "roles: wurtz_dodecane has manager, rxn, ext, dit; given cook"
-    refused("scenery", r"env_config: known: scenario, .*; given scenery", made, {"scenery": "wurtz_dodecane"})
-    refused("cook", cook, made, {"roles": ["cook"]})
+    refused(r"env_config: known: scenario, .*; given scenery", made, {"scenery": "wurtz_dodecane"})
+    refused(cook, made, {"roles": ["cook"]})
     env = made({"scenario": "wurtz_dodecane"})
-    refused("begin", "call reset", env.step, {"manager_0": 0})
+    refused("call reset", env.step, {"manager_0": 0})
     env.reset(seed=0)
-    refused("turn", "manager_0: has the turn", env.step, {"rxn_0": np.zeros(4)})
-    refused("action", r"manager_0: .*given -1", env.step, {"manager_0": -1})
-    refused("options", 'options must be a dict such as {"goal": "dodecane"}', env.reset, options=["goal"])
+    refused("manager_0: has the turn", env.step, {"rxn_0": np.zeros(4)})
+    refused(r"manager_0: .*given -1", env.step, {"manager_0": -1})
+    refused('options must be a dict such as {"goal": "dodecane"}', env.reset, options=["goal"])
 
 
 TAPES: list[_Taped] = []

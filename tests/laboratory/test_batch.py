@@ -138,9 +138,9 @@ def test_one_bad_action_spoils_the_step() -> None:
     batch, actions = mixed()
     before = state_of(batch)
     for agent, rows in WRONG:
-        refused(f"{agent}: {rows!r}", f"^{agent}: actions must be", batch.step, {**actions, agent: rows})
+        refused(f"^{agent}: actions must be", batch.step, {**actions, agent: rows})
         others = {name: array for name, array in actions.items() if name != agent}
-        refused(f"without {agent}", f"^{agent}: has the turn", batch.step, others)
+        refused(f"^{agent}: has the turn", batch.step, others)
         assert state_of(batch) == before, (agent, rows)
     assert after(batch, actions) == after(*mixed())
 
@@ -218,7 +218,7 @@ def test_a_missing_action_is_asked_for() -> None:
     before = state_of(env)
     for missing in chosen:
         given = {agent: action for agent, action in chosen.items() if agent != missing}
-        refused(missing, f"{missing}: has the turn", env.step, given)
+        refused(f"{missing}: has the turn", env.step, given)
         assert state_of(env) == before
 
 

@@ -168,8 +168,8 @@ def test_a_wait_that_nothing_could_interrupt_for_minutes_is_refused() -> None:
 @pytest.mark.parametrize("key", ["arrives", "within", "price", "amount_at_least_mol", "purity_at_least"])
 def test_terms_are_numbers_within_bounds(key: str) -> None:
     for number in (-1.0, 1e9, math.inf, math.nan, "soon", *([] if key == "within" else [None])):
-        refused(str(number), rf"demand\.order\.0\.{key}: ", load_scenario, shop({key: number}))
+        refused(rf"demand\.order\.0\.{key}: ", load_scenario, shop({key: number}))
 
 
 def test_there_are_as_many_orders_as_a_laboratory_may_have() -> None:
-    assert len(refused("5000", "at most 16", load_scenario, shop(*[{"arrives": 0.0}] * 5000))) < 2000
+    assert len(refused("at most 16", load_scenario, shop(*[{"arrives": 0.0}] * 5000))) < 2000

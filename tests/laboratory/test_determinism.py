@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from helpers import FEATURED, digest, random_legal, record_episode
+from helpers import FEATURED, digest, random_legal, record_episode, refused
 
 from chemlab.config.loading import load_scenario
 from chemlab.config.scenario import Scenario
@@ -170,8 +170,7 @@ def test_the_first_episode_of_a_seed_does_not_know_of_series() -> None:
     step = 0x9E3779B97F4A7C15
     expected = [(int(own[0]) + labs.scenario.orders * step) % 2**64 for own in words]
     assert labs.state.stream[:, 0].tolist() == expected
-    with pytest.raises(ValueError, match="nope"):
-        labs.reset(labs.members, world={"nope": 1.0})
+    refused("nope", labs.reset, labs.members, world={"nope": 1.0})
     assert labs.state.stream[:, 0].tolist() == expected  # refused: the second episode is still to come
     assert labs.episodes.begun.tolist() == [1, 1]
 

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import laboratory, manager, mapping
+from helpers import laboratory, manager, mapping, refused
 
 from chemlab.config.datafile import DataError
 from chemlab.config.loading import load_scenario
@@ -44,8 +44,7 @@ def test_a_grade_limits_the_ticks_of_an_experiment() -> None:
     # A start without a grade is of the last.
     encode, start = env.laboratories.actions.encode, ("start", "rxn_0", 2, "2-chlorohexane")
     assert encode(*start) == encode(*start, "asked")
-    with pytest.raises(ValueError, match="takes 4 arguments"):
-        encode(*start[:3])
+    refused("takes 4 arguments", encode, *start[:3])
 
 
 def test_the_bench_sees_what_is_asked_and_told_and_nobody_else_is_told() -> None:

@@ -64,7 +64,7 @@ def test_an_action_that_does_not_exist_is_refused() -> None:
         (("start", "rxn_0", 0, "gold"), "'gold'"),
         (("discard", -1), "-1"),
     ):
-        refused(str(action), f"manager action.*{part}", actions.encode, *action)
+        refused(f"manager action.*{part}", actions.encode, *action)
 
 
 def test_starting_reserves_slots_and_is_masked_without_them() -> None:

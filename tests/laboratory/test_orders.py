@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import allowed, choose, laboratory, manager, mapping
+from helpers import allowed, choose, laboratory, manager, mapping, refused
 
 from chemlab.agents.background import role_env, role_vector_env
 from chemlab.agents.episodes import play_episode
@@ -232,5 +232,4 @@ def test_mixes_by_name_number_and_file() -> None:
 def test_unknown_mixes_are_refused(rewards: Any) -> None:
     given = f"{rewards!r}.*individual, cooperative, mixed" if isinstance(rewards, str) else "reward"
     for make in (raw_env, parallel_env, partial(BatchedLaboratory, 2), role_env, partial(role_vector_env, 2)):
-        with pytest.raises(ValueError, match=given):
-            make(LINES, rewards=rewards)
+        refused(given, make, LINES, rewards=rewards)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import molar_volume
+from helpers import molar_volume, refused
 
 from chemlab.agents.episodes import play_episode
 from chemlab.agents.policies import make_policies
@@ -107,8 +107,7 @@ def test_splits_have_worlds_of_their_own() -> None:
         labs.begin()
         titres[split] = min(min(labs.worlds.values(member)["titre"].values()) for member in range(100))
     assert titres["test"] < 0.5 < titres["train"]
-    with pytest.raises(ValueError, match="split: must be train"):
-        Laboratories(scenario(), split="dev")
+    refused("split: must be train", Laboratories, scenario(), split="dev")
 
 
 def test_what_is_drawn_is_in_vessels_and_parameters() -> None:

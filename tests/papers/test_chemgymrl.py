@@ -240,7 +240,7 @@ def test_statements_are_whole() -> None:
             assert {*test.of, *right.of} <= policies
             assert {*test.only, *test.without, *(test.which if isinstance(test.which, tuple) else ())} <= values
     tests = [{"of": ["ppo"], "left": "best run", "operator": "="}]
-    refused("operator", "operator", Claim.model_validate, {**claims[0].model_dump(), "tests": tests})
+    refused("operator", Claim.model_validate, {**claims[0].model_dump(), "tests": tests})
 
 
 def test_statements_follow_the_results(tmp_path: Path) -> None:
@@ -333,7 +333,7 @@ def test_what_has_changed_since_is_left_out(tmp_path: Path) -> None:
     assert results.traces == {}
     assert f"{TRACE_FILE}: Wurtz DiT: the bench has changed since" in results.left_out[2]
     (tmp_path / TRACE_FILE).write_text("experiment,policy\n")
-    refused("traces", r"traces\.csv: has the columns", read_results, tmp_path)
+    refused(r"traces\.csv: has the columns", read_results, tmp_path)
 
 
 def test_what_is_missing_is_said_and_breaks_nothing(tmp_path: Path) -> None:

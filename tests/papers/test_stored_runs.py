@@ -35,14 +35,14 @@ def test_tables_have_what_the_folders_have(tmp_path: Path) -> None:
 
 
 def test_what_is_no_table_is_named(tmp_path: Path) -> None:
-    refused("no folder", "no such folder of results", read_runs, tmp_path / "nothing")
+    refused("no such folder of results", read_runs, tmp_path / "nothing")
     tables = tmp_path / "tables"
     write_run(tmp_path / "runs", "lab", "rxn", {"a": 0.4})
     write_runs(tables, read_runs(tmp_path / "runs"))
     (tables / "curves.csv.gz").write_bytes(b"run,step,mean,std\n")
-    refused("no table", r"curves\.csv\.gz: not a table", read_runs, tables)
+    refused(r"curves\.csv\.gz: not a table", read_runs, tables)
     path = tmp_path / "any.csv"
     write_table(path, ("a", "b"), [{"a": 1, "b": "x, y"}, {"a": 2, "b": ""}])
     assert read_table(path, ("a", "b")) == [{"a": "1", "b": "x, y"}, {"a": "2", "b": ""}]
-    refused("columns", r"has the columns a, b; needs a, c", read_table, path, ("a", "c"))
+    refused(r"has the columns a, b; needs a, c", read_table, path, ("a", "c"))
     assert read_table(tmp_path / "none.csv", ("a",)) == []

@@ -243,7 +243,7 @@ def test_calls_stand_beside_the_turns(called: Path) -> None:
         transcript.write_bytes(content or b"")
         if content is None:
             os.truncate(transcript, LIMITS.file_bytes + 1)
-        refused("transcript", said, replay_page, read_record(called))
+        refused(said, replay_page, read_record(called))
     transcript.write_text(text)
 
 
@@ -538,5 +538,4 @@ def test_a_record_as_a_video(episode: Path, tmp_path: Path, monkeypatch: pytest.
     begins = draw(laboratory_scene(Replay(read_record(episode)).laboratories), 480, 270)
     assert np.abs(frames[0] - begins).mean() < np.abs(frames[-1] - begins).mean()
     monkeypatch.setenv("PATH", "")
-    with pytest.raises(ValueError, match="needs the program ffmpeg"):
-        animation(read_record(episode), "mp4", frames=2, size=(480, 270))
+    refused("needs the program ffmpeg", animation, read_record(episode), "mp4", frames=2, size=(480, 270))
