@@ -371,8 +371,7 @@ def test_a_product_that_crystallizes_draws_its_equilibrium(tmp_path: Path, rate:
     settings = isomers(tmp_path, rate)
     for calls in (1, 7, 60):
         flask = Flask({"isomer": start[0], "naphthalene": 0.55, "toluene": solvent}, temperature_k=kelvin, **settings)
-        place = flask._shelf.layout.dissolved.index("naphthalene")
-        flask._shelf.dissolved[0, 0, place] = [0.0, start[1]]
+        flask._shelf.dissolved[0, 0, flask._shelf.layout.dissolved.index("naphthalene")] = [0.0, start[1]]
         for _ in range(calls):
             flask.react(seconds / calls, kelvin)
         crystals = flask.layers[0].contents["naphthalene"]

@@ -48,8 +48,7 @@ def test_lint(name: str) -> None:
     assert scenario.summary.endswith(".")
     assert set(scenario.costs.stock_per_mol) <= set(scenario.stock)
     # A synthesis of one's own may begin with it.
-    cheap = load_scenario({"base": name, "name": "cheap", "costs": {"tick": 0.0}})
-    assert cheap.materials == scenario.materials
+    assert load_scenario({"base": name, "name": "cheap", "costs": {"tick": 0.0}}).materials == scenario.materials
 
 
 @pytest.mark.parametrize("name", slow_but(SYNTHESES, "aspirin", "snar"))

@@ -245,8 +245,7 @@ def test_a_learner_begins_by_following_and_is_played_with_its_advisor(tmp_path: 
 
 
 def test_what_does_not_go_with_advice(tmp_path: Path) -> None:
-    algorithm = "hints: is for maskable-ppo, maskable-recurrent-ppo, not for a2c"
-    refused(algorithm, arguments, algo="a2c")
+    refused("hints: is for maskable-ppo, maskable-recurrent-ppo, not for a2c", arguments, algo="a2c")
     refused("bc: hints are cloned, so it must be 'scripted'; leave it out", arguments, bc="scripted:unsafe")
     own = arguments(env_id=None, scenario="wurtz_dodecane", bench="dit")
     from chemlab.agents.train.learn import train

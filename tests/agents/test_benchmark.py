@@ -401,8 +401,7 @@ def test_records_that_prove_nothing_are_refused_before_anything_is_played(tmp_pa
     better.write_text("\n".join([*lines, json.dumps(told)]) + "\n")
     refuse("0.99", better)
     spec = load_scenario("unlabelled")
-    costs = spec.costs.model_copy(update={"tick": spec.costs.tick + 1e-3})
-    cheap = spec.model_copy(update={"costs": costs})
+    cheap = spec.model_copy(update={"costs": spec.costs.model_copy(update={"tick": spec.costs.tick + 1e-3})})
     other = tmp_path / "other" / "0.jsonl"
     other.parent.mkdir()
     recorded(other, AUDIT_SEED, scenario=cheap)
@@ -492,10 +491,8 @@ def test_the_command(played: Played, tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 def test_what_cannot_be_is_refused() -> None:
     spec, row = load_scenario("unlabelled"), Row("team (best)", ("scripted",), scenario="rush")
-    baseline = "baseline: known: random, plan, oracle; given 'scripted'"
-    refused(baseline, benchmark, ["unlabelled"], [], TINY, 2)
-    mistyped = r"policies: scriptd: .*did you mean scripted"
-    refused(mistyped, lambda: check_rows([spec], find_rows(["scriptd"])))
+    refused("baseline: known: random, plan, oracle; given 'scripted'", benchmark, ["unlabelled"], [], TINY, 2)
+    refused(r"policies: scriptd: .*did you mean scripted", lambda: check_rows([spec], find_rows(["scriptd"])))
     refused(r"policies: team \(best\): was trained in rush", check_rows, [spec], [row])
     check_rows([spec, load_scenario("rush")], [row, *find_rows(["scripted"])])
 

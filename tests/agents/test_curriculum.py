@@ -254,8 +254,7 @@ def test_a_run_plays_the_role_that_learned_and_its_background_the_rest(tmp_path:
     seen, mask = begun(labs).observe(0, labs.members), labs.mask(0, labs.members)
     zero = np.zeros(1, dtype=np.int64)
     assert policies["manager_0"].act(seen, mask, zero, zero) == learner.act(seen, mask, zero, zero)
-    task = LaboratoryTask("wurtz_dodecane", background=f"scripted:unsafe,manager={run}")
-    assert task.goals == ("dodecane",)
+    assert LaboratoryTask("wurtz_dodecane", background=f"scripted:unsafe,manager={run}").goals == ("dodecane",)
 
 
 def test_exceptions_are_for_roles_and_agents() -> None:

@@ -62,8 +62,7 @@ def test_nothing_earned_is_lost(scenario: str, policy: str, more: Any, tmp_path:
 
 def test_agents_saw_this(tmp_path: Path) -> None:
     """Observations, masks and elapsed ticks are those of the AEC environment, where the same actions are played."""
-    path = record_episode(tmp_path / "one.jsonl", "wurtz_two_lines", "careless", 8, named=True)
-    found = read_record(path)
+    found = read_record(record_episode(tmp_path / "one.jsonl", "wurtz_two_lines", "careless", 8, named=True))
     env = laboratory("wurtz_two_lines", 8)
     told = demonstrations(found)
     at = {agent: [(d, i) for d in episodes for i in range(len(d.actions))] for agent, episodes in told.items()}

@@ -36,8 +36,7 @@ def turn(env: raw_env, policy: HumanPolicy, step: int = 0) -> Any:
 @pytest.fixture
 def env() -> raw_env:
     """A laboratory at the beginning of an episode."""
-    env = laboratory("wurtz_dodecane")
-    return env
+    return laboratory("wurtz_dodecane")
 
 
 def advance(env: raw_env, *actions: tuple[Any, ...]) -> None:

@@ -254,8 +254,7 @@ def test_trained_managers_keep_the_benches_they_learned_over() -> None:
 
 def test_what_does_not_fit_is_named() -> None:
     policy = made_up(bench_of(DIT))
-    kind = r"it is for distillation, this is reaction; train one for it: chemlab"
-    refused(kind, policy.check, bench_of(RXN))
+    refused(r"it is for distillation, this is reaction; train one for it: chemlab", policy.check, bench_of(RXN))
     oil = ExperimentBatch("salt_from_oil", "dit").bench
     refused(r"'dit' of salt_from_oil: observation '.*': it was trained with", policy.check, oil)
     values = load_scenario("wurtz_dodecane").model_dump()

@@ -154,5 +154,4 @@ def test_mistakes_are_refused() -> None:
         refused("statistics", mean, wrong)
     refused("paired samples", paired_improvement, [[1.0]], [[1.0, 2.0]])
     refused("strata", probability_of_improvement, [[1.0]], [[1.0], [2.0]])
-    together = r"equally many in each stratum, given \[1, 2\]"
-    refused(together, mean, [[1.0], [1.0, 2.0]], together=True)
+    refused(r"equally many in each stratum, given \[1, 2\]", mean, [[1.0], [1.0, 2.0]], together=True)

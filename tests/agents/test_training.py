@@ -529,8 +529,7 @@ def test_nonsense_is_refused_by_name(kind: type[Arguments]) -> None:
         for value in NONSENSE[name]:
             given = {**fitting(kind, name), name: value}
             refused(f"(?m)^{name}", kind, **given)
-            said = rf"train: {name}(\.\d)?: Input should be "
-            refused(said, load_arguments, None, {"algo": algo, **given})
+            refused(rf"train: {name}(\.\d)?: Input should be ", load_arguments, None, {"algo": algo, **given})
         for value in EDGES.get(name, ()):
             kind(**fitting(kind, name), **{name: value})
 

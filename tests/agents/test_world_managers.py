@@ -425,5 +425,4 @@ def test_purity_among_what_is_not_there_is_refused() -> None:
     refused(said, load_scenario, campaign(specifications={"2-chlorohexane": nothing}))
     # It counts for the goal, whatever is asked for.
     refused(r"grades\.g\.purity_among", load_scenario, campaign(grades={"g": among}))
-    ordered = campaign(orders=1, demand={"order": [among]})
-    refused(r"demand\.order\.0\.purity_among", load_scenario, ordered)
+    refused(r"demand\.order\.0\.purity_among", load_scenario, campaign(orders=1, demand={"order": [among]}))

@@ -124,8 +124,7 @@ def test_infos_are_flat_and_say_what_has_happened(name: str) -> None:
             number, mask = env.possible_agents.index(agent), env.infos[agent].get("action_mask")
             kept = {name: {key: np.copy(value) for key, value in info.items()} for name, info in env.infos.items()}
             seen = {name: dict(info) for name, info in env.infos.items()}
-            space = env.action_space(agent)
-            env.step(rng.random(space.shape) if mask is None else int(rng.choice(len(mask))))
+            env.step(rng.random(env.action_space(agent).shape) if mask is None else int(rng.choice(len(mask))))
             assert_flat(env.infos, shapes)
             # What was given before stays what it was, but for what an experiment's end adds to it.
             for name, info in seen.items():

@@ -193,8 +193,7 @@ def test_rllib_collects_what_was_played(cluster: None, recipe: Any) -> None:
     """Through RLlib's env runner, which cuts episodes wherever a batch is full: every agent's observations, actions and
     rewards, in order, are those of the environment; no illegal action in 2000 turns; continuous ones are clipped."""
     TAPES.clear()
-    scenario = load_scenario("wurtz_dodecane")
-    config = recipe.algorithm_config(scenario, ROLES, seed=11, envs=3).environment(_Taped)
+    config = recipe.algorithm_config(load_scenario("wurtz_dodecane"), ROLES, seed=11, envs=3).environment(_Taped)
     runner = MultiAgentEnvRunner(config=config, worker_index=1)
     chunks = [chunk for _ in range(60) for chunk in runner.sample(num_timesteps=37)]
     collected: dict[str, dict[str, list[Any]]] = defaultdict(lambda: defaultdict(list))

@@ -31,8 +31,7 @@ def record(
 ) -> Lines:
     """An honest episode's lines."""
     env = raw_env(scenario)
-    policies = make_policies(policy, env.laboratories, seed)
-    record_episode(path, env, policies, seed, options=options, force=True)
+    record_episode(path, env, make_policies(policy, env.laboratories, seed), seed, options=options, force=True)
     return path.read_text(encoding="utf-8").splitlines()
 
 
@@ -63,8 +62,7 @@ def impossible_numbers(lines: Lines, path: Path) -> Iterator[Path]:
     score = json.dumps(json.loads(lines[-1])["end"]["score"])
     for first in (lines[0], text_of(header)):
         for number in ("Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60):
-            end = lines[-1].replace(f'"score":{score}', f'"score":{number}')
-            yield store(path, [first, *lines[1:-1], end])
+            yield store(path, [first, *lines[1:-1], lines[-1].replace(f'"score":{score}', f'"score":{number}')])
 
 
 def other_spellings(lines: Lines, path: Path) -> Iterator[Path]:

@@ -81,8 +81,7 @@ def test_seeds_of_members_and_resets_of_some() -> None:
     seen, _ = batch.reset(seed=[7, 3, 7, 5])
     np.testing.assert_array_equal(seen["manager_0"][0], seen["manager_0"][2])
     first = batch.laboratories.snapshot()
-    start = batch.laboratories.actions.encode("start", "rxn_0", 0, "dodecane")
-    batch.step({"manager_0": np.full(4, start)})
+    batch.step({"manager_0": np.full(4, batch.laboratories.actions.encode("start", "rxn_0", 0, "dodecane"))})
     moved = batch.laboratories.snapshot()
     batch.laboratories.state.cost[:] = 1.0
     _, infos = batch.reset(seed=[9, 3, 9, 9], options={"reset_mask": np.array([False, True, False, False])})

@@ -83,13 +83,11 @@ def test_impurities_lower_the_melting_point() -> None:
     melting, fusion = material.melting_point_k, material.real.fusion_enthalpy_j_mol
     assert float(Flask({"benzoic_acid": 1.0}).measure("melting_point")) == pytest.approx(melting)
     for impurity in (0.01, 0.1):
-        flask = Flask({"benzoic_acid": 1.0 - impurity, "naphthalene": impurity})
-        reading = float(flask.measure("melting_point"))
+        reading = float(Flask({"benzoic_acid": 1.0 - impurity, "naphthalene": impurity}).measure("melting_point"))
         assert reading == pytest.approx(1.0 / (1.0 / melting - GAS_CONSTANT / fusion * math.log(1.0 - impurity)))
         depression = GAS_CONSTANT * melting**2 * impurity / fusion
         assert melting - reading == pytest.approx(depression, rel=2.0 * impurity)
-    salted = Flask({"benzoic_acid": 1.0, "NaCl": 0.5})
-    assert float(salted.measure("melting_point")) == pytest.approx(melting)
+    assert float(Flask({"benzoic_acid": 1.0, "NaCl": 0.5}).measure("melting_point")) == pytest.approx(melting)
     assert str(Flask({"hexane": 1.0}).measure("melting_point")) == "nothing that melts"
 
 

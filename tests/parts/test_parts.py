@@ -113,8 +113,7 @@ def test_rewards_in_the_laboratory() -> None:
     env.step(labs.actions.encode("wait"))
     assert env.agent_selection == "ext_0"
     env.step(A_TENTH)
-    filled = litres(env.scenario, {"diethyl_ether": 3.6})
-    assert env.rewards["ext_0"] == pytest.approx(-0.01 * filled, rel=1e-9)
+    assert env.rewards["ext_0"] == pytest.approx(-0.01 * litres(env.scenario, {"diethyl_ether": 3.6}), rel=1e-9)
     assert named_events(env.scenario, env.infos["ext_0"]) == pytest.approx({"vapour_mol": 0.4})
     env.step(END)
     assert env.agent_selection == "manager_0"

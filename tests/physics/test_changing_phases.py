@@ -267,6 +267,5 @@ def test_boiling_and_melting_alone_are_changes() -> None:
         flask = Flask(contents, capacity_l=2.0)
         flask._row[TEMPERATURE] = kelvin
         before = flask._row.copy()
-        waste = flask._shelf.waste[0]
-        assert laws.elapse(flask._row, 1.0, flask._chem, waste, flask._events, flask._work)
+        assert laws.elapse(flask._row, 1.0, flask._chem, flask._shelf.waste[0], flask._events, flask._work)
         assert (flask._row[AMOUNTS:] != before[AMOUNTS:]).any()

@@ -82,8 +82,7 @@ def test_layers_add_up_to_the_contents_throughout_an_episode(name: str) -> None:
         for vessel in vessels:
             if vessel is not None:
                 seen += 1
-                total = sum(layer.volume_l for layer in vessel.layers)
-                assert total == pytest.approx(vessel.volume_l, abs=1e-6)
+                assert sum(layer.volume_l for layer in vessel.layers) == pytest.approx(vessel.volume_l, abs=1e-6)
                 assert vessel.capacity_l <= scene.largest_capacity_l
     assert seen > 10
 
