@@ -84,7 +84,7 @@ def test_constant_actions_of_benches_are_searched() -> None:
 
 @pytest.mark.slow
 def test_a_scenario_that_needs_memory_is_said_to_be_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What a campaign's first batches tell holds for later ones. Both policies are scripted; searches are left out."""
+    """A campaign's first batches tell of the later ones. Both policies are scripted; searches are left out."""
     searched = {"scores": [-1.0] * 20, "everybody": [-1.0] * 20, "chosen": [-1.0], "plans": [], "teams": []}
     for kind in ("plan", "everybody", "replay"):
         monkeypatch.setitem(jobs._KINDS, kind, lambda *_, **__: searched)

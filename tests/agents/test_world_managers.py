@@ -281,7 +281,7 @@ def test_a_near_deadline_gets_the_quick_grade() -> None:
 
 @pytest.mark.parametrize("margin_k", [0.0, None])
 def test_a_bench_that_is_told_keeps_below_the_temperature_at_which_too_much_is_lost(margin_k: float | None) -> None:
-    """Where a run takes a tenth of the loss's time constant, by Arrhenius; with a fixed habit, at the median."""
+    """At a tenth of the loss's time constant a run, by Arrhenius; with a fixed habit, as at the median."""
     labs = Laboratories("relay")
     step = next(one for one in labs.scenario.family.reaction if set(one.reactants) == {"F"})
     for factor in (0.1, 1.0, 10.0):
