@@ -29,6 +29,7 @@ from chemlab.config.files import replace_between, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 KEPT = ROOT / "docs" / "results" / "attacks.json"
+PAGE = ROOT / "docs" / "security.md"
 TURNS = 25
 """Played where a file loads."""
 FORGED = ("wurtz_dodecane", "relay", "rush", "failing")
@@ -122,7 +123,7 @@ def main() -> int:
         forget = arguments.forget
         others = [run for run in kept() if run["kind"] != own["kind"] or not (forget or run["seed"] == own["seed"])]
         write_json(KEPT, [*others, own])
-    replace_between(ROOT / "docs" / "security.md", "attacks", list(table(kept())))
+    replace_between(PAGE, "attacks", list(table(kept())))
     return int(bool(failures))
 
 

@@ -12,6 +12,8 @@ from chemlab.config.loading import dump_scenario, load_scenario, restore_scenari
 from chemlab.envs.aec import raw_env
 from chemlab.record import verify_record
 
+NUMBERS = ("Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60)
+
 Lines = list[str]
 
 
@@ -61,7 +63,7 @@ def impossible_numbers(lines: Lines, path: Path) -> Iterator[Path]:
     header["environment"]["machine"] = "abacus"
     score = json.dumps(json.loads(lines[-1])["end"]["score"])
     for first in (lines[0], text_of(header)):
-        for number in ("Infinity", "-Infinity", "NaN", "1e999", "-1e999", "1" + "0" * 60):
+        for number in NUMBERS:
             yield store(path, [first, *lines[1:-1], lines[-1].replace(f'"score":{score}', f'"score":{number}')])
 
 
