@@ -158,7 +158,8 @@ def test_an_unfinished_record_has_a_page(episode: Path, tmp_path: Path) -> None:
 def test_a_record_has_a_protocol(episode: Path, tmp_path: Path) -> None:
     """Every action is in it, and all that was taken from the stock."""
     output = tmp_path / "protocol.md"
-    assert f" turns, {output.stat().st_size / 1000:.1f} kB" in command("replay", episode, "-o", output)
+    said = command("replay", episode, "-o", output)
+    assert f" turns, {output.stat().st_size / 1000:.1f} kB" in said
     text = output.read_text(encoding="utf-8")
     steps = [line for line in text.splitlines() if line.startswith("- tick ")]
     times = [int(found[1]) if (found := re.search(r" \((\d+) times\)\.", line)) else 1 for line in steps]
